@@ -1,0 +1,37 @@
+# Two commands do everything, set-up included: `make demo` and `make test`.
+PYTHON ?= python3
+BIN = .venv/bin
+INSTALL = $(shell command -v uv >/dev/null 2>&1 && echo "uv pip install -q --python $(BIN)/python" || echo "$(BIN)/python -m pip install -q --disable-pip-version-check")
+
+.PHONY: demo test lint bench clean
+
+demo: .venv/demo
+	rm -rf demo
+	$(BIN)/tumble simulate demo/launch --programme rough-table --seed 1
+	$(BIN)/tumble calibrate demo/launch --truth demo/launch/truth.json
+
+test: .venv/test lint
+	$(BIN)/python -m pytest -n auto
+
+lint: .venv/test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/test
+	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
+
+.venv/bin/python:
+	$(PYTHON) -m venv .venv
+
+.venv/demo: pyproject.toml | .venv/bin/python
+	$(INSTALL) -e .
+	touch $@
+
+.venv/test: pyproject.toml | .venv/bin/python
+	$(INSTALL) -e '.[dev]'
+	touch $@ .venv/demo
+
+clean:
+	rm -rf .venv demo

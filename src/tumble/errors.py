@@ -1,0 +1,43 @@
+"""The exceptions of tumble, as a tree.
+
+    TumbleError
+    ├── InputError            what was given cannot be used; the command line exits with 2
+    │   ├── SessionError      session.toml: a key, a value, a missing file
+    │   ├── LogError          a log: a column, a row, a number, the time
+    │   ├── ProgrammeError    an attitude code or a programme that does not exist
+    │   └── CalibrationError  a calibration file
+    └── MissingExtraError     an optional dependency that is not installed
+
+A message is one line: where it is, what was expected, what was found, what to do.
+A poor result is not an exception: it is an `Estimate` whose outcome gives the reasons.
+"""
+
+from __future__ import annotations
+
+
+class TumbleError(Exception):
+    """Anything tumble raises on purpose. `str()` is one line for the user."""
+
+
+class InputError(TumbleError):
+    """What was given cannot be used."""
+
+
+class SessionError(InputError):
+    """session.toml cannot be used."""
+
+
+class LogError(InputError):
+    """A log cannot be read as the session describes it."""
+
+
+class ProgrammeError(InputError):
+    """An attitude code or a programme is not one tumble knows."""
+
+
+class CalibrationError(InputError):
+    """A calibration file cannot be read or written."""
+
+
+class MissingExtraError(TumbleError):
+    """A function needs an optional dependency that is not installed."""

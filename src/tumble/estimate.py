@@ -1,0 +1,142 @@
+"""What every method returns, and the least squares behind it.
+
+An `Estimate` always comes back: when the data do not determine a parameter it has no value, and the outcome
+names it; when they do not fit, the outcome says which rest or turn, and by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import optimize, stats
+
+from tumble.model import Block, SensorModel
+from tumble.units import Array
+
+BoolArray = npt.NDArray[np.bool_]
+
+SPREAD = {"accel.bias": 1.0, "accel.scale": 0.1, "accel.axis": 0.1, "gyro.bias": 0.1, "gyro.scale": 0.1, "gyro.axis": 0.1}
+"""How far a parameter may reasonably be from nominal (SI): what the data must at least halve to count as seen."""
+
+SEEN = 1e-3
+"""A parameter is unobservable when more than this part of it (in units of its spread) is in the null space."""
+
+RELATIVE_RANK = 1e-11
+"""Singular values below this part of the largest are rounding."""
+
+SCATTER_PROBABILITY = 1e-3
+"""Scatter is estimated where chi-square would be exceeded by chance less often than this."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome:
+    """Whether an estimate can be used, and if not, why: sentences with cause and remedy."""
+
+    reasons: tuple[str, ...] = ()
+    unobservable: tuple[str, ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """No reason against it."""
+        return not self.reasons
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Fit:
+    """Chi-square of a group of residuals with its degrees of freedom and the scatter (SI) that was added to the
+    noise within rests to explain it; `scatter_unit` is m/s^2, rad/s or rad."""
+
+    chi_square: float
+    degrees: float
+    scatter: float
+    scatter_unit: str
+
+    @property
+    def probability(self) -> float:
+        """Probability that chance alone exceeds this chi-square."""
+        return float(stats.chi2.sf(self.chi_square, self.degrees)) if self.degrees > 0 else 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Estimate:
+    """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
+    only these mean anything. `rest_residual` (N,) is |corrected reading| − g, m/s²; `rest_sigmas` and
+    `turn_sigmas` say how far each rest and turn is from the fit. `increments` are the parameter changes of each
+    iteration, `fits` the chi-squares by what they judge."""
+
+    method: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    covariance: Array
+    observable: BoolArray
+    accel: SensorModel
+    gyro: SensorModel | None
+    rest_residual: Array
+    rest_sigmas: Array
+    turn_sigmas: Array
+    increments: tuple[Array, ...]
+    fits: Mapping[str, Fit]
+    outcome: Outcome
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainties."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Solution:
+    """A weighted least-squares step: `step` (m,), `gain` (m, r) of the whitened residuals, `null` (q, m) the
+    combinations the data do not determine, in units of the spreads, and the covariance (m, m), to which the
+    spreads of the null space have been added."""
+
+    step: Array
+    gain: Array
+    null: Array
+    covariance: Array
+
+    @property
+    def observable(self) -> BoolArray:
+        """Which parameters the data determine."""
+        return np.asarray(np.sqrt((self.null**2).sum(axis=0)) < SEEN)
+
+
+def spreads(block: Block) -> Array:
+    """The spread of each parameter of a block, SI."""
+    return np.array([SPREAD[".".join(name.split(".")[:2])] for name in block.names])
+
+
+def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
+    """Smallest step that minimises |residual − jacobian · step|², both whitened; singular combinations, which the
+    data determine no better than their spread, are left alone."""
+    U, s, Vt = np.linalg.svd(jacobian * spread, full_matrices=True)
+    s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
+    rank = int(np.sum(s > max(1.0, RELATIVE_RANK * s[0])))
+    seen, null = Vt[:rank], Vt[rank:]
+    gain = spread[:, None] * (seen.T / s[:rank]) @ U[:, :rank].T
+    covariance = gain @ gain.T + (spread[:, None] * null.T) @ (null * spread)
+    return Solution(step=gain @ residual, gain=gain, null=null, covariance=covariance)
+
+
+def scatter_of(excess: Callable[[float], float], start: float) -> float:
+    """The scatter at which `excess(scatter)` (chi-square less its expectation, falling) vanishes; `start` is a
+    first guess of its size."""
+    high = start
+    while excess(high) > 0.0:
+        high *= 4.0
+    return float(optimize.brentq(excess, 0.0, high, rtol=1e-3))
+
+
+def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
+    """How many Gaussian sigmas each normalised residual is out; where the scale came from the same residuals, the
+    residual is judged by the scale of all others (externally studentised)."""
+    z = np.abs(normalised)
+    if not scaled or degrees < 2:
+        return z
+    z2 = np.minimum(z**2, degrees * (1.0 - 1e-9))
+    studentised = np.sqrt(z2 * (degrees - 1.0) / (degrees - z2))
+    return np.asarray(-stats.norm.ppf(stats.t.sf(studentised, degrees - 1.0)))

@@ -1,0 +1,225 @@
+"""The sensor model of everything: `reading = matrix @ true + bias`, matrix n×3.
+
+For a triad along the body axes matrix = diag(1 + k) A(γ) with the exact axes matrix of Eq. (1). A block with
+other nominal axes, or more than three sensors, has per sensor a bias, a scale-factor error and rotations of
+its nominal axis about two perpendiculars; nothing else changes.
+
+The body frame is fixed by the accelerometers: accelerometer 0 keeps its nominal direction, accelerometer 1
+stays in the nominal plane of 0 and 1. So a triad has three accelerometer angles (yx, zx, zy) and six gyro
+angles; a block of n has 2n − 3 and 2n.
+
+Numbered sensors: the nominal axis d of sensor p is rotated by the rotation vector θ₁t₁ + θ₂t₂, where
+t₁ ∥ r × d, t₂ = d × t₁, and r is the nominal axis of sensor 0 (for sensor 0 itself, and for sensors parallel
+to it, the body axis with the smallest component in d). `accel.axis.3.1` is θ₁ of accelerometer 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tumble.rotation import axes_angles, axes_matrix
+from tumble.units import Array
+
+SensorKind = Literal["accel", "gyro"]
+
+_ANGLE_PAIRS = ("xy", "xz", "yx", "yz", "zx", "zy")
+_FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "gyro": _ANGLE_PAIRS}
+_BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SensorModel:
+    """`reading = matrix @ true + bias` of one block: matrix (n, 3), bias (n,) in m/s² or rad/s."""
+
+    matrix: Array
+    bias: Array
+
+    def inverse(self) -> Array:
+        """The matrix (3, n) that takes reading − bias to the true vector (least squares for n > 3)."""
+        return np.linalg.pinv(self.matrix)
+
+    def apply(self, readings: Array) -> Array:
+        """True vectors (..., 3) from readings (..., n), both in SI and in the body frame."""
+        return np.asarray((readings - self.bias) @ self.inverse().T)
+
+    def predict(self, true: Array) -> Array:
+        """Readings (..., n) of true vectors (..., 3)."""
+        return np.asarray(true @ self.matrix.T + self.bias)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Block:
+    """n sensors of one kind with nominal sensing directions `axes` (n, 3) in the body frame, and what their
+    parameters are called. Parameter vectors of a block are in the order of `names`."""
+
+    kind: SensorKind
+    axes: Array
+
+    @property
+    def size(self) -> int:
+        """Number of sensors."""
+        return len(self.axes)
+
+    @property
+    def triad(self) -> bool:
+        """Whether the sensors are three, each along a body axis (in any order and with either sign)."""
+        if self.axes.shape != (3, 3):
+            return False
+        return bool(np.array_equal(np.sort(np.abs(self.axes), axis=1), [[0, 0, 1]] * 3)) and bool(
+            abs(np.linalg.det(self.axes)) > 0.5
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
+        sensors = ["x", "y", "z"] if self.triad else [str(p) for p in range(self.size)]
+        kinds = [f"{what}.{s}" for what in ("bias", "scale") for s in sensors]
+        if self.triad:
+            kinds += [f"axis.{pair}" for pair in _FREE_PAIRS[self.kind]]
+        else:
+            kinds += [f"axis.{p}.{1 + j}" for p, j in self._free_angles()]
+        return tuple(f"{self.kind}.{name}" for name in kinds)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the parameters, in the order of `names`."""
+        n = self.size
+        return (_BIAS_UNIT[self.kind],) * n + ("1",) * n + ("rad",) * (len(self.names) - 2 * n)
+
+    def nominal(self) -> SensorModel:
+        """The model of perfect sensors."""
+        return SensorModel(matrix=self.axes.copy(), bias=np.zeros(self.size))
+
+    def model(self, values: Array) -> SensorModel:
+        """The sensor model of parameter values given in the order of `names`."""
+        n = self.size
+        bias, scale, angles = values[:n], values[n : 2 * n], values[2 * n :]
+        if self.triad:
+            order = self._channel_of_axis()
+            six = dict.fromkeys(_ANGLE_PAIRS, 0.0) | dict(zip(_FREE_PAIRS[self.kind], angles, strict=True))
+            rows = (1.0 + scale)[:, None] * axes_matrix(**six)
+            return SensorModel(matrix=self.axes @ rows, bias=bias[np.argsort(order)])
+        rotated = self._rotated(angles)
+        return SensorModel(matrix=(1.0 + scale)[:, None] * rotated, bias=np.array(bias))
+
+    def parameters(self, model: SensorModel) -> Array:
+        """Parameter values of a sensor model given in this block's frame: `model` inverted."""
+        if self.triad:
+            order = self._channel_of_axis()
+            rows = self.axes.T @ model.matrix
+            norms = np.linalg.norm(rows, axis=1)
+            six = dict(zip(_ANGLE_PAIRS, axes_angles(rows / norms[:, None]), strict=True))
+            angles = [six[pair] for pair in _FREE_PAIRS[self.kind]]
+            return np.concatenate([model.bias[order], norms - 1.0, angles])
+        norms = np.linalg.norm(model.matrix, axis=1)
+        return np.concatenate([model.bias, norms - 1.0, self._angles(model.matrix / norms[:, None])])
+
+    def jacobian(self, values: Array) -> Array:
+        """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the
+        parameters: shape (n, 4, m), so that d(reading) = jacobian · dθ applied to (true, 1)."""
+        n, m = self.size, len(values)
+        out = np.zeros((n, 4, m))
+        scale, angles = values[n : 2 * n], values[2 * n :]
+        if self.triad:
+            order = self._channel_of_axis()
+            six = dict.fromkeys(_ANGLE_PAIRS, 0.0) | dict(zip(_FREE_PAIRS[self.kind], angles, strict=True))
+            rows = axes_matrix(**six)
+            derivatives = [_axes_derivative(six, pair) for pair in _FREE_PAIRS[self.kind]]
+            for j in range(3):
+                out[order[j], 3, j] = 1.0
+                out[:, :3, 3 + j] = np.outer(self.axes[:, j], rows[j])
+            for i, derivative in enumerate(derivatives):
+                out[:, :3, 6 + i] = self.axes @ ((1.0 + scale)[:, None] * derivative)
+            return out
+        rotated = self._rotated(angles)
+        for p in range(n):
+            out[p, 3, p] = 1.0
+            out[p, :3, n + p] = rotated[p]
+        for i, (p, _) in enumerate(self._free_angles()):
+            step = np.zeros_like(angles)
+            step[i] = 1e-20  # complex step: exact to rounding
+            out[p, :3, 2 * n + i] = (1.0 + scale[p]) * self._rotated(angles + 1j * step)[p].imag / 1e-20
+        return out
+
+    def _channel_of_axis(self) -> Array:
+        """For a triad: which channel senses body axis 0, 1, 2."""
+        return np.argmax(np.abs(self.axes), axis=0)
+
+    def _free_angles(self) -> list[tuple[int, int]]:
+        """(sensor, 0 or 1) of every axis angle that is a parameter."""
+        if self.kind == "gyro":
+            return [(p, j) for p in range(self.size) for j in (0, 1)]
+        return [(1, 0)] + [(p, j) for p in range(2, self.size) for j in (0, 1)]
+
+    def _perpendiculars(self) -> Array:
+        """t₁ and t₂ of every sensor, shape (n, 2, 3)."""
+        out = np.empty((self.size, 2, 3))
+        for p, d in enumerate(self.axes):
+            r = self.axes[0]
+            if np.linalg.norm(np.cross(r, d)) < 1e-3:
+                r = np.eye(3)[np.argmin(np.abs(d))]
+            t = np.cross(r, d)
+            out[p, 0] = t / np.linalg.norm(t)
+            out[p, 1] = np.cross(d, out[p, 0])
+        return out
+
+    def _rotated(self, angles: Array) -> Array:
+        """Unit sensing axes (n, 3) for values of the free angles."""
+        both = np.zeros((self.size, 2), dtype=angles.dtype)
+        for value, (p, j) in zip(angles, self._free_angles(), strict=True):
+            both[p, j] = value
+        t = self._perpendiculars()
+        square = (both**2).sum(axis=1)[:, None]
+        # cos and sin(a)/a as series in a²: they also take the complex steps of `jacobian`
+        angle = np.sqrt(np.where(square == 0, 1.0, square))
+        cosine = np.where(square == 0, 1.0, np.cos(angle))
+        ratio = np.where(square == 0, 1.0, np.sin(angle) / angle)
+        across = both[:, :1] * np.cross(t[:, 0], self.axes) + both[:, 1:] * np.cross(t[:, 1], self.axes)
+        return np.asarray(cosine * self.axes + ratio * across)
+
+    def _angles(self, axes: Array) -> Array:
+        """The free angles of unit sensing axes (n, 3): `_rotated` inverted."""
+        t = self._perpendiculars()
+        out = []
+        for p, j in self._free_angles():
+            sine = np.cross(self.axes[p], axes[p])
+            angle = np.arctan2(np.linalg.norm(sine), self.axes[p] @ axes[p])
+            ratio = 1.0 if angle == 0.0 else angle / np.sin(angle)
+            out.append(ratio * (sine @ t[p, j]))
+        return np.array(out)
+
+
+def _axes_derivative(six: dict[str, float], pair: str) -> Array:
+    """Derivative of the axes matrix (1) with respect to one of its angles: each row is a product of sines and
+    cosines, so the derivative is the row at the angle + π/2 with what does not depend on it removed."""
+    ahead = axes_matrix(**(six | {pair: six[pair] + np.pi / 2}))
+    behind = axes_matrix(**(six | {pair: six[pair] - np.pi / 2}))
+    return (ahead - behind) / 2.0
+
+
+def to_accelerometer_frame(
+    block: Block, accel: SensorModel, gyro: SensorModel | None
+) -> tuple[SensorModel, SensorModel | None]:
+    """The same sensors in the frame fixed by the accelerometers (`block`): accelerometer 0 along its nominal
+    axis, accelerometer 1 in the nominal plane of 0 and 1; for a triad, X along the X accelerometer and Y in
+    the plane of X and Y."""
+    order = block._channel_of_axis() if block.triad else np.arange(block.size)
+    signs = np.sign(block.axes[order].sum(axis=1)) if block.triad else np.ones(block.size)
+    found = _frame_of(signs[:, None] * accel.matrix[order])
+    nominal = _frame_of(signs[:, None] * block.axes[order])
+    rotation = found.T @ nominal
+    moved = SensorModel(matrix=accel.matrix @ rotation, bias=accel.bias)
+    if gyro is None:
+        return moved, None
+    return moved, SensorModel(matrix=gyro.matrix @ rotation, bias=gyro.bias)
+
+
+def _frame_of(axes: Array) -> Array:
+    """Right-handed orthonormal rows: along axes[0], across it in the plane of axes[0] and axes[1], normal."""
+    first = axes[0] / np.linalg.norm(axes[0])
+    third = np.cross(axes[0], axes[1])
+    third = third / np.linalg.norm(third)
+    return np.array([first, np.cross(third, first), third])

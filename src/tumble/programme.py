@@ -1,0 +1,214 @@
+"""Programmes: the nominal attitudes an IMU is put into, and the turns between them.
+
+An attitude code says where body X, Y, Z point, as three of N S E W U D, and then how the body is turned from
+there: "NUE N+45" is X north, Y up, Z east, turned by +45° about north. Turns are about the geographic axes N,
+U, E by the right-hand rule (N × U = E) and are applied in order.
+
+The rough-table programme is programme "A" of the turntable method, §6.3; its directions of rotation are not
+in the paper. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import permutations, product
+from types import MappingProxyType
+
+import numpy as np
+
+from tumble.errors import ProgrammeError
+from tumble.rotation import rotation_matrix
+from tumble.units import DEGREE, Array
+
+_AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.array([0.0, 0.0, 1.0])}
+_DIRECTIONS = _AXES | {"S": -_AXES["N"], "D": -_AXES["U"], "W": -_AXES["E"]}
+_OPPOSITE = dict(zip("NSUDEW", "SNDUWE", strict=True))
+_TURN = re.compile(r"([NUE])([+-](?:[0-9]+\.?[0-9]*|\.[0-9]+))")
+_FULL_TURN_DEG = 360.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Position:
+    """A nominal attitude: its code, the matrix body → geographic (N, U, E), and a short name ("X up")."""
+
+    attitude: str
+    matrix: Array = field(repr=False, compare=False)
+    label: str
+
+    @property
+    def vertical_b(self) -> Array:
+        """Direction of the vertical in the body frame, a unit vector: u = Lᵀ e_U."""
+        return np.asarray(self.matrix.T @ _AXES["U"])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Move:
+    """How the next position is reached: a turn by `angle` (rad, signed) about the geographic unit vector
+    `axis`; None and None where any movement will do."""
+
+    axis: Array | None
+    angle: float | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Programme:
+    """Positions and the moves between them, one fewer. If not `ordered`, the positions may come in any order
+    and each may be turned about the vertical in any way: only `vertical_b` counts."""
+
+    name: str
+    positions: tuple[Position, ...]
+    moves: tuple[Move, ...]
+    ordered: bool
+
+
+ANY_MOVE = Move(axis=None, angle=None)
+
+
+def attitude(code: str) -> Array:
+    """The rotation matrix body → geographic (N, U, E), shape (3, 3), of an attitude code.
+
+    Raises ProgrammeError if the letters are not a right-handed triple or a turn is not like N+45."""
+    code = " ".join(code.split())
+    letters, *turns = code.split(" ")
+    matrix = _pointing(code, letters)
+    for turn in turns:
+        axis, angle = _turn(code, turn)
+        matrix = rotation_matrix(angle * axis) @ matrix
+    return matrix
+
+
+def _pointing(code: str, letters: str) -> Array:
+    """Body → geographic of three letters: column j is the direction body axis j points to."""
+    if len(letters) != 3 or not set(letters) <= set(_DIRECTIONS):
+        raise ProgrammeError(
+            f'attitude "{code}": expected three of N S E W U D, where body X, Y, Z point, found "{letters}"'
+        )
+    matrix = np.column_stack([_DIRECTIONS[letter] for letter in letters])
+    handedness = round(float(np.linalg.det(matrix)))
+    if handedness == 0:
+        raise ProgrammeError(
+            f'attitude "{code}": expected three perpendicular directions, found "{letters}"; '
+            "take one of each pair N S, U D, E W"
+        )
+    if handedness < 0:
+        mirrored = letters[:2] + _OPPOSITE[letters[2]]
+        raise ProgrammeError(
+            f'attitude "{code}": expected a right-handed triple (as N, U, E), found left-handed "{letters}"; '
+            f'with this X and Y it is "{mirrored}"'
+        )
+    return matrix
+
+
+def _turn(code: str, turn: str) -> tuple[Array, float]:
+    """Geographic axis and signed angle, rad, of a turn like "E-90.5"."""
+    found = _TURN.fullmatch(turn)
+    if found is None or abs(float(found[2])) > _FULL_TURN_DEG:
+        raise ProgrammeError(
+            f'attitude "{code}": expected a turn about N, U or E by up to 360 degrees with a sign, '
+            f'such as N+45 or E-90.5, found "{turn}"'
+        )
+    return _AXES[found[1]], float(found[2]) * DEGREE
+
+
+def programme(name: str) -> Programme:
+    """The built-in programme of this name. Raises ProgrammeError for any other name."""
+    if name not in BUILT_IN:
+        raise ProgrammeError(f"programme: expected one of {', '.join(BUILT_IN)}, found {name!r}")
+    return BUILT_IN[name]()
+
+
+def from_attitudes(codes: Sequence[str]) -> Programme:
+    """The programme of positions listed by their codes, in this order, with any movement between them.
+
+    Raises ProgrammeError for an empty list or a bad code."""
+    if not codes:
+        raise ProgrammeError("programme: expected at least one position, found none")
+    return _listed("listed", codes)
+
+
+def _listed(name: str, codes: Sequence[str], *, ordered: bool = True) -> Programme:
+    return Programme(
+        name=name,
+        positions=tuple(_position(code) for code in codes),
+        moves=(ANY_MOVE,) * (len(codes) - 1),
+        ordered=ordered,
+    )
+
+
+def _position(code: str) -> Position:
+    matrix = attitude(code)
+    return Position(attitude=code, matrix=matrix, label=_label(matrix))
+
+
+def _label(matrix: Array) -> str:
+    """Which body axes are above and below the horizon, by how much: "X up", "X 45° up, Y 45° down"."""
+    said = []
+    for name, sine in zip("XYZ", matrix[1], strict=True):
+        elevation = round(math.degrees(math.asin(max(-1.0, min(1.0, sine)))))
+        side = "up" if elevation > 0 else "down"
+        if abs(elevation) == 90:
+            return f"{name} {side}"
+        if elevation != 0:
+            said.append(f"{name} {abs(elevation)}° {side}")
+    return ", ".join(said)
+
+
+_OBLIQUE = ("UEN N+45", "UNW N-45", "NUE N+45")
+"""X, X, Y 45° above and Y, Z, Z 45° below the horizon, the third axis north."""
+
+
+def _rough_table() -> Programme:
+    """Three series of three turns by 180°, then three oblique rests: 15 rests, nine programmed turns."""
+    turns = ("N+180", "U+180", "N-180")
+    codes: list[str] = []
+    moves: list[Move] = []
+    for start in ("NUE", "ENU", "UEN"):
+        codes += [" ".join((start, *turns[:done])) for done in range(len(turns) + 1)]
+        for turn in turns:
+            axis, angle = _turn(start, turn)
+            moves.append(Move(axis=axis, angle=angle))
+        moves.append(ANY_MOVE)
+    moves += [ANY_MOVE] * (len(_OBLIQUE) - 1)
+    positions = tuple(_position(code) for code in (*codes, *_OBLIQUE))
+    return Programme(name="rough-table", positions=positions, moves=tuple(moves), ordered=True)
+
+
+def _nine() -> Programme:
+    """Every body axis up and down, then the three oblique positions."""
+    return _listed("nine", ("UEN", "DWN", "NUE", "NDW", "ENU", "WND", *_OBLIQUE))
+
+
+def _cube(name: str, *kinds: int) -> Programme:
+    """Positions of a cube on faces (1), edges (2), vertices (3): so many body axes are off the horizon."""
+    signs = [s for kind in kinds for s in product((1, 0, -1), repeat=3) if np.count_nonzero(s) == kind]
+    return _listed(name, [_standing(np.array(s, dtype=float)) for s in signs], ordered=False)
+
+
+def _standing(signs: Array) -> str:
+    """A code with the vertical along `signs`, body components 1, 0 or −1: from a right-handed triple, +45°
+    about N lifts the axes that pointed U and W, and atan(1/√2) about E lifts the one that pointed N."""
+    lifts = {1: "", 2: " N+45", 3: f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"}
+    lift = lifts[int(np.count_nonzero(signs))]
+    up = signs / np.linalg.norm(signs)
+    return next(code + lift for code in _TRIPLES if np.allclose(attitude(code + lift)[1], up, atol=1e-9))
+
+
+_TRIPLES = [
+    letters
+    for letters in map("".join, permutations("NUESDW", 3))
+    if np.linalg.det(np.column_stack([_DIRECTIONS[letter] for letter in letters])) > 0.5
+]
+"""The 24 right-handed triples of directions."""
+
+BUILT_IN: Mapping[str, Callable[[], Programme]] = MappingProxyType(
+    {
+        "rough-table": _rough_table,
+        "nine": _nine,
+        "cube-14": lambda: _cube("cube-14", 1, 3),
+        "cube-26": lambda: _cube("cube-26", 1, 2, 3),
+        "cube-12": lambda: _cube("cube-12", 2),
+    }
+)

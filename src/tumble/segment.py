@@ -1,0 +1,444 @@
+"""Rests and turns in a log.
+
+The log is fed chunk by chunk to a `Reducer`, which keeps the means of short blocks (0.1 s or less), the state of
+each channel and the gyro increments of every sample; a block is defined by the sample number in its file, so
+chunks of any size give the same blocks. When the stream has ended, `find_rests` sets its thresholds from the
+whole:
+
+1. The level of the gyros at rest is the densest point of the one-second means of the angular rate: turns go
+   many ways, rests all read the bias (and the Earth's rate, within 2Ω).
+2. The noise floor of the distance from that level is a clipped median, started from the tenth percentile. A
+   block belongs to a rest where the distance is below FLOOR_FACTOR floors (and 2Ω for the Earth's rate), and
+   the scatter of the accelerometers in the same second below SCATTER_FACTOR of its own floor. Vibration that
+   averages out over a second raises both floors and their quantities alike, so nothing has to be set by hand.
+   The level follows slow drift: it is interpolated between the rests found, and the search repeated.
+3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
+   shortened by a margin at both ends for settling. What lies between two rests of a file is a turn.
+
+Without gyros only the accelerometers decide.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from tumble import _kernels
+from tumble.earth import EARTH_RATE
+from tumble.log import Chunk, Log
+from tumble.model import Block
+from tumble.units import Array
+
+BLOCK_SECONDS = 0.1
+WINDOW_SECONDS = 1.0
+FLOOR_FACTOR = 5.0
+SCATTER_FACTOR = 10.0
+EDGE_SIGMAS = 4.0
+MIN_REST_SECONDS = 2.0
+MARGIN_FRACTION = 0.05
+MARGIN_SECONDS = (0.2, 1.0)
+ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
+GYRO_ROUNDING = 1e-7  # rad/s
+SPOOL_BYTES = 96 * 2**20
+
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelState:
+    """What the samples of one channel say about its health, over a whole log, in SI."""
+
+    samples: int
+    minimum: float
+    maximum: float
+    repeats: int
+    """Samples equal to the one before."""
+    run: int
+    """Longest row of equal samples, and where it ended (s, in its file)."""
+    run_stop: float
+    run_value: float
+    extreme_run: int
+    """Longest row of equal samples at the minimum or the maximum, and where it ended."""
+    extreme_stop: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FileBlocks:
+    """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the
+    accelerometers (K, n) and gyros (K, n) in SI, and of the temperature."""
+
+    file: int
+    first_sample: int
+    """Position of the file's first sample among the stored increments."""
+    size: int
+    edges: Array
+    accel: Array
+    gyro: Array | None
+    temperature: Array | None
+    samples: int
+
+
+class GyroSamples:
+    """The gyro increments of a log: three angles (rad) about the body axes from nominal sensors and the interval
+    (s) of each sample, in memory up to SPOOL_BYTES and on disk beyond."""
+
+    _WIDTH = 4 * 8
+
+    def __init__(self) -> None:
+        self._spool = tempfile.SpooledTemporaryFile(max_size=SPOOL_BYTES)  # noqa: SIM115
+        self.count = 0
+
+    def append(self, rates: Array, dt: Array) -> None:
+        """Add samples: mean body rates (m, 3) rad/s over intervals dt (m,) s."""
+        rows = np.empty((len(dt), 4))
+        np.multiply(rates, dt[:, None], out=rows[:, :3])
+        rows[:, 3] = dt
+        self._spool.write(rows.data)
+        self.count += len(dt)
+
+    def read(self, start: int, stop: int) -> tuple[Array, Array]:
+        """Increments (m, 3) and intervals (m,) of samples start … stop − 1."""
+        self._spool.seek(start * self._WIDTH)
+        rows = np.frombuffer(self._spool.read((stop - start) * self._WIDTH)).reshape(-1, 4)
+        return rows[:, :3], rows[:, 3]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reduction:
+    """A log reduced to blocks."""
+
+    rate: float
+    files: tuple[FileBlocks, ...]
+    accel_channels: tuple[ChannelState, ...]
+    gyro_channels: tuple[ChannelState, ...]
+    samples: GyroSamples | None
+
+
+class _Channels:
+    """Running block sums and channel states of one kind of sensor."""
+
+    def __init__(self, sensors: int, size: int) -> None:
+        self.size = size
+        self.sums = np.zeros(sensors)
+        self.filled = np.zeros(1, dtype=np.int64)
+        self.state = _kernels.new_channel_state(sensors)
+        self.means: list[Array] = []
+
+    def feed(self, values: Array, time: Array) -> None:
+        out = np.empty(((len(values) + self.size) // self.size, len(self.sums)))
+        blocks = _kernels.block_means(values, time, self.size, self.sums, self.filled, self.state, out)
+        self.means.append(out[:blocks])
+
+    def end_file(self) -> Array:
+        means = np.concatenate(self.means)
+        self.means, self.filled[0] = [], 0
+        self.sums[:] = 0.0
+        return means
+
+    def states(self) -> tuple[ChannelState, ...]:
+        return tuple(_channel_state(row) for row in self.state)
+
+
+def _channel_state(row: Array) -> ChannelState:
+    at_minimum, at_maximum = row[10:12], row[12:14]
+    extreme = at_minimum if at_minimum[0] > at_maximum[0] else at_maximum
+    return ChannelState(
+        samples=int(row[0]),
+        minimum=float(row[1]),
+        maximum=float(row[2]),
+        repeats=int(row[3]),
+        run=int(row[7]),
+        run_stop=float(row[8]),
+        run_value=float(row[9]),
+        extreme_run=int(extreme[0]),
+        extreme_stop=float(extreme[1]),
+    )
+
+
+class Reducer:
+    """Takes a log chunk by chunk and keeps what segmentation and reduction need."""
+
+    def __init__(self, *, rate: float, accel: Block, gyro: Block | None) -> None:
+        self.rate = rate
+        self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
+        self._accel = _Channels(accel.size, self.size)
+        self._gyro = _Channels(gyro.size, self.size) if gyro else None
+        self._to_body = np.linalg.pinv(gyro.axes).T if gyro else None
+        self._temperature: list[Array] = []
+        self._times: list[Array] = []
+        self._files: list[FileBlocks] = []
+        self._file = -1
+        self._first = 0
+        self._count = 0
+        self._start = 0.0
+        self._stored = GyroSamples() if gyro else None
+
+    def feed(self, chunk: Chunk) -> None:
+        """Add the next samples of the log."""
+        if chunk.file != self._file:
+            self._end_file()
+            self._file, self._start = chunk.file, float(chunk.time[0] - chunk.dt[0])
+            self._first, self._count = self._first + self._count, 0
+        self._accel.feed(chunk.accel, chunk.time)
+        if self._gyro and self._stored is not None and chunk.gyro is not None:
+            self._gyro.feed(chunk.gyro, chunk.time)
+            body = chunk.gyro if np.array_equal(self._to_body, np.eye(3)) else chunk.gyro @ self._to_body
+            self._stored.append(body, chunk.dt)
+        ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
+        self._times.append(chunk.time[ends])
+        if chunk.temperature is not None:
+            self._temperature.append(chunk.temperature[ends])
+        self._count += len(chunk.time)
+
+    def _end_file(self) -> None:
+        if self._file < 0:
+            return
+        self._files.append(
+            FileBlocks(
+                file=self._file,
+                first_sample=self._first,
+                size=self.size,
+                edges=np.concatenate([[self._start], *self._times]),
+                accel=self._accel.end_file(),
+                gyro=self._gyro.end_file() if self._gyro else None,
+                temperature=np.concatenate(self._temperature) if self._temperature else None,
+                samples=self._count,
+            )
+        )
+        self._times, self._temperature = [], []
+
+    def finish(self) -> Reduction:
+        """The reduction of all that was fed."""
+        self._end_file()
+        self._file = -1
+        return Reduction(
+            rate=self.rate,
+            files=tuple(self._files),
+            accel_channels=self._accel.states(),
+            gyro_channels=self._gyro.states() if self._gyro else (),
+            samples=self._stored,
+        )
+
+
+def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None) -> Reduction:
+    """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress."""
+    reducer = Reducer(rate=log.rate, accel=accel, gyro=gyro)
+    for chunk in log.chunks() if chunks is None else chunks:
+        reducer.feed(chunk)
+    return reducer.finish()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RestSpan:
+    """A rest found: blocks [first, last) of a file, start and stop in s."""
+
+    file: int
+    first: int
+    last: int
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rejected:
+    """A quiet stretch that is not a rest, and the number that decided."""
+
+    file: int
+    start: float
+    stop: float
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Segmentation:
+    """Rests of a log in the order of time, what was rejected, and the thresholds that were found:
+    rate_limit (rad/s; None without gyros) and scatter_limit (m/s²)."""
+
+    rests: tuple[RestSpan, ...]
+    rejected: tuple[Rejected, ...]
+    rate_limit: float | None
+    scatter_limit: float
+
+
+def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
+    """The rests of a reduced log (module docstring)."""
+    size = reduction.files[0].size
+    window = max(2, round(WINDOW_SECONDS * reduction.rate / size))
+    to_body = np.linalg.pinv(accel.axes).T
+    specific_force = [f.accel @ to_body for f in reduction.files]
+    scatter = [_moving_scatter(a, window) for a in specific_force]
+    scatter_limit = (SCATTER_FACTOR if gyro else FLOOR_FACTOR) * _floor(np.concatenate(scatter)) + ACCEL_ROUNDING
+    calm = [s < scatter_limit for s in scatter]
+    if gyro is None:
+        spans = [_runs(c) for c in calm]
+        return _assemble(reduction, specific_force, spans, window, scatter_limit, None, [])
+    gyro_to_body = np.linalg.pinv(gyro.axes).T
+    rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
+    spans, rate_limit = _still_spans(rates, calm, window)
+    restless = [
+        Rejected(
+            file=f.file,
+            start=float(f.edges[i]),
+            stop=float(f.edges[j]),
+            reason=f"accelerometer scatter {s[i:j].max():.2g} m/s^2 within a second is above {scatter_limit:.2g} m/s^2",
+        )
+        for f, s, quiet, c in zip(reduction.files, scatter, _still_spans(rates, None, window)[0], calm, strict=True)
+        for i, j in quiet
+        if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
+    ]
+    return _assemble(reduction, rates, spans, window, scatter_limit, rate_limit, restless)
+
+
+def _still_spans(
+    rates: list[Array], calm: list[BoolArray] | None, window: int
+) -> tuple[list[list[tuple[int, int]]], float]:
+    """Stretches of blocks in which the body does not turn, per file, and the limit of the rate, rad/s."""
+    smooth = [_moving_mean(w, window) for w in rates]
+    level = [np.broadcast_to(_densest(np.concatenate([s[::window] for s in smooth])), s.shape) for s in smooth]
+    spans: list[list[tuple[int, int]]] = [[] for _ in rates]
+    limit = 0.0
+    for _ in range(5):  # the level follows slow drift from rest to rest
+        distance = [np.linalg.norm(s - at, axis=1) for s, at in zip(smooth, level, strict=True)]
+        limit = FLOOR_FACTOR * _floor(np.concatenate(distance)) + 2.0 * EARTH_RATE
+        still = [d < limit for d in distance]
+        if calm is not None:
+            still = [a & b for a, b in zip(still, calm, strict=True)]
+        found = [_runs(s) for s in still]
+        if found == spans:
+            break
+        spans = found
+        level = [_interpolated_level(w, f, at) for w, f, at in zip(rates, spans, level, strict=True)]
+    return spans, limit
+
+
+def _interpolated_level(rate: Array, spans: list[tuple[int, int]], default: Array) -> Array:
+    """The gyro level of every block, interpolated between the means of the stretches found."""
+    long = [(i, j) for i, j in spans if j - i >= 10]
+    if not long:
+        return default
+    centres = np.array([0.5 * (i + j) for i, j in long])
+    means = np.array([rate[i:j].mean(axis=0) for i, j in long])
+    blocks = np.arange(len(rate))
+    return np.column_stack([np.interp(blocks, centres, means[:, c]) for c in range(rate.shape[1])])
+
+
+def _assemble(
+    reduction: Reduction,
+    signal: list[Array],
+    spans: list[list[tuple[int, int]]],
+    window: int,
+    scatter_limit: float,
+    rate_limit: float | None,
+    rejected: list[Rejected],
+) -> Segmentation:
+    """Extend the stretches found, take the margins off, and keep those that are long enough."""
+    rests: list[RestSpan] = []
+    rounding = ACCEL_ROUNDING if rate_limit is None else GYRO_ROUNDING
+    for f, values, found in zip(reduction.files, signal, spans, strict=True):
+        for first, last in _merged([_extended(values, i, j, window, rounding) for i, j in found]):
+            duration = float(f.edges[last] - f.edges[first])
+            margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
+            if duration - 2.0 * margin < MIN_REST_SECONDS:
+                if duration > 0.5:
+                    reason = f"{duration:.1f} s is too short for a rest of {MIN_REST_SECONDS:g} s and its margins"
+                    rejected.append(
+                        Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), reason=reason)
+                    )
+                continue
+            rests.append(_span(f, f.edges[first] + margin, f.edges[last] - margin))
+    return Segmentation(
+        rests=tuple(rests),
+        rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),
+        rate_limit=rate_limit,
+        scatter_limit=scatter_limit,
+    )
+
+
+def stated_rests(reduction: Reduction, times: Iterable[tuple[float, float]]) -> tuple[RestSpan, ...]:
+    """Rests at stated start and stop times (s) of the first file, to whole blocks inside them."""
+    return tuple(_span(reduction.files[0], start, stop) for start, stop in times)
+
+
+def _span(f: FileBlocks, start: float, stop: float) -> RestSpan:
+    """The whole blocks between two times of a file."""
+    first = int(np.searchsorted(f.edges, start - 1e-9))
+    last = int(np.searchsorted(f.edges, stop + 1e-9, side="right")) - 1
+    return RestSpan(file=f.file, first=first, last=last, start=float(f.edges[first]), stop=float(f.edges[last]))
+
+
+def _extended(values: Array, first: int, last: int, window: int, rounding: float) -> tuple[int, int]:
+    """A stretch of blocks with its ends set where single blocks leave EDGE_SIGMAS of its own scatter: the moving
+    window has blurred them by half its length."""
+    tenth = (last - first) // 10
+    core = values[first + tenth : last - tenth]
+    mean, sigma = core.mean(axis=0), np.sqrt(core.var(axis=0).sum())
+    inside = np.linalg.norm(values - mean, axis=1) <= EDGE_SIGMAS * sigma + rounding
+    half = min(window, last - first) // 2
+    before, after = inside[: first + half][::-1], inside[last - half :]
+    start = first + half - (len(before) if before.all() else int(np.argmin(before)))
+    stop = last - half + (len(after) if after.all() else int(np.argmin(after)))
+    return start, stop
+
+
+def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Stretches in order, overlapping ones joined."""
+    out: list[tuple[int, int]] = []
+    for first, last in sorted(spans):
+        if out and first < out[-1][1]:
+            out[-1] = (out[-1][0], max(last, out[-1][1]))
+        elif last > first:
+            out.append((first, last))
+    return out
+
+
+def _moving_mean(values: Array, window: int) -> Array:
+    """Mean over the `window` rows about each row, at the ends over the first and the last `window` rows."""
+    window = min(window, len(values))
+    inner = sum(values[i : len(values) - window + 1 + i] for i in range(window)) / window
+    return np.asarray(inner[_window_of(len(values), window)])
+
+
+def _moving_scatter(values: Array, window: int) -> Array:
+    """Root of the summed variances of the columns in the same windows."""
+    window = min(window, len(values))
+    inside = len(values) - window + 1
+    mean = sum(values[i : inside + i] for i in range(window)) / window
+    variance = sum((values[i : inside + i] - mean) ** 2 for i in range(window)) / window
+    return np.sqrt(np.asarray(variance).sum(axis=1))[_window_of(len(values), window)]
+
+
+def _window_of(rows: int, window: int) -> IntArray:
+    """First row of the window that belongs to each row."""
+    return np.clip(np.arange(rows) - window // 2, 0, rows - window)
+
+
+def _densest(points: Array) -> Array:
+    """The point of a cloud with the nearest neighbours."""
+    count = min(len(points), max(4, len(points) // 20))
+    distance, _ = cKDTree(points).query(points, k=count)
+    return np.asarray(points[np.argmin(distance.reshape(len(points), -1)[:, -1])])
+
+
+def _floor(values: Array) -> float:
+    """The level of the quiet part of a positive quantity: a median clipped at FLOOR_FACTOR times itself, started
+    from the tenth percentile."""
+    floor = float(np.quantile(values, 0.1))
+    for _ in range(50):
+        inside = values[values <= FLOOR_FACTOR * floor]
+        median = float(np.median(inside))
+        if abs(median - floor) <= 1e-6 * floor:
+            break
+        floor = median
+    return floor
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """[first, last) of every row of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
+    return [(int(i), int(j)) for i, j in edges.reshape(-1, 2)]

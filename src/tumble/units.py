@@ -1,0 +1,92 @@
+"""Units at the edges, SI and radians inside; constants with their source.
+
+Nothing inside tumble carries another unit than m, s, rad, K and their products. `ACCEL_UNITS`,
+`GYRO_UNITS` and `TIME_UNITS` say what a log's numbers are worth when they enter; the functions
+`engineering` and `rounded` say how a value is shown when it leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+G_STANDARD = 9.80665
+"""Standard acceleration of free fall, m/s², exact (CGPM 1901). The unit g; never a site's gravity."""
+
+DEGREE = math.pi / 180.0
+ARCSEC = DEGREE / 3600.0
+DEGREE_PER_HOUR = DEGREE / 3600.0
+
+Kind = Literal["rate", "increment", "raw"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Unit:
+    """What one unit of a log's numbers is worth: `factor` in SI, and whether it is a rate (m/s², rad/s),
+    an increment per sample (m/s, rad) or a raw number that needs a scale and an offset."""
+
+    factor: float
+    kind: Kind
+
+
+ACCEL_UNITS = {
+    "m/s^2": Unit(factor=1.0, kind="rate"),
+    "g": Unit(factor=G_STANDARD, kind="rate"),
+    "mg": Unit(factor=1e-3 * G_STANDARD, kind="rate"),
+    "m/s": Unit(factor=1.0, kind="increment"),
+    "count": Unit(factor=1.0, kind="raw"),
+    "V": Unit(factor=1.0, kind="raw"),
+}
+
+GYRO_UNITS = {
+    "rad/s": Unit(factor=1.0, kind="rate"),
+    "deg/s": Unit(factor=DEGREE, kind="rate"),
+    "deg/h": Unit(factor=DEGREE_PER_HOUR, kind="rate"),
+    "rad": Unit(factor=1.0, kind="increment"),
+    "deg": Unit(factor=DEGREE, kind="increment"),
+    "arcsec": Unit(factor=ARCSEC, kind="increment"),
+    "count": Unit(factor=1.0, kind="raw"),
+    "V": Unit(factor=1.0, kind="raw"),
+}
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+_SHOWN: dict[str, tuple[tuple[float, str], ...]] = {
+    # quantity: (one of the shown unit in SI, its name), the smallest first
+    "m/s^2": ((1e-6 * G_STANDARD, "µg"), (1e-3 * G_STANDARD, "mg")),
+    "1": ((1e-6, "ppm"),),
+    "rad": ((ARCSEC, '"'), (1e-3, "mrad")),
+    "rad/s": ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s")),
+}
+
+
+def engineering(unit: str, magnitude: float) -> tuple[float, str]:
+    """The unit in which a quantity of SI unit `unit` ("m/s^2", "1", "rad", "rad/s") and this magnitude is
+    shown, as (its size in SI, its name): µg or mg, ppm, arcsec or mrad, °/h or °/s.
+
+    The larger unit is taken where the magnitude is at least one of it (for angles 0.5 mrad, about 100″)."""
+    candidates = _SHOWN[unit]
+    limit = {"rad": 0.5}.get(unit, 1.0)
+    shown = candidates[0]
+    for size, name in candidates[1:]:
+        if abs(magnitude) >= limit * size:
+            shown = (size, name)
+    return shown
+
+
+def rounded(value: float, u: float) -> tuple[str, str]:
+    """`value` and its uncertainty as text, both to the second significant digit of the uncertainty."""
+    if not (math.isfinite(u) and u > 0.0):
+        return f"{value:.6g}", "0" if u == 0.0 else str(u)
+    digits = 1 - math.floor(math.log10(u))
+    if round(u * 10.0**digits) >= 100:
+        digits -= 1
+    shown = max(digits, 0)
+    return f"{round(value, digits):.{shown}f}", f"{round(u, digits):.{shown}f}"

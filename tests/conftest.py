@@ -1,0 +1,20 @@
+"""Where the recordings are, and what happens when they are missing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of recordings: TUMBLE_DATA, else ../shared/data beside the repository."""
+    folder = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+    if not folder.is_dir():
+        said = f"the recordings are not at {folder}; set TUMBLE_DATA to the folder that holds them"
+        if os.environ.get("CI") == "true":
+            pytest.fail(said)
+        pytest.skip(said)
+    return folder

@@ -1,0 +1,219 @@
+"""Attitude codes, the built-in programmes, and what they can tell about an IMU."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tumble.errors import ProgrammeError
+from tumble.programme import ANY_MOVE, BUILT_IN, attitude, from_attitudes, programme
+from tumble.rotation import rotation_matrix
+from tumble.units import DEGREE, Array
+
+N, U, E = np.eye(3)
+R = 0.5**0.5
+OBLIQUE_U = [(R, -R, 0), (R, 0, -R), (0, R, -R)]
+
+turns = st.tuples(st.sampled_from("NUE"), st.sampled_from("+-"), st.floats(0.0, 360.0))
+
+
+def triples() -> list[str]:
+    """The 24 right-handed ones, by the determinant."""
+    vectors = dict(zip("NUESDW", (N, U, E, -N, -U, -E), strict=True))
+    return [
+        "".join(t)
+        for t in product("NUESDW", repeat=3)
+        if np.linalg.det(np.column_stack([vectors[letter] for letter in t])) > 0.5
+    ]
+
+
+@given(st.sampled_from(triples()), st.lists(turns, max_size=4))
+def test_attitudes_are_rotations(letters: str, turned: list[tuple[str, str, float]]) -> None:
+    code = " ".join([letters, *(f"{axis}{sign}{angle:.6f}" for axis, sign, angle in turned)])
+    matrix = attitude(code)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-14)
+    assert math.isclose(float(np.linalg.det(matrix)), 1.0, abs_tol=1e-14)
+
+
+def test_letters_say_where_body_axes_point() -> None:
+    assert len(triples()) == 24
+    np.testing.assert_array_equal(attitude("NUE"), np.eye(3))
+    np.testing.assert_array_equal(attitude("ENU"), np.column_stack([E, N, U]))
+    np.testing.assert_array_equal(attitude("DWN"), np.column_stack([-U, -E, N]))
+
+
+@pytest.mark.parametrize(
+    ("turned", "letters"),
+    [
+        ("NUE N+90", "NED"),  # N × U = E
+        ("NUE U+90", "WUN"),  # U × E = N, so N goes to W
+        ("NUE E+90", "USE"),  # E × N = U
+        ("NUE N-90", "NWU"),
+        ("NUE N+90 U+90", "WND"),  # in the order written: first about N, then X to W and Y, at E, to N
+        ("NUE U+90 N+90", "UEN"),  # X, at W, goes to U and Y to E
+        ("ENU N+180 U+180 N-180", "WSU"),
+    ],
+)
+def test_turns_are_right_handed_about_geographic_axes_and_in_order(turned: str, letters: str) -> None:
+    np.testing.assert_allclose(attitude(turned), attitude(letters), atol=1e-15)
+
+
+def test_fractions_of_a_degree_and_spaces_are_read() -> None:
+    expected = rotation_matrix(-90.5 * DEGREE * E) @ rotation_matrix(45 * DEGREE * N)
+    np.testing.assert_allclose(attitude("  NUE   N+45. E-90.5 "), expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("", 'expected three of N S E W U D, where body X, Y, Z point, found ""'),
+        ("NU", 'found "NU"'),
+        ("NUEE", 'found "NUEE"'),
+        ("nue", 'found "nue"'),
+        ("N+45", 'found "N+45"'),
+        ("NUS", 'expected three perpendicular directions, found "NUS"'),
+        ("UNE", 'found left-handed "UNE"; with this X and Y it is "UNW"'),
+        ("NUE N45", 'such as N+45 or E-90.5, found "N45"'),
+        ("NUE S+45", 'found "S+45"'),
+        ("NUE N+", 'found "N+"'),
+        ("NUE N+nan", 'found "N+nan"'),
+        ("NUE N+1e3", 'found "N+1e3"'),
+        ("NUE N+360.5", 'found "N+360.5"'),
+        ("NUE\nN+4\n5", 'attitude "NUE N+4 5"'),
+    ],
+)
+def test_a_bad_code_is_one_line_that_says_what_was_expected(code: str, said: str) -> None:
+    with pytest.raises(ProgrammeError) as caught:
+        attitude(code)
+    assert said in str(caught.value)
+    assert "expected" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_code_suggested_for_a_left_handed_one_is_right_handed() -> None:
+    right = set(triples())
+    left = {t[:2] + dict(zip("NSUDEW", "SNDUWE", strict=True))[t[2]] for t in right}
+    assert len(left) == 24
+    for code in left:
+        with pytest.raises(ProgrammeError) as caught:
+            attitude(code)
+        assert str(caught.value).split('"')[-2] in right
+
+
+def test_rough_table_stands_as_the_method_says() -> None:
+    """Turntable method §6.3 and, for the oblique rests, §3."""
+    x, y, z = np.eye(3)
+    series = [u for axis in (y, z, x) for u in (axis, -axis, -axis, axis)]
+    made = programme("rough-table")
+    found = np.array([p.vertical_b for p in made.positions])
+    np.testing.assert_allclose(found, [*series, *np.array(OBLIQUE_U)], atol=1e-15)
+    assert made.ordered
+    assert [p.attitude for p in made.positions[::4]] == ["NUE", "ENU", "UEN", "UEN N+45"]
+    for first, (north, up) in zip((0, 4, 8), ((x, y), (y, z), (z, x)), strict=True):
+        np.testing.assert_allclose(made.positions[first].matrix @ north, N, atol=1e-15)
+        np.testing.assert_allclose(made.positions[first].matrix @ up, U, atol=1e-15)
+    for position, third in zip(made.positions[12:], (z, y, x), strict=True):
+        np.testing.assert_allclose(position.matrix @ third, N, atol=1e-15)
+
+
+def test_rough_table_turns_lead_from_each_position_to_the_next() -> None:
+    made = programme("rough-table")
+    named = [i for i, move in enumerate(made.moves) if move.angle is not None]
+    assert named == [0, 1, 2, 4, 5, 6, 8, 9, 10]
+    assert all(made.moves[i] is ANY_MOVE for i in (3, 7, 11, 12, 13))
+    for i in named:
+        axis, angle = made.moves[i].axis, made.moves[i].angle
+        assert axis is not None
+        assert angle is not None
+        turned = rotation_matrix(angle * axis) @ made.positions[i].matrix
+        np.testing.assert_allclose(turned, made.positions[i + 1].matrix, atol=1e-15)
+        expected = (math.pi * N, math.pi * U, -math.pi * N)[i % 4]
+        np.testing.assert_allclose(angle * axis, expected, rtol=1e-15)
+
+
+def test_rough_table_turns_have_the_published_condition_number() -> None:
+    """H_G (18×9) of programme A from Eq. (6.3), with perfect accelerometers: rank 9, cond √2 π/2."""
+    made = programme("rough-table")
+    rows: list[Array] = []
+    for position, move in zip(made.positions[:-1], made.moves, strict=True):
+        if move.axis is None or move.angle is None:
+            continue
+        C = position.matrix
+
+        def F(p: Array, q: Array, C: Array = C) -> Array:
+            return np.outer(C.T @ p, C.T @ q).ravel()  # F_pq = pᵀ C E Cᵀ q as a row over vec E
+
+        if abs(move.axis[0]) == 1.0:
+            rows += [-2.0 * F(U, N), math.copysign(math.pi, move.angle) * F(N, N)]
+        else:
+            rows += [2.0 * F(N, U), 2.0 * F(E, U)]
+    H = np.array(rows)
+    assert H.shape == (18, 9)
+    assert np.linalg.cond(H) == pytest.approx(math.sqrt(2.0) * math.pi / 2.0, rel=1e-12)
+
+
+def test_nine_positions_have_the_published_condition_number() -> None:
+    """Turntable method §3: nine directions, det 1, cond 6.48 for Eq. (13)."""
+    made = programme("nine")
+    u = np.array([p.vertical_b for p in made.positions])
+    x, y, z = np.eye(3)
+    np.testing.assert_allclose(u, [x, -x, y, -y, z, -z, *np.array(OBLIQUE_U)], atol=1e-15)
+    H = np.column_stack([u, u**2, u[:, 0] * u[:, 1], u[:, 0] * u[:, 2], u[:, 1] * u[:, 2]])
+    assert abs(np.linalg.det(H)) == pytest.approx(1.0, rel=1e-9)
+    assert np.linalg.cond(H) == pytest.approx(6.48, abs=0.005)
+
+
+@pytest.mark.parametrize(("name", "kinds"), [("cube-14", {1, 3}), ("cube-26", {1, 2, 3}), ("cube-12", {2})])
+def test_a_cube_stands_on_every_face_edge_or_vertex_once(name: str, kinds: set[int]) -> None:
+    made = programme(name)
+    signs = np.array([s for s in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(s) in kinds])
+    expected = signs / np.linalg.norm(signs, axis=1)[:, None]
+    found = np.array([p.vertical_b for p in made.positions])
+    assert len(found) == len(expected) == int(name[-2:])
+    np.testing.assert_allclose(np.sort((expected @ found.T).max(axis=1)), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(found[np.argmax(expected @ found.T, axis=1)], expected, atol=1e-15)
+    assert not made.ordered
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_built_in_programme_keeps_its_name_and_has_a_move_between_positions(name: str) -> None:
+    made = programme(name)
+    assert made.name == name
+    assert len(made.moves) == len(made.positions) - 1
+    for position in made.positions:
+        np.testing.assert_array_equal(position.matrix, attitude(position.attitude))
+
+
+def test_labels_say_what_is_up() -> None:
+    labels = [p.label for p in programme("nine").positions]
+    assert labels == [
+        "X up", "X down", "Y up", "Y down", "Z up", "Z down",
+        "X 45° up, Y 45° down", "X 45° up, Z 45° down", "Y 45° up, Z 45° down",
+    ]  # fmt: skip
+    assert from_attitudes(["NUE E+30"]).positions[0].label == "X 30° up, Y 60° up"
+
+
+def test_listed_positions_keep_their_order_and_any_move_joins_them() -> None:
+    made = from_attitudes(["NUE", "NUE N+45", "ENU"])
+    assert [p.attitude for p in made.positions] == ["NUE", "NUE N+45", "ENU"]
+    assert made.moves == (ANY_MOVE, ANY_MOVE)
+    assert made.ordered
+    assert made.name not in BUILT_IN
+
+
+@pytest.mark.parametrize("name", ["rough", "", "rough-table\n", "Nine"])
+def test_an_unknown_programme_is_one_line_that_lists_the_known_ones(name: str) -> None:
+    with pytest.raises(ProgrammeError) as caught:
+        programme(name)
+    assert all(known in str(caught.value) for known in BUILT_IN)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_positions_is_an_error() -> None:
+    with pytest.raises(ProgrammeError, match="expected at least one position, found none"):
+        from_attitudes([])
