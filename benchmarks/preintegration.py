@@ -1,8 +1,8 @@
 """How fast are turns preintegrated, and what does cutting them into lanes bring?
 
-Compares `tumble._kernels.preintegrate` with the same recursion written as one plain loop over the samples of a
-turn, unrolled, with sine and cosine from the mathematical library. One core; each figure is the median of the
-runs, taken in turns so that both see the same machine. The answer is printed last.
+Compares `tumble._kernels.preintegrate` with the same recursion written as one plain loop over the samples of
+a turn, unrolled, with sine and cosine from the mathematical library. One core; a figure is the median of
+several runs, which alternate so that both see the same machine. The answer is printed last.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def main() -> None:
     results = [compare(name, length) for name, length in TURN_LENGTHS.items()]
     slow, fast = (statistics.median(column) for column in zip(*results, strict=True))
     print(
-        f"preintegration: {fast:.1f} ns a sample, {fast / slow:.2f} of the plain loop with libm ({slow:.1f} ns)"
+        f"preintegration: {fast:.1f} ns a sample, {fast / slow:.2f} of the plain loop with libm ({slow:.1f})"
     )
 
 

@@ -12,9 +12,7 @@ TRIAD = np.eye(3)
 PERMUTED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 TETRAD = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1 / 3**0.5] * 3])
 SKEWED = np.array([[0.8, 0.6, 0.0], [0.0, 0.8, 0.6], [0.6, 0.0, 0.8]])
-BLOCKS = [
-    Block(kind=kind, axes=axes) for kind in ("accel", "gyro") for axes in (TRIAD, PERMUTED, TETRAD, SKEWED)
-]
+BLOCKS = [Block(kind=kind, axes=axes) for kind in ("accel", "gyro") for axes in (TRIAD, PERMUTED, TETRAD, SKEWED)]
 
 
 def values(block: Block, seed: int = 0) -> np.ndarray:

@@ -19,13 +19,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter, lfiltic
 
 from tumble.units import Array
 
 BATCHES = 120
 MAX_ORDER = 32
 LEVEL_SIGMAS = 5.0
+NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,9 +67,7 @@ def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
                 break
             level[:, c] = levels
         innovations.append(np.concatenate([np.convolve(x, coefficients, mode="valid") for x in scaled]))
-    return ColouredNoise(
-        batch=batch, autocovariance=autocovariance, correlation=_correlation(innovations), level=level
-    )
+    return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=_correlation(innovations), level=level)
 
 
 def _variance_of_mean(autocovariance: Array, batches: float) -> Array:
@@ -97,7 +95,7 @@ def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
         filters, powers = _levinson(corrected)
         best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(order_limit + 1)))
         autocovariance = _continued(corrected, filters[best], longest)
-        now = sum(len(x) * _variance_of_mean(autocovariance, len(x)) for x in series) / total
+        now = float(sum(len(x) * _variance_of_mean(autocovariance, len(x)) for x in series) / total)
         if abs(now - lost) <= 1e-4 * now:
             break
         lost = now
@@ -119,14 +117,14 @@ def _levinson(autocovariance: Array) -> tuple[list[Array], Array]:
 def _continued(autocovariance: Array, prediction_filter: Array, length: int) -> Array:
     """Autocovariances of the autoregressive process up to `length` lags."""
     order = len(prediction_filter) - 1
-    known = autocovariance[: order + 1]
-    if length <= order + 1:
-        return known[:length]
-    if order == 0:
-        return np.concatenate([known, np.zeros(length - 1)])
-    state = lfiltic([1.0], prediction_filter, known[::-1])
-    further, _ = lfilter([1.0], prediction_filter, np.zeros(length - order - 1), zi=state)
-    return np.concatenate([known, further])
+    out = np.zeros(max(length, order + 1))
+    out[: order + 1] = autocovariance[: order + 1]
+    weights = -prediction_filter[:0:-1]
+    for lag in range(order + 1, length if order else 0):
+        out[lag] = weights @ out[lag - order : lag]
+        if lag % 64 == 0 and np.abs(out[lag - order : lag + 1]).max() < NEGLIGIBLE * out[0]:
+            break
+    return out[:length]
 
 
 def _levels(series: list[Array], autocovariance: Array) -> Array:

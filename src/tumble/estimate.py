@@ -10,15 +10,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from scipy import optimize, stats
+from scipy import special
 
 from tumble.model import Block, SensorModel
-from tumble.units import Array
+from tumble.units import Array, BoolArray
 
-BoolArray = npt.NDArray[np.bool_]
-
-SPREAD = {"accel.bias": 1.0, "accel.scale": 0.1, "accel.axis": 0.1, "gyro.bias": 0.1, "gyro.scale": 0.1, "gyro.axis": 0.1}
+SPREAD = {
+    "accel.bias": 1.0,
+    "accel.scale": 0.1,
+    "accel.axis": 0.1,
+    "gyro.bias": 0.1,
+    "gyro.scale": 0.1,
+    "gyro.axis": 0.1,
+}
 """How far a parameter may reasonably be from nominal (SI): what the data must at least halve to count as seen."""
 
 SEEN = 1e-3
@@ -44,6 +48,11 @@ class Outcome:
         return not self.reasons
 
 
+def chance_of(chi_square: float, degrees: float) -> float:
+    """Probability that chance alone exceeds a chi-square of so many degrees of freedom."""
+    return float(special.chdtrc(degrees, chi_square)) if degrees > 0.0 else 1.0
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fit:
     """Chi-square of a group of residuals with its degrees of freedom and the scatter (SI) that was added to the
@@ -57,13 +66,14 @@ class Fit:
     @property
     def probability(self) -> float:
         """Probability that chance alone exceeds this chi-square."""
-        return float(stats.chi2.sf(self.chi_square, self.degrees)) if self.degrees > 0 else 1.0
+        return chance_of(self.chi_square, self.degrees)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Estimate:
     """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
-    only these mean anything. `rest_residual` (N,) is |corrected reading| − g, m/s²; `rest_sigmas` and
+    only these mean anything; `null` (q, m) are the combinations they do not, in units of the spreads.
+    `converged` says whether the last step was negligible. `rest_residual` (N,) is |corrected reading| − g, m/s²; `rest_sigmas` and
     `turn_sigmas` say how far each rest and turn is from the fit. `increments` are the parameter changes of each
     iteration, `fits` the chi-squares by what they judge."""
 
@@ -73,6 +83,7 @@ class Estimate:
     values: Array
     covariance: Array
     observable: BoolArray
+    null: Array
     accel: SensorModel
     gyro: SensorModel | None
     rest_residual: Array
@@ -80,7 +91,12 @@ class Estimate:
     turn_sigmas: Array
     increments: tuple[Array, ...]
     fits: Mapping[str, Fit]
-    outcome: Outcome
+    converged: bool
+
+    @property
+    def unobservable(self) -> tuple[str, ...]:
+        """Names of the parameters the data do not determine."""
+        return tuple(name for name, seen in zip(self.names, self.observable, strict=True) if not seen)
 
     @property
     def u(self) -> Array:
@@ -113,22 +129,26 @@ def spreads(block: Block) -> Array:
 def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
     """Smallest step that minimises |residual − jacobian · step|², both whitened; singular combinations, which the
     data determine no better than their spread, are left alone."""
-    U, s, Vt = np.linalg.svd(jacobian * spread, full_matrices=True)
-    s = np.concatenate([s, np.zeros(len(Vt) - len(s))])
+    Q, R = np.linalg.qr(jacobian * spread)
+    U, s, Vt = np.linalg.svd(R)
     rank = int(np.sum(s > max(1.0, RELATIVE_RANK * s[0])))
     seen, null = Vt[:rank], Vt[rank:]
-    gain = spread[:, None] * (seen.T / s[:rank]) @ U[:, :rank].T
+    gain = spread[:, None] * (seen.T / s[:rank]) @ (Q @ U[:, :rank]).T
     covariance = gain @ gain.T + (spread[:, None] * null.T) @ (null * spread)
     return Solution(step=gain @ residual, gain=gain, null=null, covariance=covariance)
 
 
 def scatter_of(excess: Callable[[float], float], start: float) -> float:
     """The scatter at which `excess(scatter)` (chi-square less its expectation, falling) vanishes; `start` is a
-    first guess of its size."""
+    first guess of its size. Zero where there is none."""
+    from scipy.optimize import brentq
+
+    if excess(0.0) <= 0.0:
+        return 0.0
     high = start
     while excess(high) > 0.0:
         high *= 4.0
-    return float(optimize.brentq(excess, 0.0, high, rtol=1e-3))
+    return float(brentq(excess, 0.0, high, rtol=1e-3))
 
 
 def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
@@ -139,4 +159,4 @@ def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
         return z
     z2 = np.minimum(z**2, degrees * (1.0 - 1e-9))
     studentised = np.sqrt(z2 * (degrees - 1.0) / (degrees - z2))
-    return np.asarray(-stats.norm.ppf(stats.t.sf(studentised, degrees - 1.0)))
+    return np.asarray(-special.ndtri(special.stdtr(degrees - 1.0, -studentised)))

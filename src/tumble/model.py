@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.rotation import axes_angles, axes_matrix
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
 
@@ -39,7 +39,7 @@ class SensorModel:
 
     def inverse(self) -> Array:
         """The matrix (3, n) that takes reading − bias to the true vector (least squares for n > 3)."""
-        return np.linalg.pinv(self.matrix)
+        return np.asarray(np.linalg.pinv(self.matrix), dtype=float)
 
     def apply(self, readings: Array) -> Array:
         """True vectors (..., 3) from readings (..., n), both in SI and in the body frame."""
@@ -144,9 +144,9 @@ class Block:
             out[p, :3, 2 * n + i] = (1.0 + scale[p]) * self._rotated(angles + 1j * step)[p].imag / 1e-20
         return out
 
-    def _channel_of_axis(self) -> Array:
+    def _channel_of_axis(self) -> IntArray:
         """For a triad: which channel senses body axis 0, 1, 2."""
-        return np.argmax(np.abs(self.axes), axis=0)
+        return np.asarray(np.argmax(np.abs(self.axes), axis=0))
 
     def _free_angles(self) -> list[tuple[int, int]]:
         """(sensor, 0 or 1) of every axis angle that is a parameter."""

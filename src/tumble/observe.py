@@ -23,14 +23,18 @@ import numpy as np
 
 from tumble import _kernels
 from tumble.coloured_noise import ColouredNoise, fit_coloured_noise
+from tumble.match import Match
 from tumble.model import Block, SensorModel
-from tumble.segment import FileBlocks, GyroSamples, Reduction, RestSpan
+from tumble.programme import Programme
 from tumble.rotation import tangent_basis
+from tumble.segment import FileBlocks, GyroSamples, Reduction, RestSpan
 from tumble.session import Site
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 BATCH_SAMPLES = 2**20
-ROUNDING = 1e-14  # of a reading: the noise of a mean is never taken to be less
+ACCEL_FLOOR = 1e-9  # m/s²
+GYRO_FLOOR = 1e-11  # rad/s
+TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,7 +43,7 @@ class Rests:
     reading over the rest (slope times duration) and noise its density, unit/√Hz. The gyro arrays are empty
     (N, 0) where there are no gyros."""
 
-    file: Array
+    file: IntArray
     start: Array
     stop: Array
     accel: Array
@@ -62,8 +66,8 @@ class Turns:
     M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²,
     resolved in the body at the start of the turn."""
 
-    first: Array
-    last: Array
+    first: IntArray
+    last: IntArray
     duration: Array
     C: Array
     M: Array
@@ -79,10 +83,10 @@ class TurnSamples:
     """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`."""
 
     samples: GyroSamples
-    start: Array
-    stop: Array
+    start: IntArray
+    stop: IntArray
 
-    def pieces(self) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
+    def pieces(self) -> Iterator[tuple[Array, Array, IntArray, IntArray, IntArray]]:
         """Batches of whole or cut turns: increments, intervals, the turn of each piece, and the range of each
         piece in the batch, with the sample before every piece kept ahead of it."""
         increments: list[Array] = []
@@ -106,14 +110,15 @@ class TurnSamples:
 
 def _batch(
     increments: list[Array], intervals: list[Array], pieces: list[tuple[int, int, int]]
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, IntArray, IntArray, IntArray]:
     turn, start, stop = np.array(pieces).T
     return np.concatenate(increments), np.concatenate(intervals), turn, start, stop
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Observations:
-    """All that a method sees of a session."""
+    """All that a method sees of a session. `position` (N,) is the index in the programme of each rest's position,
+    where there is one."""
 
     accel_block: Block
     gyro_block: Block | None
@@ -121,6 +126,8 @@ class Observations:
     rests: Rests
     turns: Turns | None
     turn_samples: TurnSamples | None
+    programme: Programme | None
+    position: IntArray | None
 
     def turns_about(self, gyro: SensorModel) -> Turns:
         """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the
@@ -143,7 +150,7 @@ class Observations:
 def _compensation(block: Block, gyro: SensorModel) -> tuple[Array, Array]:
     """A and c of ω = A y + c, where y are body rates from nominal sensors."""
     to_body = np.linalg.pinv(block.axes)
-    transform = np.linalg.inv(to_body @ gyro.matrix)
+    transform = np.asarray(np.linalg.inv(to_body @ gyro.matrix), dtype=float)
     return transform, -transform @ (to_body @ gyro.bias)
 
 
@@ -160,8 +167,9 @@ def _integrate(samples: TurnSamples, turns: int, transform: Array, offset: Array
     return C, M, B
 
 
-def observe(reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyro: Block | None, site: Site) -> Observations:
+def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None, site: Site) -> Observations:
     """Reduce the rests and turns of a log to observations. At least one rest is needed."""
+    spans = match.rests
     by_file = {f.file: f for f in reduction.files}
     blocks = [by_file[s.file] for s in spans]
     durations = np.array([s.stop - s.start for s in spans])
@@ -173,7 +181,9 @@ def observe(reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyr
     accel_covariance = _accel_covariance(accel_series, accel)
     gyro_fit = fit_coloured_noise(gyro_series) if gyro is not None else None
     gyro_covariance = _gyro_covariance(gyro_series, gyro_fit)
-    temperatures = [f.temperature[s.first : s.last].mean() for f, s in zip(blocks, spans, strict=True) if f.temperature is not None]
+    temperatures = [
+        f.temperature[s.first : s.last].mean() for f, s in zip(blocks, spans, strict=True) if f.temperature is not None
+    ]
     rests = Rests(
         file=np.array([s.file for s in spans]),
         start=np.array([s.start for s in spans]),
@@ -192,7 +202,14 @@ def observe(reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyr
     if gyro is not None and gyro_fit is not None and reduction.samples is not None:
         turns, samples = _turns(reduction.samples, by_file, spans, gyro, gyro_fit, block_seconds)
     return Observations(
-        accel_block=accel, gyro_block=gyro, site=site, rests=rests, turns=turns, turn_samples=samples
+        accel_block=accel,
+        gyro_block=gyro,
+        site=site,
+        rests=rests,
+        turns=turns,
+        turn_samples=samples,
+        programme=match.programme,
+        position=match.position,
     )
 
 
@@ -223,20 +240,15 @@ def _accel_covariance(series: list[Array], block: Block) -> Array:
         variance[:, group] = np.array(each).reshape(len(series), -1).mean(axis=1, keepdims=True)
     scaled = basis * size[:, None]
     covariance = scaled * variance[:, None, :] @ np.swapaxes(scaled, 1, 2)
-    return np.asarray(covariance + _rounding(mean))
+    return np.asarray(covariance + ACCEL_FLOOR**2 * np.eye(mean.shape[1]))
 
 
 def _gyro_covariance(series: list[Array], fit: ColouredNoise | None) -> Array:
     """Covariance (N, n, n) of the mean gyro readings."""
     if fit is None:
         return np.empty((len(series), 0, 0))
-    mean = np.array([s.mean(axis=0) for s in series])
-    return np.array([fit.covariance_of_mean(len(s), i) for i, s in enumerate(series)]) + _rounding(mean)
-
-
-def _rounding(mean: Array) -> Array:
-    """Variance (N, n, n) below which no mean is known: rounding of the readings."""
-    return np.asarray(np.eye(mean.shape[1]) * (ROUNDING * np.maximum(np.abs(mean), 1e-4))[:, :, None] ** 2)
+    floor = GYRO_FLOOR**2 * np.eye(series[0].shape[1])
+    return np.array([fit.covariance_of_mean(len(s), i) for i, s in enumerate(series)]) + floor
 
 
 def _density(covariance: Array, seconds: Array) -> Array:
@@ -273,7 +285,7 @@ def _turns(
     to_body = np.linalg.pinv(gyro.axes)
     covariance = np.array(
         [
-            T**2 * to_body @ noise.covariance_of_mean(T / block_seconds) @ to_body.T + (ROUNDING * T) ** 2 * np.eye(3)
+            T**2 * to_body @ noise.covariance_of_mean(T / block_seconds) @ to_body.T + TURN_FLOOR**2 * np.eye(3)
             for T in duration
         ]
     ).reshape(-1, 3, 3)

@@ -25,14 +25,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from tumble import _kernels
 from tumble.earth import EARTH_RATE
 from tumble.log import Chunk, Log
 from tumble.model import Block
-from tumble.units import Array
+from tumble.units import Array, BoolArray, IntArray
 
 BLOCK_SECONDS = 0.1
 WINDOW_SECONDS = 1.0
@@ -40,14 +38,12 @@ FLOOR_FACTOR = 5.0
 SCATTER_FACTOR = 10.0
 EDGE_SIGMAS = 4.0
 MIN_REST_SECONDS = 2.0
+DENSITY_POINTS = 1000
 MARGIN_FRACTION = 0.05
 MARGIN_SECONDS = (0.2, 1.0)
 ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
 GYRO_ROUNDING = 1e-7  # rad/s
 SPOOL_BYTES = 96 * 2**20
-
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -169,7 +165,7 @@ class Reducer:
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
         self._accel = _Channels(accel.size, self.size)
         self._gyro = _Channels(gyro.size, self.size) if gyro else None
-        self._to_body = np.linalg.pinv(gyro.axes).T if gyro else None
+        self._to_body = np.linalg.pinv(gyro.axes).T if gyro else np.eye(3)
         self._temperature: list[Array] = []
         self._times: list[Array] = []
         self._files: list[FileBlocks] = []
@@ -360,9 +356,9 @@ def _assemble(
     )
 
 
-def stated_rests(reduction: Reduction, times: Iterable[tuple[float, float]]) -> tuple[RestSpan, ...]:
-    """Rests at stated start and stop times (s) of the first file, to whole blocks inside them."""
-    return tuple(_span(reduction.files[0], start, stop) for start, stop in times)
+def stated_rest(reduction: Reduction, start: float, stop: float) -> RestSpan:
+    """A rest at stated times (s) of the first file, to whole blocks inside them."""
+    return _span(reduction.files[0], start, stop)
 
 
 def _span(f: FileBlocks, start: float, stop: float) -> RestSpan:
@@ -400,17 +396,25 @@ def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
 def _moving_mean(values: Array, window: int) -> Array:
     """Mean over the `window` rows about each row, at the ends over the first and the last `window` rows."""
     window = min(window, len(values))
-    inner = sum(values[i : len(values) - window + 1 + i] for i in range(window)) / window
-    return np.asarray(inner[_window_of(len(values), window)])
+    return _inner_mean(values, window)[_window_of(len(values), window)]
 
 
 def _moving_scatter(values: Array, window: int) -> Array:
     """Root of the summed variances of the columns in the same windows."""
     window = min(window, len(values))
     inside = len(values) - window + 1
-    mean = sum(values[i : inside + i] for i in range(window)) / window
-    variance = sum((values[i : inside + i] - mean) ** 2 for i in range(window)) / window
-    return np.sqrt(np.asarray(variance).sum(axis=1))[_window_of(len(values), window)]
+    mean, variance = _inner_mean(values, window), np.zeros(inside)
+    for i in range(window):
+        variance += ((values[i : inside + i] - mean) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(variance / window)[_window_of(len(values), window)])
+
+
+def _inner_mean(values: Array, window: int) -> Array:
+    """Mean of every `window` consecutive rows."""
+    out = np.zeros((len(values) - window + 1, values.shape[1]))
+    for i in range(window):
+        out += values[i : len(out) + i]
+    return out / window
 
 
 def _window_of(rows: int, window: int) -> IntArray:
@@ -419,10 +423,11 @@ def _window_of(rows: int, window: int) -> IntArray:
 
 
 def _densest(points: Array) -> Array:
-    """The point of a cloud with the nearest neighbours."""
-    count = min(len(points), max(4, len(points) // 20))
-    distance, _ = cKDTree(points).query(points, k=count)
-    return np.asarray(points[np.argmin(distance.reshape(len(points), -1)[:, -1])])
+    """The point of a cloud with the nearest neighbours, from at most DENSITY_POINTS of them evenly spread."""
+    points = points[:: -(-len(points) // DENSITY_POINTS)]
+    squares = sum((column[:, None] - column) ** 2 for column in points.T)
+    neighbour = min(len(points) - 1, max(3, len(points) // 20))
+    return np.asarray(points[np.argmin(np.partition(squares, neighbour, axis=1)[:, neighbour])])
 
 
 def _floor(values: Array) -> float:

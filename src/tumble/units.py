@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 G_STANDARD = 9.80665
 """Standard acceleration of free fall, m/s², exact (CGPM 1901). The unit g; never a site's gravity."""

@@ -24,15 +24,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, stats
 
 from tumble.earth import EARTH_RATE
 from tumble.estimate import (
     SCATTER_PROBABILITY,
     Estimate,
     Fit,
-    Outcome,
     Solution,
+    chance_of,
     least_squares,
     scatter_of,
     sigmas,
@@ -85,7 +84,7 @@ def _accelerometers(observations: Observations) -> _Accelerometers:
     scatter = 0.0
     values, system, increments = _accelerometers_at(observations, values, scatter)
     degrees = system.residual.size - (len(values) - len(system.solution().null))
-    if degrees > 0 and stats.chi2.sf(_chi_square(system), degrees) < SCATTER_PROBABILITY:
+    if degrees > 0 and chance_of(_chi_square(system), degrees) < SCATTER_PROBABILITY:
         start = float(np.sqrt(np.median(np.trace(observations.rests.accel_covariance, axis1=1, axis2=2))))
         for _ in range(3):
             linearised = values
@@ -234,12 +233,19 @@ class _Scatter:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Rows:
     """Residuals (r,) of rests (three each: along the vertical, then two horizontal) and turns (two each), their
-    derivatives (r, m), their covariance (r, r) and the part of it shared with the accelerometer values (r, m_a)."""
+    derivatives (r, m), their covariance (r, r) without scatter, what a unit variance of scatter adds to it, and
+    the part shared with the accelerometer values (r, m_a)."""
 
     residual: Array
     jacobian: Array
-    covariance: Array
+    noise: Array
+    by_rest_scatter: Array
+    by_turn_scatter: Array
     with_accel: Array
+
+    def covariance(self, scatter: _Scatter) -> Array:
+        """Covariance (r, r) at a scatter."""
+        return self.noise + scatter.rest**2 * self.by_rest_scatter + scatter.turn**2 * self.by_turn_scatter
 
 
 def _gyros(observations: Observations, accel: _Accelerometers) -> _Gyros:
@@ -254,16 +260,18 @@ def _gyros(observations: Observations, accel: _Accelerometers) -> _Gyros:
         values, turns, more = _gyros_at(observations, accel, values, scatter)
         increments += more
     rows = _gyro_rows(observations, accel, turns, values, scatter)
-    solution, residual, after = _solved(rows, spreads(block))
+    covariance = rows.covariance(scatter)
+    solution, residual, after = _solved(rows, covariance, spreads(block))
+    left = _Left(residual=residual, covariance=covariance, after=after)
     return _Gyros(
         values=values,
         model=block.model(values),
         solution=solution,
         covariance=solution.covariance,
-        by_accel=solution.gain @ linalg.solve_triangular(_lower(rows), rows.with_accel, lower=True),
-        fits=_fits(observations, rows, residual, after, scatter),
-        rest_sigmas=_group_sigmas(observations, rows, residual, after, "rests", scatter.rest > 0),
-        turn_sigmas=_group_sigmas(observations, rows, residual, after, "turns", scatter.turn > 0),
+        by_accel=solution.gain @ np.linalg.solve(np.linalg.cholesky(covariance), rows.with_accel),
+        fits=_fits(observations, left, scatter),
+        rest_sigmas=_group_sigmas(observations, left, "rests", scatter.rest > 0),
+        turn_sigmas=_group_sigmas(observations, left, "turns", scatter.turn > 0),
         increments=(start, *increments),
     )
 
@@ -278,7 +286,8 @@ def _gyros_at(
     increments: list[Array] = []
     turns = observations.turns_about(block.model(values))
     for _ in range(MAX_ITERATIONS):
-        solution, _, _ = _solved(_gyro_rows(observations, accel, turns, values, scatter), spread)
+        rows = _gyro_rows(observations, accel, turns, values, scatter)
+        solution, _, _ = _solved(rows, rows.covariance(scatter), spread)
         step = _bounded(solution.step, spread)
         values = values + step
         increments.append(step)
@@ -288,15 +297,12 @@ def _gyros_at(
     return values, turns, tuple(increments)
 
 
-def _lower(rows: _Rows) -> Array:
-    return np.linalg.cholesky(rows.covariance)
-
-
-def _solved(rows: _Rows, spread: Array) -> tuple[Solution, Array, Array]:
+def _solved(rows: _Rows, covariance: Array, spread: Array) -> tuple[Solution, Array, Array]:
     """The step, the residuals left after it (r,) and their covariance (r, r)."""
-    lower = _lower(rows)
-    jacobian = linalg.solve_triangular(lower, rows.jacobian, lower=True)
-    solution = least_squares(jacobian, linalg.solve_triangular(lower, rows.residual, lower=True), spread)
+    lower = np.linalg.cholesky(covariance)
+    whitened = np.asarray(np.linalg.solve(lower, np.column_stack([rows.jacobian, rows.residual])), dtype=float)
+    jacobian = whitened[:, :-1]
+    solution = least_squares(jacobian, whitened[:, -1], spread)
     left = lower @ (np.eye(len(lower)) - jacobian @ solution.gain)
     return solution, rows.residual - rows.jacobian @ solution.step, left @ left.T
 
@@ -315,6 +321,8 @@ def _gyro_rows(
         by_rate=np.zeros((size, rests, 3)),
         by_unseen=np.zeros((size, rests, 3)),
         turning=np.zeros((size, size)),
+        by_rest_scatter=np.zeros((size, size)),
+        by_turn_scatter=np.zeros((size, size)),
     )
     for i in range(rests):
         _add_rest(design, state, i)
@@ -326,8 +334,8 @@ def _gyro_rows(
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Design:
     """The rows while they are put together: residual (r,), derivatives with respect to the values (r, m), to the
-    vertical, the measured rate and the unseen Earth's rate of every rest (r, N, 3), and the covariance (r, r)
-    from the noise of the turns."""
+    vertical, the measured rate and the unseen Earth's rate of every rest (r, N, 3), the covariance (r, r) from
+    the noise of the turns, and what a unit variance of scatter adds to the rows of the turns."""
 
     residual: Array
     jacobian: Array
@@ -335,6 +343,8 @@ class _Design:
     by_rate: Array
     by_unseen: Array
     turning: Array
+    by_rest_scatter: Array
+    by_turn_scatter: Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -360,7 +370,6 @@ class _State:
     known: Array
     """(N,): how far the measured horizontal rate is to be believed, 0 … 1."""
     gravity_u: float
-    scatter: _Scatter
 
     @staticmethod
     def of(observations: Observations, accel: _Accelerometers, values: Array, scatter: _Scatter) -> _State:
@@ -368,9 +377,9 @@ class _State:
         assert block is not None
         model = block.model(values)
         to_body = np.linalg.pinv(block.axes)
-        inverse = np.linalg.inv(to_body @ model.matrix) @ to_body
+        inverse = np.asarray(np.linalg.inv(to_body @ model.matrix), dtype=float) @ to_body
         rate = (rests.gyro - model.bias) @ inverse.T
-        rate_covariance = inverse @ rests.gyro_covariance @ inverse.T + scatter.rest**2 * np.eye(3)
+        rate_covariance = inverse @ rests.gyro_covariance @ inverse.T
         u = accel.vertical
         horizontal = np.eye(3) - u[:, :, None] * u[:, None, :]
         if site.latitude is None:
@@ -379,7 +388,7 @@ class _State:
         else:
             up_rate, variance = EARTH_RATE * np.sin(site.latitude), 0.5 * (EARTH_RATE * np.cos(site.latitude)) ** 2
             unseen = variance * horizontal
-        noise = 0.5 * np.einsum("iab,ibc,ica->i", horizontal, rate_covariance, horizontal)
+        noise = 0.5 * np.einsum("iab,ibc,ica->i", horizontal, rate_covariance, horizontal) + scatter.rest**2
         force = accel.model.apply(rests.accel)
         by_force = horizontal / np.linalg.norm(force, axis=1)[:, None, None]
         pinv = accel.model.inverse()
@@ -400,7 +409,6 @@ class _State:
             unseen=unseen,
             known=variance / (variance + noise),
             gravity_u=site.gravity_u,
-            scatter=scatter,
         )
 
 
@@ -424,7 +432,7 @@ def _add_turn(design: _Design, state: _State, turns: Turns, j: int, rows: slice)
     """C û_last − exp([ω T×]) û_first, across the vertical."""
     a, b, T, C = int(turns.first[j]), int(turns.last[j]), float(turns.duration[j]), turns.C[j]
     u, known = state.vertical[a], float(state.known[a])
-    carried = rotation_matrix(T * known * (state.rate[a] - u * (u @ state.rate[a])))
+    carried = rotation_matrix(T * (state.up_rate * u + known * (state.rate[a] - u * (u @ state.rate[a]))))
     back = C @ state.vertical[b]
     across = tangent_basis(back)
     by_angle = across @ skew(back)
@@ -436,8 +444,9 @@ def _add_turn(design: _Design, state: _State, turns: Turns, j: int, rows: slice)
     design.by_vertical[rows, a] -= across @ carried
     design.by_rate[rows, a] += known * by_earth
     design.by_unseen[rows, a] += (known - 1.0) * by_earth
-    noise = turns.covariance[j] + (state.scatter.rest**2 * T**2 + state.scatter.turn**2) * np.eye(3)
-    design.turning[rows, rows] = by_angle @ noise @ by_angle.T
+    design.turning[rows, rows] = by_angle @ turns.covariance[j] @ by_angle.T
+    design.by_turn_scatter[rows, rows] = by_angle @ by_angle.T
+    design.by_rest_scatter[rows, rows] = T**2 * by_angle @ by_angle.T
 
 
 def _with_covariance(state: _State, design: _Design) -> _Rows:
@@ -459,7 +468,9 @@ def _with_covariance(state: _State, design: _Design) -> _Rows:
     return _Rows(
         residual=design.residual,
         jacobian=design.jacobian,
-        covariance=covariance,
+        noise=covariance,
+        by_rest_scatter=design.by_rest_scatter + np.einsum("rip,sip->rs", design.by_rate, design.by_rate),
+        by_turn_scatter=design.by_turn_scatter,
         with_accel=-(shared + by_common @ common),
     )
 
@@ -473,15 +484,24 @@ def _groups(observations: Observations) -> dict[str, tuple[slice, int]]:
     return {"rests": (slice(0, n), 3), "turns": (slice(n, n + 2 * k), 2)}
 
 
-def _agreement(rows: _Rows, residual: Array, after: Array, group: slice) -> tuple[float, float]:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Left:
+    """Residuals (r,) after the fit, the covariance (r, r) of the rows, and that of what is left of them."""
+
+    residual: Array
+    covariance: Array
+    after: Array
+
+
+def _agreement(left: _Left, group: slice) -> tuple[float, float]:
     """Sum of the squared residuals of a group of rows in units of their variances, scaled so that it has the mean
     of a chi-square with the degrees of freedom that are also returned (matched in mean and variance)."""
-    scale = np.sqrt(np.diag(rows.covariance)[group])
-    left = after[group, group] / np.outer(scale, scale)
-    trace, squares = float(np.trace(left)), float((left**2).sum())
+    scale = np.sqrt(np.diag(left.covariance)[group])
+    share = left.after[group, group] / np.outer(scale, scale)
+    trace, squares = float(np.trace(share)), float((share**2).sum())
     if trace < 1e-6 or squares == 0.0:
         return 0.0, 0.0
-    return float(np.sum((residual[group] / scale) ** 2)) * trace / squares, trace**2 / squares
+    return float(np.sum((left.residual[group] / scale) ** 2)) * trace / squares, trace**2 / squares
 
 
 def _found_scatter(
@@ -491,15 +511,16 @@ def _found_scatter(
     assert observations.gyro_block is not None
     spread = spreads(observations.gyro_block)
     groups = _groups(observations)
+    rows = _gyro_rows(observations, accel, turns, values, scatter)
 
     def agreement(trial: _Scatter, group: slice) -> tuple[float, float]:
-        rows = _gyro_rows(observations, accel, turns, values, trial)
-        _, residual, after = _solved(rows, spread)
-        return _agreement(rows, residual, after, group)
+        covariance = rows.covariance(trial)
+        _, residual, after = _solved(rows, covariance, spread)
+        return _agreement(_Left(residual=residual, covariance=covariance, after=after), group)
 
     def needed(name: str, trial: _Scatter) -> bool:
         statistic, degrees = agreement(trial, groups[name][0])
-        return degrees > 0.5 and bool(stats.chi2.sf(statistic, degrees) < SCATTER_PROBABILITY)
+        return degrees > 0.5 and chance_of(statistic, degrees) < SCATTER_PROBABILITY
 
     def excess(name: str, trial: _Scatter) -> float:
         statistic, degrees = agreement(trial, groups[name][0])
@@ -515,38 +536,35 @@ def _found_scatter(
     return _Scatter(rest=rest, turn=turn)
 
 
-def _fits(observations: Observations, rows: _Rows, residual: Array, after: Array, scatter: _Scatter) -> dict[str, Fit]:
+def _fits(observations: Observations, left: _Left, scatter: _Scatter) -> dict[str, Fit]:
     out = {}
     for name, (group, _) in _groups(observations).items():
-        statistic, degrees = _agreement(rows, residual, after, group)
+        statistic, degrees = _agreement(left, group)
         value, unit = (scatter.rest, "rad/s") if name == "rests" else (scatter.turn, "rad")
         out[f"gyro {name}"] = Fit(chi_square=statistic, degrees=degrees, scatter=value, scatter_unit=unit)
     return out
 
 
-def _group_sigmas(
-    observations: Observations, rows: _Rows, residual: Array, after: Array, name: str, scaled: bool
-) -> Array:
+def _group_sigmas(observations: Observations, left: _Left, name: str, scaled: bool) -> Array:
     """How far each rest or turn is from the fit, in sigmas."""
     group, size = _groups(observations)[name]
-    scale = np.diag(rows.covariance)[group].reshape(-1, size)
-    expected = np.diag(after)[group].reshape(-1, size) / scale
-    squares = residual[group].reshape(-1, size) ** 2 / scale
+    scale = np.diag(left.covariance)[group].reshape(-1, size)
+    expected = np.diag(left.after)[group].reshape(-1, size) / scale
+    squares = left.residual[group].reshape(-1, size) ** 2 / scale
     free = expected.sum(axis=1)
     z = np.sqrt(squares.sum(axis=1) / np.where(free > 1e-3, free, np.inf))
-    return sigmas(z, _agreement(rows, residual, after, group)[1], scaled)
+    return sigmas(z, _agreement(left, group)[1], scaled)
 
 
 # Both together
 
 
-def _estimate(
-    observations: Observations, accel: _Accelerometers, residual: Array, gyro: _Gyros | None
-) -> Estimate:
+def _estimate(observations: Observations, accel: _Accelerometers, residual: Array, gyro: _Gyros | None) -> Estimate:
     block, gyro_block = observations.accel_block, observations.gyro_block
     m = len(accel.values)
     values, covariance = accel.values, accel.covariance
-    names, units, observable = block.names, block.units, accel.solution.observable
+    names, units, observable, null = block.names, block.units, accel.solution.observable, accel.solution.null
+    converged = _negligible(accel.solution)
     increments = accel.increments
     fits = {"accelerometers": accel.fit}
     rest_sigmas, turn_sigmas = accel.sigmas, np.empty(0)
@@ -555,6 +573,8 @@ def _estimate(
         covariance = np.block([[covariance, gyro.by_accel.T], [gyro.by_accel, gyro.covariance]])
         names, units = names + gyro_block.names, units + gyro_block.units
         observable = np.concatenate([observable, gyro.solution.observable])
+        null = np.vstack([np.pad(null, ((0, 0), (0, len(gyro.values)))), np.pad(gyro.solution.null, ((0, 0), (m, 0)))])
+        converged = converged and _negligible(gyro.solution)
         increments = tuple(np.append(step, np.zeros(len(gyro.values))) for step in increments) + tuple(
             np.append(np.zeros(m), step) for step in gyro.increments
         )
@@ -568,6 +588,7 @@ def _estimate(
         values=values,
         covariance=covariance,
         observable=observable,
+        null=null,
         accel=accel.model,
         gyro=None if gyro is None else gyro.model,
         rest_residual=residual,
@@ -575,7 +596,5 @@ def _estimate(
         turn_sigmas=turn_sigmas,
         increments=increments,
         fits=fits,
-        outcome=Outcome(
-            unobservable=tuple(name for name, seen in zip(names, observable, strict=True) if not seen)
-        ),
+        converged=converged,
     )

@@ -1,0 +1,327 @@
+"""The calibration: from a session to parameters with uncertainty, and the file that keeps them.
+
+`calibrate` is the main job. The file is JSON as the contract of the project defines it: parameters in SI and radians
+with standard uncertainties and covariance, the matrices and biases that apply them, the outcome with its reasons,
+and where it all came from. It is written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from tumble import __version__
+from tumble.diagnose import no_rests, recording_faults, sense_faults, verdict
+from tumble.errors import CalibrationError, InputError
+from tumble.estimate import Estimate, Fit, Outcome
+from tumble.log import Chunk, Log, open_log
+from tumble.match import Match, match_rests
+from tumble.methods.staged import staged
+from tumble.model import SensorModel
+from tumble.observe import Observations, observe
+from tumble.segment import Segmentation, find_rests, reduce_log
+from tumble.session import Session, read_session
+from tumble.units import Array
+
+FORMAT = 1
+Method = Literal["staged"]
+METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"staged": staged}
+Progress = Callable[[Log], Iterable[Chunk]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Parameter:
+    """A named quantity with its standard uncertainty (None where the method gives none), SI."""
+
+    name: str
+    value: float
+    u: float | None
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RestResult:
+    """A rest as used: times (s), residual |corrected reading| − g (m/s²) and how many sigmas it is from the fit."""
+
+    file: int
+    start: float
+    stop: float
+    residual: float
+    sigmas: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Calibration:
+    """The result for one device. `covariance` is in the order of `parameters`; `accel` and `gyro` are None where
+    a parameter they need is unobservable. `fits` are chi-square, degrees of freedom and estimated scatter."""
+
+    serial: str
+    model: str | None
+    method: str
+    frame: str
+    parameters: tuple[Parameter, ...]
+    covariance: Array | None
+    accel: SensorModel | None
+    gyro: SensorModel | None
+    outcome: Outcome
+    iterations: tuple[Mapping[str, float], ...] = ()
+    rests: tuple[RestResult, ...] = ()
+    turn_sigmas: tuple[float, ...] = ()
+    fits: Mapping[str, Fit] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Parameter:
+        """The parameter of that name."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(f"no parameter {name!r}; there are {', '.join(p.name for p in self.parameters)}")
+
+    def write(self, path: Path, *, force: bool = False) -> None:
+        """Write the calibration file, whole or not at all. An existing file is replaced only if it came from the
+        same log by the same method, or with `force`."""
+        if path.exists() and not force:
+            self._check_replaceable(path)
+        text = json.dumps(self._content(), indent=1, ensure_ascii=False, allow_nan=False)
+        _write_whole(path, text + "\n")
+
+    def _check_replaceable(self, path: Path) -> None:
+        advice = "give --force to replace it, or --out for another file"
+        try:
+            old = json.loads(path.read_text())
+            same = old["method"] == self.method and old["provenance"]["log_sha256"] == self.provenance["log_sha256"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise CalibrationError(
+                f"{path}: expected a calibration to replace, found another file; {advice}"
+            ) from error
+        if not same:
+            raise CalibrationError(f"{path}: holds a calibration from another log or by another method; {advice}")
+
+    def _content(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "device": {"serial": self.serial, "model": self.model},
+            "method": self.method,
+            "frame": self.frame,
+            "parameters": [{"name": p.name, "value": p.value, "u": p.u, "unit": p.unit} for p in self.parameters],
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
+            "accel": _model_content(self.accel, "m/s^2"),
+            "gyro": _model_content(self.gyro, "rad/s"),
+            "outcome": {
+                "accepted": self.outcome.accepted,
+                "reasons": list(self.outcome.reasons),
+                "unobservable": list(self.outcome.unobservable),
+            },
+            "iterations": [
+                {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
+            ],
+            "rests": [
+                {"file": r.file, "start": r.start, "stop": r.stop, "residual": r.residual, "sigmas": r.sigmas}
+                for r in self.rests
+            ],
+            "turns": [{"sigmas": s} for s in self.turn_sigmas],
+            "fits": {
+                name: {
+                    "chi_square": f.chi_square,
+                    "degrees": f.degrees,
+                    "probability": f.probability,
+                    "scatter": f.scatter,
+                    "unit": f.scatter_unit,
+                }
+                for name, f in self.fits.items()
+            },
+            "notes": list(self.notes),
+            "provenance": dict(self.provenance),
+        }
+
+
+def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | None:
+    if model is None:
+        return None
+    return {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": unit}
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a file so that a reader sees the old one or the new one."""
+    try:
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = Path(file.name)
+            try:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            except BaseException:
+                temporary.unlink()
+                raise
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(path)
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def read_calibration(path: Path) -> Calibration:
+    """A calibration file as written by `Calibration.write`."""
+    try:
+        content = json.loads(path.read_text())
+        if content["format"] != FORMAT:
+            raise CalibrationError(f"{path}: expected format {FORMAT}, found {content['format']!r}")
+        return _from_content(content)
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        said = f"no key {error}" if isinstance(error, KeyError) else str(error)
+        raise CalibrationError(f"{path}: expected a calibration file of tumble, found {said}") from error
+
+
+def _from_content(content: Mapping[str, Any]) -> Calibration:
+    def model(part: Mapping[str, Any] | None) -> SensorModel | None:
+        if part is None:
+            return None
+        return SensorModel(matrix=np.array(part["matrix"], float), bias=np.array(part["bias"], float))
+
+    outcome = content["outcome"]
+    return Calibration(
+        serial=content["device"]["serial"],
+        model=content["device"]["model"],
+        method=content["method"],
+        frame=content["frame"],
+        parameters=tuple(Parameter(**p) for p in content["parameters"]),
+        covariance=None if content["covariance"] is None else np.array(content["covariance"], float),
+        accel=model(content["accel"]),
+        gyro=model(content["gyro"]),
+        outcome=Outcome(reasons=tuple(outcome["reasons"]), unobservable=tuple(outcome["unobservable"])),
+        iterations=tuple({p["name"]: p["increment"] for p in i["parameters"]} for i in content["iterations"]),
+        rests=tuple(RestResult(**r) for r in content["rests"]),
+        turn_sigmas=tuple(t["sigmas"] for t in content["turns"]),
+        fits={
+            name: Fit(chi_square=f["chi_square"], degrees=f["degrees"], scatter=f["scatter"], scatter_unit=f["unit"])
+            for name, f in content["fits"].items()
+        },
+        notes=tuple(content["notes"]),
+        provenance=content["provenance"],
+    )
+
+
+# From a session to a calibration
+
+
+def calibrate(session: Session | Path, *, method: str = "staged", progress: Progress = Log.chunks) -> Calibration:
+    """Calibrate the device of a session (a `Session` or the path of its folder). A recording that cannot be
+    calibrated comes back with the reasons in its outcome; unusable input raises an `InputError`."""
+    if isinstance(session, Path):
+        session = read_session(session)
+    if method not in METHODS:
+        raise InputError(f"method {method!r} is not known; expected one of {', '.join(METHODS)}")
+    log = open_log(session)
+    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+    faults = recording_faults(reduction, session)
+    if faults:
+        return _without_result(session, log, method, Outcome(reasons=tuple(faults)))
+    segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+    everything = Match(rests=segmentation.rests, programme=None, position=None)
+    if segmentation.rests:
+        found = observe(reduction, everything, session.accel_block, session.gyro_block, session.site)
+        faults = sense_faults(found, session)
+        if faults:
+            return _without_result(session, log, method, Outcome(reasons=tuple(faults)))
+    match = match_rests(session, reduction, segmentation)
+    if not match.rests:
+        return _without_result(session, log, method, no_rests(segmentation))
+    observations = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    return _result(session, log, METHODS[method](observations), observations)
+
+
+def inspect_session(session: Session, *, progress: Progress = Log.chunks) -> tuple[Segmentation, Observations | None]:
+    """The rests and turns of a session as `tumble inspect` shows them, without matching them to a programme."""
+    log = open_log(session)
+    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+    segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+    if not segmentation.rests:
+        return segmentation, None
+    match = Match(rests=segmentation.rests, programme=None, position=None)
+    return segmentation, observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+
+
+def _provenance(log: Log) -> dict[str, str]:
+    return {
+        "log_sha256": log.sha256(),
+        "software": f"tumble {__version__}",
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _bridged(log: Log) -> tuple[str, ...]:
+    """What was bridged in the log, as notes."""
+    return tuple(f"bridged: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what}" for g in log.gaps)
+
+
+def _without_result(session: Session, log: Log, method: str, outcome: Outcome) -> Calibration:
+    return Calibration(
+        serial=session.device.serial,
+        model=session.device.model,
+        method=method,
+        frame="accelerometer",
+        parameters=(),
+        covariance=None,
+        accel=None,
+        gyro=None,
+        outcome=outcome,
+        notes=_bridged(log),
+        provenance=_provenance(log),
+    )
+
+
+def _result(session: Session, log: Log, estimate: Estimate, observations: Observations) -> Calibration:
+    seen = np.flatnonzero(estimate.observable)
+    parameters = tuple(
+        Parameter(
+            name=estimate.names[i],
+            value=float(estimate.values[i]),
+            u=float(estimate.u[i]),
+            unit=estimate.units[i],
+        )
+        for i in seen
+    )
+    missing = {name.split(".")[0] for name in estimate.unobservable}
+    rests = observations.rests
+    return Calibration(
+        serial=session.device.serial,
+        model=session.device.model,
+        method=estimate.method,
+        frame="accelerometer",
+        parameters=parameters,
+        covariance=estimate.covariance[np.ix_(seen, seen)],
+        accel=None if "accel" in missing else estimate.accel,
+        gyro=None if missing else estimate.gyro,
+        outcome=verdict(estimate, observations),
+        iterations=tuple({estimate.names[i]: float(step[i]) for i in seen} for step in estimate.increments),
+        rests=tuple(
+            RestResult(
+                file=int(rests.file[i]),
+                start=float(rests.start[i]),
+                stop=float(rests.stop[i]),
+                residual=float(estimate.rest_residual[i]),
+                sigmas=float(estimate.rest_sigmas[i]),
+            )
+            for i in range(len(rests))
+        ),
+        turn_sigmas=tuple(float(s) for s in estimate.turn_sigmas),
+        fits=estimate.fits,
+        notes=_bridged(log),
+        provenance=_provenance(log),
+    )

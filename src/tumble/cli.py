@@ -1,0 +1,155 @@
+"""The command line: each command parses, calls one function and prints. Data to standard output, talk to standard
+error. Exit status 0 accepted, 1 not accepted (reasons on standard error), 2 unusable input or arguments."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from tumble import __version__
+from tumble.errors import InputError, TumbleError
+
+if TYPE_CHECKING:
+    from tumble.log import Chunk, Log
+
+EXISTING_FOLDER = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+class _Commands(click.Group):
+    """Errors of tumble become one line on standard error and exit status 2."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except TumbleError as error:
+            click.echo(f"tumble: {' '.join(str(error).split())}", err=True)
+            ctx.exit(2)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="tumble")
+def main() -> None:
+    """Calibrate strapdown inertial measurement units on equipment that is not precise."""
+
+
+def _with_progress(log: Log) -> Iterator[Chunk]:
+    """The chunks of a log, with a progress bar on a terminal where reading takes longer than a second."""
+    if not sys.stderr.isatty():
+        yield from log.chunks()
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    started = time.monotonic()
+    with Progress(console=Console(stderr=True), transient=True, disable=False) as bar:
+        task = bar.add_task("reading", total=1.0, visible=False)
+        for chunk in log.chunks():
+            bar.update(task, completed=log.fraction, visible=time.monotonic() - started > 1.0)
+            yield chunk
+
+
+@main.command()
+@click.argument("session", type=EXISTING_FOLDER)
+@click.option("--method", type=click.Choice(["staged"]), default="staged", show_default=True, help="How to estimate.")
+@click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
+@click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
+@click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
+def calibrate(session: Path, method: str, out: Path | None, force: bool, truth: Path | None) -> None:
+    """Calibrate the device of SESSION, a folder with session.toml and a log."""
+    from tumble.calibration import calibrate
+    from tumble.session import read_session
+    from tumble.text import calibration_report, print_report
+
+    known = _read_truth(truth) if truth else None
+    described = read_session(session)
+    result = calibrate(described, method=method, progress=_with_progress)
+    target = out or described.folder / "calibration.json"
+    result.write(target, force=force)
+    print_report(calibration_report(result, known))
+    click.echo(f"written to {target}", err=True)
+    for reason in result.outcome.reasons:
+        click.echo(f"not accepted: {reason}", err=True)
+    sys.exit(0 if result.outcome.accepted else 1)
+
+
+def _read_truth(path: Path) -> dict[str, float]:
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error}") from error
+    if not isinstance(content, dict) or not all(isinstance(v, float | int) for v in content.values()):
+        raise InputError(f"{path}: expected an object of parameter names and numbers, found something else")
+    return content
+
+
+@main.command()
+@click.argument("folder", type=EXISTING_FOLDER)
+@click.option("--programme", default="rough-table", show_default=True, help="Built-in programme to go through.")
+@click.option("--positions", type=int, help="Hand-held instead: this many positions in any attitude.")
+@click.option("--grade", default="navigation", show_default=True, help="navigation, tactical, mems or consumer.")
+@click.option("--rest", type=float, help="Duration of a rest, s.")
+@click.option("--rate", type=float, help="Rate of the turns, °/s.")
+@click.option("--sample-rate", type=float, help="Samples per second.")
+@click.option("--table-error", type=float, default=1.0, show_default=True, help="Largest error of a position, °.")
+@click.option("--mounting-error", type=float, default=1.0, show_default=True, help="Largest error of the mounting, °.")
+@click.option("--latitude", type=float, default=56.84, show_default=True, help="Latitude of the site, °.")
+@click.option("--noiseless", is_flag=True, help="No noise and no instability.")
+@click.option("--vibration", metavar="AMPLITUDE@HZ", help="Vibration throughout, m/s² at Hz, e.g. 0.05@30.")
+@click.option("--format", "log_format", type=click.Choice(["csv", "parquet"]), default="parquet", show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True, help="The same seed gives the same session.")
+def simulate(
+    folder: Path,
+    programme: str,
+    positions: int | None,
+    grade: str,
+    rest: float | None,
+    rate: float | None,
+    sample_rate: float | None,
+    table_error: float,
+    mounting_error: float,
+    latitude: float,
+    noiseless: bool,
+    vibration: str | None,
+    log_format: Literal["csv", "parquet"],
+    seed: int,
+) -> None:
+    """Write a session with known truth (truth.json) into FOLDER."""
+    from tumble.simulate import Request, Vibration, simulate_session, vibration_of
+
+    request = Request(
+        grade=grade,
+        programme=programme,
+        positions=positions,
+        rest=rest,
+        rate_deg_s=rate,
+        sample_rate=sample_rate,
+        table_error_deg=table_error,
+        mounting_error_deg=mounting_error,
+        latitude_deg=latitude,
+        noiseless=noiseless,
+        vibration=vibration_of(vibration) if vibration else Vibration(),
+    )
+    click.echo(f"written to {simulate_session(folder, request, seed=seed, log_format=log_format)}", err=True)
+
+
+@main.command()
+@click.argument("session", type=EXISTING_FOLDER)
+def inspect(session: Path) -> None:
+    """Show the rests and turns found in SESSION, and what was rejected and why."""
+    from tumble.calibration import inspect_session
+    from tumble.session import read_session
+    from tumble.text import inspection_report, print_report
+
+    segmentation, observations = inspect_session(read_session(session), progress=_with_progress)
+    print_report(inspection_report(segmentation, observations))
+
+
+if __name__ == "__main__":
+    main()

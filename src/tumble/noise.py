@@ -1,0 +1,262 @@
+"""Allan deviation of a recording at rest, and the noise of the sensors that it shows.
+
+The Allan variance at τ is half the mean square of the difference of neighbouring means over τ. Noise terms that
+are independent add in it, each with its own slope:
+
+    σ²(τ) = 3 Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3 + R² τ²/2                                          (1)
+
+    Q  quantisation of the angle or velocity             rad, m/s
+    N  white noise: angle or velocity random walk        rad/√s = rad/s/√Hz, m/s/√s = m/s²/√Hz
+    B  bias instability (flicker noise, S = B²/2πf)      rad/s, m/s²; the flat part is 0.664 B
+    K  random walk of the rate (S = K²/(2πf)²)           rad/s/√s, m/s²/√s
+    R  ramp: a steady drift                              rad/s², m/s³
+
+Source: IEEE Std 952-1997, annex C; IEEE Std 1554-2005, annex D. S are two-sided spectral densities.
+
+Estimates of σ² at neighbouring τ come from the same samples and are strongly correlated. (1) is therefore fitted
+with their full covariance: the variances follow from the equivalent degrees of freedom, the correlations from
+the fitted spectrum, ∫ S² W_i W_j df with W the transfer function of the Allan variance (Greenhall & Riley 2003).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
+from scipy.special import ndtr
+from scipy.stats import chi2
+
+from tumble import _kernels
+from tumble.errors import InputError, MissingExtraError
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, engineering, rounded
+
+SIZES_PER_OCTAVE = 4
+MIN_SAMPLES = 32
+MIN_CLUSTERS = 4
+"""The longest τ is this part of the record."""
+MIN_DEGREES = 6.0
+"""Points with fewer degrees of freedom are shown but not fitted."""
+SLOPE_ERROR = 0.03
+"""How far real sensors follow (1), as a part of σ²: filters and vibration bend it at short τ, where the
+statistical error is far smaller."""
+SIGNIFICANCE = 3.5
+"""A term is reported when its coefficient in (1) is so many of its standard uncertainties."""
+
+FLICKER = 2.0 * np.log(2.0) / np.pi
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AllanDeviation:
+    """Overlapping Allan deviation of c channels at k averaging times.
+
+    tau (k,) s; deviation (k, c) in the unit of the samples, with its 68 % confidence interval low … high (k, c)
+    from χ² with `degrees` (k, c) equivalent degrees of freedom."""
+
+    tau: Array
+    deviation: Array
+    degrees: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Coefficient:
+    """A noise coefficient in SI and its standard uncertainty."""
+
+    value: float
+    u: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoiseParameters:
+    """The terms of (1) that one channel shows, in SI; None: the record does not show it."""
+
+    quantisation: Coefficient | None
+    white_noise: Coefficient | None
+    bias_instability: Coefficient | None
+    rate_random_walk: Coefficient | None
+    rate_ramp: Coefficient | None
+
+    def variances(self, tau: Array) -> dict[str, Array]:
+        """The terms of (1), (k,) each, by name: what each noise contributes to σ²(τ)."""
+        found = {name: getattr(self, name) for name in _TERMS}
+        slopes = _slopes(tau).T
+        return {
+            name: column * coefficient.value**2
+            for (name, coefficient), column in zip(found.items(), slopes, strict=True)
+            if coefficient is not None
+        }
+
+
+_TERMS = ("quantisation", "white_noise", "bias_instability", "rate_random_walk", "rate_ramp")
+
+
+def _slopes(tau: Array) -> Array:
+    """Columns (k, 5) of (1): what Q², N², B², K² and R² contribute to σ²(τ)."""
+    return np.column_stack([3.0 / tau**2, 1.0 / tau, np.full_like(tau, FLICKER), tau / 3.0, tau**2 / 2.0])
+
+
+def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
+    """Overlapping Allan deviation of samples (m,) or (m, c) taken at a constant `rate` (Hz), at four averaging
+    times an octave up to a quarter of the record. One channel is worked on at a time.
+
+    Raises InputError for fewer than 32 samples or a value that is not a number."""
+    columns = samples if samples.ndim == 2 else samples[:, None]
+    count = len(columns)
+    if count < MIN_SAMPLES:
+        raise InputError(
+            f"Allan deviation: expected at least {MIN_SAMPLES} samples at rest, found {count}; record longer"
+        )
+    sizes = _cluster_sizes(count)
+    sums = np.column_stack([_kernels.allan_sums(_integral(c), sizes) for c in columns.T])
+    terms = count + 1 - 2 * sizes
+    deviation = np.sqrt(sums / (2.0 * terms * sizes.astype(float) ** 2)[:, None])
+    tau = sizes / rate
+    degrees = np.column_stack([_degrees(count + 1, sizes, _exponents(tau, d)) for d in deviation.T])
+    low, high = (deviation * np.sqrt(degrees / chi2.ppf(ndtr(z), degrees)) for z in (1.0, -1.0))
+    return AllanDeviation(tau=tau, deviation=deviation, degrees=degrees, low=low, high=high)
+
+
+def _cluster_sizes(count: int) -> IntArray:
+    """Cluster sizes in samples: 1 … count/4, four an octave."""
+    octaves = np.log2(count // MIN_CLUSTERS)
+    steps = np.arange(int(SIZES_PER_OCTAVE * octaves) + 1)
+    return np.unique(np.round(2.0 ** (steps / SIZES_PER_OCTAVE))).astype(np.int64)
+
+
+def _integral(column: Array) -> Array:
+    """Running sum (m + 1,) of the samples less their mean, from 0."""
+    out = np.zeros(len(column) + 1)
+    np.subtract(column, column.mean(), out=out[1:])
+    np.cumsum(out[1:], out=out[1:])
+    if not np.isfinite(out[-1]):
+        raise InputError("Allan deviation: expected finite samples, found NaN or infinity; repair or cut the log")
+    return out
+
+
+def _exponents(tau: Array, deviation: Array) -> IntArray:
+    """Exponent α (2, 0, −1, −2) of the power law S ∝ f^α around each τ, from the slope −α − 1 of σ² over an octave
+    to either side (quantisation, slope −2, is α = 2)."""
+    if not deviation.all():
+        return np.zeros(len(tau), dtype=np.int64)
+    x, y = np.log2(tau), 2.0 * np.log2(deviation)
+    slope = np.empty(len(tau))
+    for i, centre in enumerate(x):
+        near = np.abs(x - centre) < 1.01
+        slope[i] = np.polyfit(x[near] - centre, y[near], 1)[0]
+    kinds = np.array([2, 0, -1, -2])
+    return kinds[np.searchsorted([-1.5, -0.5, 0.5], slope)]
+
+
+def _degrees(points: int, sizes: IntArray, exponents: IntArray) -> Array:
+    """Equivalent degrees of freedom (k,) of overlapping estimates from so many points of the integral.
+
+    Source: Riley, Handbook of Frequency Stability Analysis (NIST SP 1065), table 5."""
+    n, m = float(points), sizes.astype(float)
+    white_phase = (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
+    white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    flicker = np.where(
+        m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 5.0 * n**2 / (4.0 * m * (n + 3.0 * m))
+    )
+    walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / (n - 3.0) ** 2
+    return np.asarray(
+        np.select([exponents == 2, exponents == 0, exponents == -1], [white_phase, white, flicker], walk)
+    )
+
+
+def identify(adev: AllanDeviation) -> tuple[NoiseParameters, ...]:
+    """The noise terms of each channel: non-negative generalised least squares of (1), in which every term has to
+    prove itself significant. Uncertainties are enlarged by √(χ²/dof) where (1) does not fit."""
+    transfer = _Transfer.of(adev.tau)
+    return tuple(
+        _identify(adev.tau, variance, degrees, transfer)
+        for variance, degrees in zip(adev.deviation.T**2, adev.degrees.T, strict=True)
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Transfer:
+    """Transfer functions W (k, f) of the Allan variance at k averaging times, with the spectra (f, 5) of the
+    terms of (1) at unit coefficients and the widths (f,) of the frequency bins, Hz."""
+
+    W: Array
+    spectra: Array
+    widths: Array
+
+    @classmethod
+    def of(cls, tau: Array) -> _Transfer:
+        """For averaging times that are multiples of the first one, the interval of the samples."""
+        step = tau[0]
+        lowest, highest = 0.01 / tau[-1], 0.5 / step
+        edges = np.geomspace(lowest, highest, int(128 * np.log2(highest / lowest)))
+        f = np.sqrt(edges[1:] * edges[:-1])
+        W = np.sin(np.pi * np.outer(tau, f)) ** 4 / np.outer(tau / step, np.sin(np.pi * f * step)) ** 2
+        omega = 2.0 * np.pi * f
+        quantisation = 4.0 * np.sin(np.pi * f * step) ** 2 / step
+        spectra = np.column_stack(
+            [quantisation, np.ones_like(f), 1.0 / omega, 1.0 / omega**2, np.zeros_like(f)]
+        )
+        return cls(W=W, spectra=spectra, widths=np.diff(edges))
+
+    def correlation(self, coefficients: Array) -> Array:
+        """Correlation matrix (k, k) of the estimates of σ² for the coefficients (5,) of (1)."""
+        power = (self.spectra @ coefficients) ** 2 * self.widths
+        covariance = (self.W * power) @ self.W.T
+        scale = np.sqrt(np.diag(covariance))
+        if not scale.all():
+            return np.eye(len(scale))
+        return np.asarray(covariance / np.outer(scale, scale))
+
+
+def _identify(tau: Array, variance: Array, degrees: Array, transfer: _Transfer) -> NoiseParameters:
+    """The terms of one channel, the least significant left out one by one."""
+    fitted = (degrees >= MIN_DEGREES) & (variance > 0.0)
+    active = list(range(len(_TERMS)))
+    while active and fitted.sum() > len(active):
+        squares, u = _fit(tau, variance, degrees, transfer, fitted, active)
+        significance = squares / u
+        weakest = int(np.argmin(significance))
+        if significance[weakest] >= SIGNIFICANCE:
+            found = {
+                _TERMS[j]: Coefficient(value=float(np.sqrt(s)), u=float(0.5 * w / np.sqrt(s)))
+                for j, s, w in zip(active, squares, u, strict=True)
+            }
+            return NoiseParameters(**{name: found.get(name) for name in _TERMS})
+        del active[weakest]
+    return NoiseParameters(**dict.fromkeys(_TERMS))
+
+
+def _fit(
+    tau: Array,
+    variance: Array,
+    degrees: Array,
+    transfer: _Transfer,
+    fitted: npt.NDArray[np.bool_],
+    active: Sequence[int],
+) -> tuple[Array, Array]:
+    """Squares of the active coefficients and their standard uncertainties. The weights follow the fitted (1), not
+    the data: an estimate that is low by chance gets no more weight for it."""
+    columns = _slopes(tau)[:, active]
+    model, correlation = variance, np.eye(len(tau))
+    for _ in range(6):
+        sigma = model * np.sqrt(2.0 / degrees)
+        covariance = correlation * np.outer(sigma, sigma) + np.diag((SLOPE_ERROR * model) ** 2)
+        root = np.linalg.cholesky(covariance[np.ix_(fitted, fitted)])
+        design = solve_triangular(root, columns[fitted], lower=True)
+        target = solve_triangular(root, variance[fitted], lower=True)
+        size = np.linalg.norm(design, axis=0)
+        scaled, misfit = nnls(design / size, target)
+        squares = scaled / size
+        coefficients = np.zeros(len(_TERMS))
+        coefficients[active] = squares
+        model, correlation = np.maximum(columns @ squares, 1e-300), transfer.correlation(coefficients)
+    inflation = max(1.0, misfit / np.sqrt(fitted.sum() - len(active)))
+    inverse = np.linalg.inv((design / size).T @ (design / size))
+    return squares, np.sqrt(np.diag(inverse)) / size * inflation

@@ -1,0 +1,239 @@
+"""Results as text on a terminal: tables of parameters, rests and turns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from tumble.calibration import Calibration, Parameter
+from tumble.observe import Observations
+from tumble.segment import Segmentation
+from tumble.units import DEGREE, G_STANDARD, engineering, rounded
+
+
+def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None = None) -> Table:
+    """Parameters with uncertainties in engineering units; with `truth`, also true values and the distance from them
+    in units of u."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter")
+    for heading in ("value", "u (k=1)"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    if truth is not None:
+        table.add_column("truth", justify="right")
+        table.add_column("(value − truth)/u", justify="right")
+    units = {group: _group_unit(calibration.parameters, group) for group in map(_group, calibration.parameters)}
+    for parameter in calibration.parameters:
+        size, unit = units[_group(parameter)]
+        value, u = rounded(parameter.value / size, (parameter.u or 0.0) / size)
+        row = [parameter.name, value, u, unit]
+        if truth is not None:
+            row += _against(parameter, truth, size)
+        table.add_row(*row)
+    return table
+
+
+def _against(parameter: Parameter, truth: Mapping[str, float], size: float) -> list[str]:
+    if parameter.name not in truth or not parameter.u:
+        return ["", ""]
+    true = truth[parameter.name]
+    shown, _ = rounded(true / size, parameter.u / size)
+    return [shown, f"{(parameter.value - true) / parameter.u:+.2f}"]
+
+
+def _group(parameter: Parameter) -> str:
+    return ".".join(parameter.name.split(".")[:2])
+
+
+def _group_unit(parameters: tuple[Parameter, ...], group: str) -> tuple[float, str]:
+    """One unit for all parameters of a kind, by their root mean square."""
+    values = [p for p in parameters if _group(p) == group]
+    return engineering(values[0].unit, math.sqrt(sum(p.value**2 for p in values) / len(values)))
+
+
+def rest_table(calibration: Calibration) -> Table:
+    """Residual of every rest."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("rest", "start s", "stop s", "residual µg", "sigmas"):
+        table.add_column(heading, justify="right")
+    for i, rest in enumerate(calibration.rests, 1):
+        table.add_row(
+            str(i),
+            f"{rest.start:.1f}",
+            f"{rest.stop:.1f}",
+            f"{rest.residual / G_STANDARD * 1e6:+.1f}",
+            f"{rest.sigmas:.1f}",
+        )
+    return table
+
+
+def calibration_report(calibration: Calibration, truth: Mapping[str, float] | None = None) -> RenderableType:
+    """All that `tumble calibrate` says about an accepted or rejected result."""
+    parts: list[RenderableType] = []
+    device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
+    parts.append(Text(f"device {device} · method {calibration.method} · frame {calibration.frame}"))
+    if calibration.parameters:
+        parts += [Text(""), parameter_table(calibration, truth)]
+    if calibration.rests:
+        parts += [Text(""), rest_table(calibration)]
+    if calibration.fits:
+        parts += [Text(""), Text("\n".join(_fit_lines(calibration)))]
+    if truth is not None:
+        parts.append(Text(_truth_line(calibration, truth)))
+    parts += [Text(note) for note in calibration.notes]
+    parts += [Text(""), Text("accepted" if calibration.outcome.accepted else "not accepted")]
+    return Group(*parts)
+
+
+def _fit_lines(calibration: Calibration) -> list[str]:
+    lines = []
+    for name, fit in calibration.fits.items():
+        line = f"{name}: chi-square {fit.chi_square:.1f} for {fit.degrees:.1f} degrees of freedom"
+        if fit.scatter > 0.0:
+            size, unit = engineering(fit.scatter_unit, fit.scatter)
+            line += f", with a scatter of {fit.scatter / size:.3g} {unit} estimated on top of the noise within rests"
+        else:
+            line += f" (probability {fit.probability:.2f}), no scatter beyond the noise within rests"
+        lines.append(line)
+    if calibration.turn_sigmas:
+        lines.append(
+            f"turns: {len(calibration.turn_sigmas)}, the worst {max(calibration.turn_sigmas):.1f} sigma from the fit"
+        )
+    return lines
+
+
+def _truth_line(calibration: Calibration, truth: Mapping[str, float]) -> str:
+    z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
+    rms = math.sqrt(sum(v * v for v in z) / len(z)) if z else math.nan
+    return f"truth: {len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+
+
+def inspection_report(segmentation: Segmentation, observations: Observations | None) -> RenderableType:
+    """Rests, turns and rejected stretches of a log."""
+    limits = f"thresholds found: accelerometer scatter {segmentation.scatter_limit:.3g} m/s²"
+    if segmentation.rate_limit is not None:
+        limits += f", distance from the rest level of the gyros {segmentation.rate_limit / DEGREE:.3g} °/s"
+    parts: list[RenderableType] = [Text(limits), Text("")]
+    if observations is not None:
+        parts += [_rests_found(observations), Text(""), _turns_found(observations)]
+        parts += _half_sums(observations)
+    if segmentation.rejected:
+        table = Table(box=None, pad_edge=False)
+        for heading in ("rejected from s", "to s"):
+            table.add_column(heading, justify="right")
+        table.add_column("because")
+        for r in segmentation.rejected:
+            table.add_row(f"{r.start:.1f}", f"{r.stop:.1f}", r.reason)
+        parts += [Text(""), table]
+    return Group(*parts)
+
+
+def _rests_found(observations: Observations) -> Table:
+    rests = observations.rests
+    force = observations.accel_block.nominal().apply(rests.accel)
+    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    table = Table(box=None, pad_edge=False)
+    files = len(set(rests.file.tolist())) > 1
+    headings = [
+        "rest",
+        *(["file"] if files else []),
+        "start s",
+        "stop s",
+        "vertical in the body",
+        "u of accel µg",
+        "drift µg",
+    ]
+    gyros = rests.gyro.shape[1] > 0
+    headings += ["u of gyro °/h", "drift °/h"] if gyros else []
+    headings += ["T °C"] if rests.temperature is not None else []
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for i in range(len(rests)):
+        row = [
+            str(i + 1),
+            *([str(rests.file[i] + 1)] if files else []),
+            f"{rests.start[i]:.1f}",
+            f"{rests.stop[i]:.1f}",
+        ]
+        row.append(" ".join(f"{v:+.3f}" for v in vertical[i]))
+        row += _noise_columns(rests.accel_covariance[i], rests.accel_drift[i], G_STANDARD * 1e-6)
+        if gyros:
+            row += _noise_columns(rests.gyro_covariance[i], rests.gyro_drift[i], DEGREE / 3600.0)
+        if rests.temperature is not None:
+            row.append(f"{rests.temperature[i]:.1f}")
+        table.add_row(*row)
+    return table
+
+
+def _noise_columns(covariance: np.ndarray, drift: np.ndarray, size: float) -> list[str]:
+    u = math.sqrt(float(np.trace(covariance)) / len(covariance)) / size
+    worst = float(drift[np.argmax(np.abs(drift))]) / size
+    return [f"{u:.3g}", f"{worst:+.3g}"]
+
+
+def _turns_found(observations: Observations) -> RenderableType:
+    turns = observations.turns
+    if turns is None or len(turns) == 0:
+        return Text("no turns between rests")
+    table = Table(box=None, pad_edge=False)
+    for heading in ("turn", "from rest", "to rest", "duration s", "angle °", "axis in the body"):
+        table.add_column(heading, justify="right")
+    for k in range(len(turns)):
+        C = turns.C[k]
+        axis = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
+        sine = 0.5 * float(np.linalg.norm(axis))
+        angle = math.atan2(sine, 0.5 * (float(np.trace(C)) - 1.0)) / DEGREE
+        shown = " ".join(f"{v:+.2f}" for v in axis / (2.0 * sine)) if sine > 1e-3 else ""
+        table.add_row(
+            str(k + 1),
+            str(turns.first[k] + 1),
+            str(turns.last[k] + 1),
+            f"{turns.duration[k]:.1f}",
+            f"{angle:.1f}",
+            shown,
+        )
+    return table
+
+
+def _half_sums(observations: Observations) -> list[RenderableType]:
+    """For rests with opposite verticals: half sum and half difference of the readings along the axis that was up and
+    down, which are its bias and its sensitivity before any correction."""
+    rests = observations.rests
+    force = observations.accel_block.nominal().apply(rests.accel)
+    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    gyros = rests.gyro.shape[1] == 3 and observations.accel_block.size == 3
+    lines = []
+    for i in range(len(rests)):
+        for j in range(i + 1, len(rests)):
+            axis = int(np.argmax(np.abs(vertical[i])))
+            if (
+                vertical[i] @ vertical[j] > -0.985
+                or abs(vertical[i][axis]) < 0.94
+                or observations.accel_block.size != 3
+            ):
+                continue
+            half_sum = 0.5 * (rests.accel[i, axis] + rests.accel[j, axis]) / G_STANDARD * 1e6
+            half_difference = 0.5 * abs(rests.accel[i, axis] - rests.accel[j, axis])
+            line = (
+                f"opposite rests {i + 1} and {j + 1}, {'XYZ'[axis]}: accelerometer half sum {half_sum:+.1f} µg, half "
+                f"difference {half_difference:.6f} m/s²"
+            )
+            if gyros:
+                rate = 0.5 * (rests.gyro[i, axis] + rests.gyro[j, axis]) / DEGREE * 3600.0
+                opposite = 0.5 * abs(rests.gyro[i, axis] - rests.gyro[j, axis]) / DEGREE * 3600.0
+                line += f"; gyro half sum {rate:+.3f} °/h, half difference {opposite:.3f} °/h"
+            lines.append(line)
+    return [Text(""), *map(Text, lines)] if lines else []
+
+
+def print_report(report: RenderableType) -> None:
+    """Print to standard output, as wide as the terminal, or as needed where there is none."""
+    console = Console(highlight=False, soft_wrap=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=160)
+    console.print(report)
