@@ -592,7 +592,7 @@ class _Csv:
                 )
             size = _PIECE_BYTES
         if rest.strip():
-            yield rest
+            yield rest.rstrip()
 
     def _table(self, piece: bytes, first: int, columns: Sequence[str]) -> pl.DataFrame:
         """The rows of a piece that begins with data row `first`."""

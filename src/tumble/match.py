@@ -42,7 +42,8 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     rests = _with_stated(reduction, segmentation.rests, spec)
     if not rests:
         return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
-    readings = np.array([_mean(reduction, s, "accel") for s in rests]) @ np.linalg.pinv(session.log.accel.axes).T
+    means = np.array([_blocks(reduction, s).accel_mean(s.first, s.last) for s in rests])
+    readings = means @ np.linalg.pinv(session.log.accel.axes).T
     verticals = _verticals(readings, listed, session.site.gravity)
     if not listed.ordered:
         return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals))
@@ -67,18 +68,13 @@ def _blocks(reduction: Reduction, span: RestSpan) -> FileBlocks:
     return next(f for f in reduction.files if f.file == span.file)
 
 
-def _mean(reduction: Reduction, span: RestSpan, sensor: str) -> Array:
-    values = getattr(_blocks(reduction, span), sensor)
-    return np.asarray(values[span.first : span.last].mean(axis=0))
-
-
 def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, after: RestSpan) -> Array | None:
     """Sum of the gyro increments (3,) between two rests, rad, less the rate at rest; None where no gyro saw it. For a
     turn about one axis it is the rotation vector."""
     blocks = _blocks(reduction, before)
     if session.log.gyro is None or blocks.gyro is None or before.file != after.file:
         return None
-    level = 0.5 * (_mean(reduction, before, "gyro") + _mean(reduction, after, "gyro"))
+    level = 0.5 * (blocks.gyro_mean(before.first, before.last) + blocks.gyro_mean(after.first, after.last))
     between = slice(before.last, after.first)
     seconds = np.diff(blocks.edges)[between, None]
     turned = ((blocks.gyro[between] - level) * seconds).sum(axis=0)

@@ -243,20 +243,24 @@ def _fit(
 ) -> tuple[Array, Array]:
     """Squares of the active coefficients and their standard uncertainties. The weights follow the fitted (1), not
     the data: an estimate that is low by chance gets no more weight for it."""
-    columns = _slopes(tau)[:, active]
-    model, correlation = variance, np.eye(len(tau))
-    for _ in range(6):
-        sigma = model * np.sqrt(2.0 / degrees)
-        covariance = correlation * np.outer(sigma, sigma) + np.diag((SLOPE_ERROR * model) ** 2)
-        root = np.linalg.cholesky(covariance[np.ix_(fitted, fitted)])
-        design = solve_triangular(root, columns[fitted], lower=True)
-        target = solve_triangular(root, variance[fitted], lower=True)
+    columns = _slopes(tau)[fitted][:, active]
+    observed, relative = variance[fitted], np.sqrt(2.0 / degrees[fitted] + SLOPE_ERROR**2)
+    model = observed
+    for _ in range(8):
+        weight = 1.0 / (relative * model)
+        design = columns * weight[:, None]
         size = np.linalg.norm(design, axis=0)
-        scaled, misfit = nnls(design / size, target)
+        scaled, _ = nnls(design / size, observed * weight)
         squares = scaled / size
-        coefficients = np.zeros(len(_TERMS))
-        coefficients[active] = squares
-        model, correlation = np.maximum(columns @ squares, 1e-300), transfer.correlation(coefficients)
-    inflation = max(1.0, misfit / np.sqrt(fitted.sum() - len(active)))
-    inverse = np.linalg.inv((design / size).T @ (design / size))
-    return squares, np.sqrt(np.diag(inverse)) / size * inflation
+        model = np.maximum(columns @ squares, 1e-300)
+    coefficients = np.zeros(len(_TERMS))
+    coefficients[active] = squares
+    statistical = np.sqrt(2.0 / degrees[fitted]) / relative
+    covariance = transfer.correlation(coefficients)[np.ix_(fitted, fitted)] * np.outer(statistical, statistical)
+    covariance += np.diag((SLOPE_ERROR / relative) ** 2)
+    solver = np.linalg.pinv(design / size)
+    residual_maker = np.eye(len(observed)) - (design / size) @ solver
+    misfit = np.sum((residual_maker @ (observed * weight)) ** 2)
+    expected = np.trace(residual_maker @ covariance)
+    inflation = np.sqrt(max(1.0, misfit / expected))
+    return squares, np.sqrt(np.diag(solver @ covariance @ solver.T)) / size * inflation

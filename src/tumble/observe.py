@@ -176,8 +176,8 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
     accel_series = [f.accel[s.first : s.last] for f, s in zip(blocks, spans, strict=True)]
     gyro_series = [_gyro_of(f)[s.first : s.last] for f, s in zip(blocks, spans, strict=True)]
     block_seconds = reduction.files[0].size / reduction.rate
-    accel_mean = np.array([s.mean(axis=0) for s in accel_series])
-    gyro_mean = np.array([s.mean(axis=0) for s in gyro_series])
+    accel_mean = np.array([f.accel_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
+    gyro_mean = np.array([f.gyro_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
     accel_covariance = _accel_covariance(accel_series, accel)
     gyro_fit = fit_coloured_noise(gyro_series) if gyro is not None else None
     gyro_covariance = _gyro_covariance(gyro_series, gyro_fit)

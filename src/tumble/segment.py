@@ -13,7 +13,7 @@ whole:
    averages out over a second raises both floors and their quantities alike, so nothing has to be set by hand.
    The level follows slow drift: it is interpolated between the rests found, and the search repeated.
 3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
-   shortened by a margin at both ends for settling. What lies between two rests of a file is a turn.
+   shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two rests of a file is a turn.
 
 Without gyros only the accelerometers decide.
 """
@@ -78,6 +78,25 @@ class FileBlocks:
     gyro: Array | None
     temperature: Array | None
     samples: int
+    accel_tail: Array
+    """Sum of the samples after the last whole block."""
+    gyro_tail: Array | None
+
+    def accel_mean(self, first: int, last: int) -> Array:
+        """Mean accelerometer reading (n,) over blocks first … last − 1, and over the tail where they end the file."""
+        return self._mean(self.accel, self.accel_tail, first, last)
+
+    def gyro_mean(self, first: int, last: int) -> Array:
+        """Mean gyro reading (n,), likewise; empty without gyros."""
+        if self.gyro is None or self.gyro_tail is None:
+            return np.empty(0)
+        return self._mean(self.gyro, self.gyro_tail, first, last)
+
+    def _mean(self, means: Array, tail: Array, first: int, last: int) -> Array:
+        total, count = self.size * means[first:last].sum(axis=0), self.size * (last - first)
+        if last == len(means):
+            total, count = total + tail, self.samples - self.size * first
+        return np.asarray(total / count)
 
 
 class GyroSamples:
@@ -131,11 +150,12 @@ class _Channels:
         blocks = _kernels.block_means(values, time, self.size, self.sums, self.filled, self.state, out)
         self.means.append(out[:blocks])
 
-    def end_file(self) -> Array:
+    def end_file(self) -> tuple[Array, Array]:
+        """Means of the blocks of the file, and the sum of what was left."""
         means = np.concatenate(self.means)
         self.means, self.filled[0] = [], 0
-        self.sums[:] = 0.0
-        return means
+        tail, self.sums = self.sums, np.zeros_like(self.sums)
+        return means, tail
 
     def states(self) -> tuple[ChannelState, ...]:
         return tuple(_channel_state(row) for row in self.state)
@@ -195,16 +215,20 @@ class Reducer:
     def _end_file(self) -> None:
         if self._file < 0:
             return
+        accel, accel_tail = self._accel.end_file()
+        gyro, gyro_tail = self._gyro.end_file() if self._gyro else (None, None)
         self._files.append(
             FileBlocks(
                 file=self._file,
                 first_sample=self._first,
                 size=self.size,
                 edges=np.concatenate([[self._start], *self._times]),
-                accel=self._accel.end_file(),
-                gyro=self._gyro.end_file() if self._gyro else None,
+                accel=accel,
+                gyro=gyro,
                 temperature=np.concatenate(self._temperature) if self._temperature else None,
                 samples=self._count,
+                accel_tail=accel_tail,
+                gyro_tail=gyro_tail,
             )
         )
         self._times, self._temperature = [], []
@@ -340,14 +364,16 @@ def _assemble(
         for first, last in _merged([_extended(values, i, j, window, rounding) for i, j in found]):
             duration = float(f.edges[last] - f.edges[first])
             margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
-            if duration - 2.0 * margin < MIN_REST_SECONDS:
+            before = margin if first > 0 else 0.0
+            after = margin if last < len(f.edges) - 1 else 0.0
+            if duration - before - after < MIN_REST_SECONDS:
                 if duration > 0.5:
                     reason = f"{duration:.1f} s is too short for a rest of {MIN_REST_SECONDS:g} s and its margins"
                     rejected.append(
                         Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), reason=reason)
                     )
                 continue
-            rests.append(_span(f, f.edges[first] + margin, f.edges[last] - margin))
+            rests.append(_span(f, f.edges[first] + before, f.edges[last] - after))
     return Segmentation(
         rests=tuple(rests),
         rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),

@@ -13,7 +13,9 @@ from rich.text import Text
 from tumble.calibration import Calibration, Parameter
 from tumble.observe import Observations
 from tumble.segment import Segmentation
-from tumble.units import DEGREE, G_STANDARD, engineering, rounded
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, BoolArray, engineering, rounded
+
+UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
 
 def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None = None) -> Table:
@@ -93,6 +95,9 @@ def calibration_report(calibration: Calibration, truth: Mapping[str, float] | No
 def _fit_lines(calibration: Calibration) -> list[str]:
     lines = []
     for name, fit in calibration.fits.items():
+        if fit.degrees < 0.5:
+            lines.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
+            continue
         line = f"{name}: chi-square {fit.chi_square:.1f} for {fit.degrees:.1f} degrees of freedom"
         if fit.scatter > 0.0:
             size, unit = engineering(fit.scatter_unit, fit.scatter)
@@ -201,34 +206,33 @@ def _turns_found(observations: Observations) -> RenderableType:
 
 
 def _half_sums(observations: Observations) -> list[RenderableType]:
-    """For rests with opposite verticals: half sum and half difference of the readings along the axis that was up and
-    down, which are its bias and its sensitivity before any correction."""
+    """For each body axis that rested both up and down: half sum and half difference of the mean readings of its
+    sensors, which are bias and sensitivity before any correction."""
     rests = observations.rests
+    if observations.accel_block.size != 3:
+        return []
     force = observations.accel_block.nominal().apply(rests.accel)
     vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
-    gyros = rests.gyro.shape[1] == 3 and observations.accel_block.size == 3
     lines = []
-    for i in range(len(rests)):
-        for j in range(i + 1, len(rests)):
-            axis = int(np.argmax(np.abs(vertical[i])))
-            if (
-                vertical[i] @ vertical[j] > -0.985
-                or abs(vertical[i][axis]) < 0.94
-                or observations.accel_block.size != 3
-            ):
-                continue
-            half_sum = 0.5 * (rests.accel[i, axis] + rests.accel[j, axis]) / G_STANDARD * 1e6
-            half_difference = 0.5 * abs(rests.accel[i, axis] - rests.accel[j, axis])
-            line = (
-                f"opposite rests {i + 1} and {j + 1}, {'XYZ'[axis]}: accelerometer half sum {half_sum:+.1f} µg, half "
-                f"difference {half_difference:.6f} m/s²"
-            )
-            if gyros:
-                rate = 0.5 * (rests.gyro[i, axis] + rests.gyro[j, axis]) / DEGREE * 3600.0
-                opposite = 0.5 * abs(rests.gyro[i, axis] - rests.gyro[j, axis]) / DEGREE * 3600.0
-                line += f"; gyro half sum {rate:+.3f} °/h, half difference {opposite:.3f} °/h"
-            lines.append(line)
+    for axis, name in enumerate("XYZ"):
+        up, down = vertical[:, axis] > UPRIGHT, vertical[:, axis] < -UPRIGHT
+        if not (up.any() and down.any()):
+            continue
+        high, low = rests.accel[up, axis].mean(), rests.accel[down, axis].mean()
+        line = (
+            f"{name} up (rests {_numbers(up)}) and down ({_numbers(down)}): accelerometer half sum "
+            f"{0.5 * (high + low) / G_STANDARD * 1e6:+.1f} µg, half difference {0.5 * abs(high - low):.6f} m/s²"
+        )
+        if rests.gyro.shape[1] == 3:
+            high, low = rests.gyro[up, axis].mean() / DEGREE_PER_HOUR, rests.gyro[down, axis].mean() / DEGREE_PER_HOUR
+            line += f"; gyro half sum {0.5 * (high + low):+.3f} °/h, half difference {0.5 * abs(high - low):.3f} °/h"
+        lines.append(line)
     return [Text(""), *map(Text, lines)] if lines else []
+
+
+def _numbers(chosen: BoolArray) -> str:
+    """Numbers of rests, counted from 1."""
+    return ", ".join(str(i + 1) for i in np.flatnonzero(chosen))
 
 
 def print_report(report: RenderableType) -> None:

@@ -1,0 +1,186 @@
+"""The paper's method from end to end: four stages, each with the results of the stage before, iterated.
+
+    1  biases and scale factors of the accelerometers     from rests
+    2  angles between the axes of the accelerometers      from rests (the scalar method does 1 and 2 at once)
+    3  biases of the gyros                                from rests
+    4  scale factors and axis angles of the gyros         from turns, by the indirect method
+
+An iteration is one pass over the same data with the readings compensated by all passes before it; what a pass finds
+is composed with what was known (`compensation`), exactly. The turns are integrated about the model of the pass.
+An increment therefore measures what the pass before erred by its own method, not the noise, which is common to all.
+
+Stage 4 uses the programme matrix of §6.3, so that the passes converge as the deviations from the programme, and
+plain least squares as the paper has it. Uncertainty is propagated through the passes as they are: derivatives of
+each pass by central differences, with respect to every mean reading, turn, gravity, and the model it starts from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, stats
+
+from tumble.earth import earth_rate
+from tumble.errors import InputError, ProgrammeError, SessionError
+from tumble.estimate import SCATTER_PROBABILITY, Estimate, Fit, scatter_of, sigmas
+from tumble.methods.compensation import (
+    ACCEL_ANGLES,
+    compensated,
+    composed,
+    perfect,
+    remaining,
+    triad_model,
+    triad_parameters,
+)
+from tumble.methods.indirect import (
+    RecordedTurn,
+    Series,
+    check_directions,
+    horizontal_differences,
+    known_turns,
+    programme_matrix,
+)
+from tumble.methods.levelling import triad, vertical
+from tumble.model import Block, SensorModel
+from tumble.observe import Observations, Turns
+from tumble.programme import Programme
+from tumble.rotation import rotation_matrix
+from tumble.units import Array
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Method:
+    """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2,
+    `gyro_bias(rate, force, earth_rate, nominal)` stage 3, and `check(nominal)` raises ProgrammeError where the rests,
+    with nominal verticals (N, 3), are not enough."""
+
+    name: str
+    accelerometers: Callable[[Array, Array, Array], SensorModel]
+    gyro_bias: Callable[[Array, Array, Array, Array], Array]
+    check: Callable[[Array], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Course:
+    """What is known of a session's rests and turns from its programme: nominal verticals (N, 3) in the body, series
+    of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix."""
+
+    nominal: Array
+    series: tuple[Series, ...]
+    duration: Array
+    earth_rate: Array
+    matrix: Array
+
+
+# One pass
+
+
+def accelerometer_pass(method: Method, course: Course, readings: Array, gravity: Array, before: SensorModel) -> SensorModel:
+    """Stages 1 and 2: the model after a pass over readings (..., N, 3), given the one before."""
+    found = method.accelerometers(compensated(before, readings), course.nominal, gravity)
+    return composed(before, found)
+
+
+def gyro_bias_pass(method: Method, course: Course, rates: Array, force: Array, before: SensorModel) -> SensorModel:
+    """Stage 3: the gyro model with the biases of this pass, from rates (..., N, 3) and calibrated specific forces."""
+    bias = method.gyro_bias(compensated(before, rates), force, course.earth_rate, course.nominal)
+    return composed(before, SensorModel(matrix=np.eye(3), bias=bias))
+
+
+def gyro_matrix_pass(course: Course, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
+    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
+    y = differences(course, rates, force, C, before)
+    x = (np.linalg.pinv(course.matrix) @ y[..., None])[..., 0]
+    return composed(before, triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
+
+
+def differences(course: Course, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
+    """y (..., 2T) of the indirect method for a gyro model and the turns integrated about it."""
+    attitude = triad(force, compensated(model, rates))
+    return horizontal_differences(course.series, attitude, force, C, course.duration, course.earth_rate)
+
+
+# The course of a session
+
+
+def course_of(observations: Observations, method: Method) -> Course:
+    """The course of a session, with everything the method needs checked. Raises InputError."""
+    programme, position = observations.programme, observations.position
+    if programme is None or position is None:
+        raise ProgrammeError(
+            f"method {method.name}: expected a programme with known positions and turns, such as rough-table, found none; "
+            "give [programme] in session.toml or take the method staged"
+        )
+    for block in (observations.accel_block, observations.gyro_block):
+        if block is not None and not block.triad:
+            raise InputError(
+                f"method {method.name}: expected three sensors of a kind along the body axes, found {block.size} "
+                f"({block.kind}) with other directions; take the method staged"
+            )
+    nominal = np.array([programme.positions[k].vertical_b for k in position])
+    method.check(nominal)
+    if observations.gyro_block is None:
+        return Course(
+            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9))
+        )
+    if observations.site.latitude is None:
+        raise SessionError(
+            f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; give it "
+            "or take the method staged"
+        )
+    check_directions(programme)
+    return Course(
+        nominal=nominal,
+        series=_recorded(observations, programme),
+        duration=np.empty(0) if observations.turns is None else observations.turns.duration,
+        earth_rate=np.array(earth_rate(observations.site.latitude)),
+        matrix=programme_matrix(programme)[0],
+    )
+
+
+def _recorded(observations: Observations, programme: Programme) -> tuple[Series, ...]:
+    """The recorded turns of every series of known turns, from the first rest in its first position on."""
+    assert observations.position is not None
+    between = {} if observations.turns is None else {int(a): k for k, a in enumerate(observations.turns.first)}
+    course = []
+    for moves in known_turns(programme):
+        rests = np.flatnonzero((observations.position >= moves[0]) & (observations.position <= moves[-1] + 1))
+        for rest in rests[:-1]:
+            if int(rest) not in between:
+                raise ProgrammeError(
+                    f"programme {programme.name}: expected the turn from rest {rest + 1} to rest {rest + 2} in the log, "
+                    "found the end of a file; record every series in one file or take the method staged"
+                )
+        course.append(
+            tuple(
+                RecordedTurn(
+                    turn=between[int(a)],
+                    first=int(a),
+                    last=int(b),
+                    counts=bool(observations.position[a] != observations.position[b]),
+                )
+                for a, b in zip(rests[:-1], rests[1:], strict=True)
+            )
+        )
+    return tuple(course)
+
+
+# All passes
+
+
+def four_stages(observations: Observations, method: Method, iterations: int) -> Estimate:
+    """The estimate after so many iterations, at least one, with covariance. Raises InputError."""
+    if iterations < 1:
+        raise InputError(f"iterations: expected at least 1, found {iterations}")
+    launch = _Launch.of(observations, method)
+    values = np.zeros(launch.size)
+    derivative = np.zeros((launch.size, launch.data.size))
+    increments = []
+    for _ in range(iterations):
+        base, after = launch.run(values)
+        by_data, by_start = launch.derivatives(lambda data, start: launch.passed(data, start, base), values)
+        derivative = by_data + by_start @ derivative
+        increments.append(after - values)
+        values = after
+    return _estimate(launch, values, derivative, tuple(increments))

@@ -1,0 +1,788 @@
+"""Logs: numbers read as Python reads them, the same for every format and chunk size; lost samples bridged and
+reported; everything else refused with file, row and column."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import math
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tumble import log as log_module
+from tumble.errors import LogError
+from tumble.log import Chunk, Gap, Log, open_log
+from tumble.session import read_session, write_session
+from tumble.units import Array
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+NAMES = ["t", "ax", "ay", "az", "gx", "gy", "gz", "T"]
+ROWS = 300
+INTERVAL = 0.01
+Lines = list[list[str]]
+
+RAMP = {"ax": (9.8, 0.003), "ay": (-1.0, 0.002), "az": (0.5, -0.001), "gx": (0.1, 1e-4), "gy": (0.0, 2e-4)}
+RAMP |= {"gz": (-0.2, -3e-4), "T": (25.0, 0.01)}
+"""Value at row 0 and slope per row of every column: what is linear is interpolated without error."""
+
+
+def lines(rows: int = ROWS) -> Lines:
+    """A good log, 100 Hz, linear in time: header and rows, as text."""
+    out = [NAMES.copy()]
+    for row in range(1, rows + 1):
+        values = [f"{first + slope * row:.6f}" for first, slope in RAMP.values()]
+        out.append([f"{row * INTERVAL:.2f}", *values])
+    return out
+
+
+def text(table: Lines, end: str = "\n") -> str:
+    return "".join(",".join(row) + end for row in table)
+
+
+def content(file: str | list[str], **log: Any) -> dict[str, Any]:
+    base: dict[str, Any] = {
+        "file": file,
+        "time": "t",
+        "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"},
+        "gyro": {"columns": ["gx", "gy", "gz"], "unit": "rad/s"},
+        "temperature": {"columns": ["T"]},
+    }
+    keys = {key: value for key, value in (base | log).items() if value is not None}
+    return {"format": 1, "device": {"serial": "A"}, "log": keys}
+
+
+def opened(folder: Path, file: str | list[str] = "log.csv", **log: Any) -> Log:
+    write_session(folder, content(file, **log))
+    return open_log(read_session(folder))
+
+
+def csv_log(folder: Path, table: Lines, **log: Any) -> Log:
+    (folder / "log.csv").write_text(text(table), encoding="utf-8")
+    return opened(folder, **log)
+
+
+def numbers(table: Lines) -> pl.DataFrame:
+    columns = {name: [float(row[j]) for row in table[1:]] for j, name in enumerate(table[0])}
+    return pl.DataFrame(columns, schema=dict.fromkeys(table[0], pl.Float64))
+
+
+def parquet_log(folder: Path, frame: pl.DataFrame, **log: Any) -> Log:
+    frame.write_parquet(folder / "log.parquet")
+    return opened(folder, "log.parquet", **log)
+
+
+def whole(log: Log, rows: int = 65536) -> dict[str, Array]:
+    """All chunks put together."""
+    chunks = list(log.chunks(rows))
+    out = {name: np.concatenate([getattr(c, name) for c in chunks]) for name in ("time", "dt", "accel")}
+    for name in ("gyro", "temperature"):
+        if getattr(chunks[0], name) is not None:
+            out[name] = np.concatenate([getattr(c, name) for c in chunks])
+    return out
+
+
+def equal_to_the_bit(a: dict[str, Array], b: dict[str, Array]) -> bool:
+    return a.keys() == b.keys() and all(a[k].tobytes() == b[k].tobytes() for k in a)
+
+
+def refusal(read: Callable[[], object]) -> str:
+    with pytest.raises(LogError) as caught:
+        read()
+    said = str(caught.value)
+    assert "\n" not in said
+    return said
+
+
+# -------------------- what is refused --------------------
+
+
+def with_value(row: int, column: str, value: str) -> Callable[[Lines], Lines]:
+    return with_values(range(row, row + 1), column, value)
+
+
+def with_values(rows: Sequence[int], column: str, value: str) -> Callable[[Lines], Lines]:
+    def change(table: Lines) -> Lines:
+        for row in rows:
+            table[row][NAMES.index(column)] = value
+        return table
+
+    return change
+
+
+def without(rows: Sequence[int]) -> Callable[[Lines], Lines]:
+    return lambda table: [line for row, line in enumerate(table) if row not in rows]
+
+
+def renamed(**names: str) -> Callable[[Lines], Lines]:
+    return lambda table: [[names.get(name, name) for name in table[0]], *table[1:]]
+
+
+def with_row(row: int, values: list[str]) -> Callable[[Lines], Lines]:
+    return lambda table: [*table[:row], values, *table[row + 1 :]]
+
+
+# name: (what is changed in a good CSV log, what the message says after the file's path)
+CSV_FAULTS: dict[str, tuple[Callable[[Lines], Lines], str]] = {
+    "missing column": (
+        renamed(az="acc_z", ay="a_y"),
+        ": expected a column 'ay', found t, ax, a_y, acc_z, gx, gy, gz, T; did you mean 'a_y'?",
+    ),
+    "semicolons": (
+        lambda table: [[";".join(line)] for line in table],
+        ": expected a column 't', found t;ax;ay;az;gx;gy;gz;T",
+    ),
+    "column twice": (renamed(gz="ax"), ": expected one column 'ax', found 2; rename one"),
+    "text": (
+        with_value(17, "gy", "overflow"),
+        ": row 17 (line 18), column 'gy': expected a number, found 'overflow'",
+    ),
+    "text in the first row": (with_value(1, "t", "12:30"), ": row 1 (line 2), column 't': expected a number"),
+    "text in the last row": (with_value(ROWS, "T", "END"), ": row 300 (line 301), column 'T': expected a number"),
+    "decimal point twice": (with_value(8, "ax", "9.8.1"), "column 'ax': expected a number, found '9.8.1'"),
+    "empty value": (
+        with_value(17, "az", ""),
+        ": row 17 (line 18), column 'az': expected a number, found an empty value",
+    ),
+    "blank value": (with_value(17, "T", "  "), ": row 17 (line 18), column 'T': expected a number, found an empty"),
+    "empty last value": (with_value(ROWS, "T", ""), ": row 300 (line 301), column 'T': expected a number, found an"),
+    "nan in six rows": (
+        with_values(range(101, 107), "gx", "nan"),
+        ": row 101 (line 102), column 'gx': expected a finite number, found nan and more than 5 lost samples",
+    ),
+    "infinity in six rows": (
+        with_values(range(101, 107), "ay", "-inf"),
+        ": row 101 (line 102), column 'ay': expected a finite number, found -inf and more than 5",
+    ),
+    "nan in the first row": (
+        with_value(1, "T", "NaN"),
+        ": row 1 (line 2), column 'T': expected a finite number in the first row, found nan",
+    ),
+    "nan in the last rows": (
+        with_values([299, 300], "ax", "nan"),
+        ": row 299 (line 300), column 'ax': expected finite numbers up to the last row, found nan",
+    ),
+    "nan in four places": (
+        with_values([20, 40, 60, 80], "ax", "nan"),
+        ": row 20 (line 21): expected at most 3 gaps in 300 rows (0.1% and 3), found 4, the first here (nan in 'ax')",
+    ),
+    "nan as a time": (with_value(17, "t", "nan"), ": row 17 (line 18), column 't': expected a time, found nan"),
+    "header only": (lambda table: table[:1], ": expected a log, found no rows; the file is empty"),
+    "49 samples": (lambda table: table[:50], ": expected at least 50 samples, found 49"),
+    "less than 2 s": (lambda table: table[:200], ": expected at least 2 s, found 1.99 s"),
+    "time repeated": (
+        with_value(17, "t", "0.16"),
+        ": row 17 (line 18), column 't': expected a time after 0.16 s, found 0.16 s again",
+    ),
+    "time backwards": (
+        with_value(250, "t", "1.5"),
+        ": row 250 (line 251), column 't': expected a time after 2.49 s, found 1.5 s running backwards",
+    ),
+    "six samples missing": (
+        without(range(100, 106)),
+        ": row 100 (line 101), column 't': expected the next sample after 0.01 s, found a gap of 0.07 s (6 samples) "
+        "after 0.99 s",
+    ),
+    "four samples missing and two lost": (
+        lambda table: without(range(100, 104))(with_values([104, 105], "gz", "inf")(table)),
+        ": row 100 (line 101), column 'gz': expected a finite number, found inf and more than 5 lost samples",
+    ),
+    "row too short": (with_row(17, ["0.17", "1"]), ": row 17 (line 18): expected 8 values, one per column, found 2"),
+    "row short by one": (lambda table: with_row(17, table[17][:-1])(table), "row 17 (line 18): expected 8 values"),
+    "row too long": (
+        lambda table: with_row(17, [*table[17], "1"])(table),
+        ": row 17 (line 18): expected 8 values, one per column, found 9",
+    ),
+    "first row too long": (
+        lambda table: with_row(1, [*table[1], "1"])(table),
+        ": row 1 (line 2): expected 8 values, one per column, found 9",
+    ),
+    "blank line": (with_row(17, [""]), ": row 17 (line 18): expected 8 values, one per column, found a blank line"),
+}
+
+
+@pytest.mark.parametrize("name", CSV_FAULTS)
+def test_fault_of_a_csv_log_is_named_with_its_place(name: str, tmp_path: Path) -> None:
+    change, said = CSV_FAULTS[name]
+    message = refusal(lambda: whole(csv_log(tmp_path, change(lines()))))
+    assert message.startswith(f"{tmp_path / 'log.csv'}:")
+    assert said in message
+
+
+@pytest.mark.parametrize("name", CSV_FAULTS)
+def test_fault_is_the_same_however_the_file_is_cut(name: str, tmp_path: Path) -> None:
+    change, said = CSV_FAULTS[name]
+    table = change(lines())
+    for size in (60, 700):
+        with mock.patch.multiple(log_module, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+            assert said in refusal(lambda: whole(csv_log(tmp_path, table)))
+
+
+def test_faultless_base_reads_without_a_gap(tmp_path: Path) -> None:
+    log = csv_log(tmp_path, lines())
+    assert len(whole(log)["time"]) == ROWS
+    assert log.gaps == ()
+
+
+PARQUET_FAULTS: dict[str, tuple[Callable[[pl.DataFrame], pl.DataFrame], str]] = {
+    "missing column": (
+        lambda frame: frame.rename({"gx": "g_x"}),
+        ": expected a column 'gx', found t, ax, ay, az, g_x, gy, gz, T; did you mean 'g_x'?",
+    ),
+    "strings": (
+        lambda frame: frame.with_columns(pl.col("ay").cast(pl.String)),
+        ": column 'ay': expected numbers, found the type String",
+    ),
+    "booleans": (lambda frame: frame.with_columns(gz=pl.col("gz") > 0), "column 'gz': expected numbers, found the"),
+    "dates": (
+        lambda frame: frame.with_columns(t=pl.col("t").cast(pl.Int64).cast(pl.Datetime)),
+        "column 't': expected numbers, found the type Datetime",
+    ),
+    "null": (
+        lambda frame: frame.with_columns(az=pl.when(pl.arange(ROWS) == 16).then(None).otherwise(pl.col("az"))),
+        ": row 17, column 'az': expected a number, found an empty value",
+    ),
+    "null time": (
+        lambda frame: frame.with_columns(t=pl.when(pl.arange(ROWS) == 16).then(None).otherwise(pl.col("t"))),
+        ": row 17, column 't': expected a number, found an empty value",
+    ),
+    "nan in six rows": (
+        lambda frame: frame.with_columns(
+            ax=pl.when(pl.arange(ROWS).is_between(100, 105)).then(math.nan).otherwise(pl.col("ax"))
+        ),
+        ": row 101, column 'ax': expected a finite number, found nan and more than 5 lost samples",
+    ),
+    "no rows": (lambda frame: frame.head(0), ": expected a log, found no rows"),
+    "49 rows": (lambda frame: frame.head(49), ": expected at least 50 samples, found 49"),
+    "time backwards": (
+        lambda frame: frame.with_columns(t=-pl.col("t")),
+        ": row 2, column 't': expected a time after -0.01 s, found -0.02 s running backwards",
+    ),
+    "missing samples": (
+        lambda frame: pl.concat([frame.head(99), frame.tail(100)]),
+        ": row 100, column 't': expected the next sample after 0.01 s, found a gap of 1.02 s (101 samples)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PARQUET_FAULTS)
+def test_fault_of_a_parquet_log_is_named_with_its_place(name: str, tmp_path: Path) -> None:
+    change, said = PARQUET_FAULTS[name]
+    message = refusal(lambda: whole(parquet_log(tmp_path, change(numbers(lines())))))
+    assert message.startswith(f"{tmp_path / 'log.parquet'}:")
+    assert said in message
+
+
+def truncated(data: bytes) -> bytes:
+    return data[: len(data) * 2 // 3]
+
+
+def overwritten(data: bytes) -> bytes:
+    middle = len(data) // 2
+    return data[:middle] + bytes(200) + data[middle + 200 :]
+
+
+DAMAGED: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "gz cut off": ("log.csv.gz", lambda: truncated(gzip.compress(text(lines()).encode()))),
+    "gz overwritten": ("log.csv.gz", lambda: overwritten(gzip.compress(text(lines()).encode()))),
+    "gz by name only": ("log.csv.gz", lambda: text(lines()).encode()),
+    "zst cut off": ("log.csv.zst", lambda: truncated(zstd.compress(text(lines()).encode()))),
+    "zst overwritten": ("log.csv.zst", lambda: overwritten(zstd.compress(text(lines()).encode()))),
+    "zst by name only": ("log.csv.zst", lambda: text(lines()).encode()),
+    "parquet by name only": ("log.parquet", lambda: text(lines()).encode()),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_file_is_told(name: str, tmp_path: Path) -> None:
+    file, data = DAMAGED[name]
+    (tmp_path / file).write_bytes(data())
+    message = refusal(lambda: whole(opened(tmp_path, file)))
+    ending = file.removeprefix("log")
+    assert message.startswith(f"{tmp_path / file}: expected a readable {ending} file, found it damaged")
+
+
+@pytest.mark.parametrize("part", [0.01, 0.5, 0.9, 0.999])
+def test_parquet_file_that_is_cut_off_is_told(part: float, tmp_path: Path) -> None:
+    log = parquet_log(tmp_path, numbers(lines()))
+    path = tmp_path / "log.parquet"
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * part)])
+    said = "expected a readable .parquet file, found it damaged"
+    assert said in refusal(lambda: whole(log))
+    assert said in refusal(lambda: open_log(log.session))
+
+
+@pytest.mark.parametrize("file", ["log.csv", "log.csv.gz", "log.csv.zst", "log.parquet"])
+def test_empty_file_is_told(file: str, tmp_path: Path) -> None:
+    (tmp_path / file).touch()
+    assert "expected a log, found an empty file" in refusal(lambda: opened(tmp_path, file))
+
+
+@pytest.mark.parametrize("file", ["log.txt", "log", "log.gz", "log.parquet.gz", "csv"])
+def test_other_format_is_told_with_those_that_are_read(file: str, tmp_path: Path) -> None:
+    (tmp_path / file).write_text(text(lines()))
+    message = refusal(lambda: opened(tmp_path, file))
+    assert f"{file}: expected a file that ends in .csv, .csv.gz, .csv.zst, .parquet" in message
+
+
+def test_file_without_lines_is_refused_before_it_is_in_memory(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_bytes(",".join(NAMES).encode() + b"\n" + b"1" * 3_000_000)
+    assert "expected lines of numbers, found one of more than" in refusal(lambda: opened(tmp_path))
+
+
+def test_quotation_mark_that_does_not_end_is_told(tmp_path: Path) -> None:
+    table = with_value(17, "ax", '"9.8')(lines())
+    assert "log.csv: row 17" in refusal(lambda: whole(csv_log(tmp_path, table)))
+
+
+def test_files_of_different_rates_are_told(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text(lines()))
+    other = [NAMES, *(line for line in lines()[1::2])]
+    (tmp_path / "b.csv").write_text(text(other))
+    message = refusal(lambda: opened(tmp_path, ["a.csv", "b.csv"]))
+    assert "b.csv: expected the sample rate of a.csv, 100 Hz, found 50 Hz" in message
+
+
+def test_chunks_have_at_least_a_row(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="rows: expected at least 1, found 0"):
+        next(csv_log(tmp_path, lines()).chunks(0))
+
+
+# -------------------- times and rates --------------------
+
+
+def test_interval_is_the_difference_of_time_stamps(tmp_path: Path) -> None:
+    table = with_value(150, "t", "1.496")(lines())
+    log = csv_log(tmp_path, table)
+    samples = whole(log)
+    time = np.array([float(line[0]) for line in table[1:]])
+    assert samples["time"].tobytes() == time.tobytes()
+    assert samples["dt"][1:].tobytes() == np.diff(time).tobytes()
+    assert samples["dt"][0] == np.median(np.diff(time))
+    assert log.rate == pytest.approx(100.0, rel=1e-12)
+
+
+def test_rate_is_that_of_the_first_thousand_rows(tmp_path: Path) -> None:
+    time = np.cumsum(np.where(np.arange(5000) < 1000, 0.01, 0.012))
+    frame = pl.DataFrame({"t": time, **{name: np.zeros(5000) for name in NAMES[1:]}})
+    log = parquet_log(tmp_path, frame)
+    assert log.rate == pytest.approx(100.0, rel=1e-9)
+    assert len(whole(log)["time"]) == 5000
+
+
+def test_log_without_time_column_has_the_nominal_rate(tmp_path: Path) -> None:
+    log = csv_log(tmp_path, lines(), time=None, rate_hz=128.0)
+    samples = whole(log, 7)
+    assert log.rate == 128.0
+    assert samples["time"].tolist() == [k / 128.0 for k in range(1, ROWS + 1)]
+    assert set(samples["dt"]) == {1 / 128.0}
+
+
+@pytest.mark.parametrize(("unit", "in_second"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_time_unit_becomes_seconds(unit: str, in_second: float, tmp_path: Path) -> None:
+    frame = numbers(lines()).with_columns(t=(pl.arange(1, ROWS + 1) * int(in_second * INTERVAL)))
+    assert frame["t"].dtype.is_integer()
+    samples = whole(parquet_log(tmp_path, frame, time_unit=unit))
+    np.testing.assert_allclose(samples["time"], INTERVAL * np.arange(1, ROWS + 1), rtol=1e-14)
+    np.testing.assert_allclose(samples["dt"], INTERVAL, rtol=1e-11)
+
+
+def test_files_are_read_each_by_itself(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text(lines()))
+    (tmp_path / "b.csv").write_text(text(lines(250)))
+    log = opened(tmp_path, ["a.csv", "b.csv"])
+    chunks = list(log.chunks(100))
+    files = [chunk.file for chunk in chunks]
+    assert files == sorted(files)
+    assert [sum(len(c.time) for c in chunks if c.file == file) for file in (0, 1)] == [ROWS, 250]
+    again = chunks[files.index(1)]
+    assert again.time[0] == chunks[0].time[0]
+    assert again.dt[0] == pytest.approx(INTERVAL)
+
+
+def test_digest_is_that_of_all_bytes_in_order(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text(lines()))
+    (tmp_path / "b.csv").write_text(text(lines(250)))
+    both = (tmp_path / "a.csv").read_bytes() + (tmp_path / "b.csv").read_bytes()
+    assert opened(tmp_path, ["a.csv", "b.csv"]).sha256() == hashlib.sha256(both).hexdigest()
+
+
+# -------------------- numbers --------------------
+
+
+def test_every_format_gives_the_same_to_the_bit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    frame = numbers(lines()).with_columns(pl.Series(n, rng.normal(size=ROWS)) for n in NAMES[1:])
+    plain = frame.write_csv().encode()
+    (tmp_path / "log.csv").write_bytes(plain)
+    (tmp_path / "log.csv.gz").write_bytes(gzip.compress(plain))
+    (tmp_path / "log.csv.zst").write_bytes(zstd.compress(plain))
+    frame.write_parquet(tmp_path / "log.parquet")
+    expected = whole(opened(tmp_path))
+    for j, name in enumerate(("ax", "ay", "az")):
+        assert np.array_equal(expected["accel"][:, j], frame[name].to_numpy())
+    for file in ("log.csv.gz", "log.csv.zst", "log.parquet"):
+        assert equal_to_the_bit(whole(opened(tmp_path, file)), expected), file
+
+
+def test_compressed_file_of_several_members_is_read_to_its_end(tmp_path: Path) -> None:
+    plain = text(lines()).encode()
+    for file, compress in (("log.csv.gz", gzip.compress), ("log.csv.zst", zstd.compress)):
+        (tmp_path / file).write_bytes(compress(plain[:5000]) + compress(plain[5000:]))
+        assert len(whole(opened(tmp_path, file))["time"]) == ROWS
+
+
+PLAIN_NUMBERS = st.floats(-1e300, 1e300).flatmap(
+    lambda x: st.sampled_from([repr(x), f"{x:.17e}", f"{x:.5g}", f"{x:+.3f}"])
+)
+LONG_NUMBERS = st.from_regex(r"[+-]?[0-9]{1,25}\.?[0-9]{0,25}([eE][+-]?[0-9]{1,2})?", fullmatch=True)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.one_of(PLAIN_NUMBERS, LONG_NUMBERS), min_size=20, max_size=60))
+def test_numbers_are_those_of_python(tmp_path_factory: pytest.TempPathFactory, values: list[str]) -> None:
+    table = lines()
+    for row, value in enumerate(values, 100):
+        table[row][1] = value
+    accel = whole(csv_log(tmp_path_factory.mktemp("s"), table))["accel"][:, 0]
+    expected = np.array([float(line[1]) for line in table[1:]])
+    assert np.isfinite(expected).all()
+    assert accel.tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize("value", [" 1.5", "1.5 ", "\t1.5", '"1.5"', "1_5", "+1.5", ".5", "5.", "1E3", "-0"])
+def test_number_that_python_reads_is_read(value: str, tmp_path: Path) -> None:
+    samples = whole(csv_log(tmp_path, with_value(17, "ax", value)(lines())))
+    expected = np.float64(float(value.strip('"')))
+    assert samples["accel"][16, 0].tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize("value", ["0x10", "1d5", "1;5", "1f", "None", "true", "1e", "--1", "1 2", "٫5"])
+def test_what_python_does_not_read_is_refused(value: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="could not convert"):
+        float(value)
+    message = refusal(lambda: whole(csv_log(tmp_path, with_value(17, "ax", value)(lines()))))
+    assert f"row 17 (line 18), column 'ax': expected a number, found {value!r}" in message
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda plain: plain.replace("\n", "\r\n"),
+        lambda plain: plain.removesuffix("\n"),
+        lambda plain: plain + "\n\n  \n",
+        lambda plain: plain.replace("\n", "\r\n") + "\r\n\r\n",
+        lambda plain: "\ufeff" + plain,
+        lambda plain: plain.replace(",", ", "),
+        lambda plain: plain.replace(",", " ,"),
+        lambda plain: plain.replace("t,ax", '"t","ax"'),
+    ],
+    ids=["CRLF", "no last newline", "blank end", "CRLF blank end", "BOM", "blank after", "blank before", "quotes"],
+)
+def test_other_ways_to_write_a_csv_file_are_the_same(change: Callable[[str], str], tmp_path: Path) -> None:
+    plain = text(lines())
+    expected = whole(csv_log(tmp_path, lines()))
+    for size in (50, 1 << 24):
+        (tmp_path / "log.csv").write_bytes(change(plain).encode())
+        with mock.patch.multiple(log_module, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+            assert equal_to_the_bit(whole(opened(tmp_path)), expected)
+
+
+@pytest.mark.parametrize("extra", ["", "note", '"a, b"', "naïve"])
+def test_columns_that_are_not_named_do_not_matter(extra: str, tmp_path: Path) -> None:
+    expected = whole(csv_log(tmp_path, lines()))
+    table = [[("" if row else "note"), *line, (extra if row else "")] for row, line in enumerate(lines())]
+    assert equal_to_the_bit(whole(csv_log(tmp_path, table)), expected)
+    short = [*table[:17], table[17][:-1], *table[18:]]
+    message = refusal(lambda: whole(csv_log(tmp_path, short)))
+    assert "row 17 (line 18): expected 10 values, one per column, found 9" in message
+
+
+def test_integer_and_single_precision_columns_are_exact(tmp_path: Path) -> None:
+    frame = numbers(lines()).with_columns(
+        ax=pl.arange(ROWS).cast(pl.Int16), ay=pl.arange(ROWS).cast(pl.UInt32), gz=pl.col("gz").cast(pl.Float32)
+    )
+    samples = whole(parquet_log(tmp_path, frame))
+    assert np.array_equal(samples["accel"][:, 0], np.arange(ROWS))
+    assert np.array_equal(samples["accel"][:, 1], np.arange(ROWS))
+    assert samples["gyro"][:, 2].tobytes() == frame["gz"].to_numpy().astype(float).tobytes()
+
+
+def test_units_of_a_log_become_si(tmp_path: Path) -> None:
+    raw = csv_log(
+        tmp_path,
+        lines(),
+        accel={"columns": ["ax", "ay", "az"], "unit": "count", "scale": [2.0, -4.0, 8.0], "offset": 1.0},
+        gyro={"columns": ["gx", "gy", "gz"], "unit": "deg"},
+    )
+    samples = whole(raw)
+    row = [float(value) for value in lines()[200]]
+    expected = [(row[1] - 1) / 2, -(row[2] - 1) / 4, (row[3] - 1) / 8]
+    np.testing.assert_allclose(samples["accel"][199], expected, rtol=1e-15)
+    rate = np.array(row[4:7]) / 0.01 * math.pi / 180
+    np.testing.assert_allclose(samples["gyro"][199], rate, rtol=1e-12)
+    assert samples["temperature"][199] == row[7] + 273.15
+
+
+def test_arrays_are_contiguous_by_sample(tmp_path: Path) -> None:
+    chunk = next(parquet_log(tmp_path, numbers(lines())).chunks(100))
+    assert chunk.gyro is not None
+    assert chunk.accel.shape == chunk.gyro.shape == (100, 3)
+    assert chunk.accel.flags.c_contiguous
+    assert chunk.gyro.flags.c_contiguous
+
+
+def test_log_without_gyros_and_temperature_has_none(tmp_path: Path) -> None:
+    chunk = next(csv_log(tmp_path, lines(), gyro=None, temperature=None).chunks())
+    assert chunk.gyro is None
+    assert chunk.temperature is None
+
+
+# -------------------- lost samples --------------------
+
+
+def check_ramp(samples: dict[str, Array], rows: int = ROWS) -> None:
+    """Every sample is where the linear log has it: lost ones are back."""
+    k = np.arange(1, rows + 1)
+    np.testing.assert_allclose(samples["time"], k * INTERVAL, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(samples["dt"], INTERVAL, rtol=0, atol=1e-12)
+    for j, name in enumerate(("ax", "ay", "az")):
+        np.testing.assert_allclose(samples["accel"][:, j], RAMP[name][0] + RAMP[name][1] * k, rtol=0, atol=1e-6)
+    for j, name in enumerate(("gx", "gy", "gz")):
+        np.testing.assert_allclose(samples["gyro"][:, j], RAMP[name][0] + RAMP[name][1] * k, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(samples["temperature"], 298.15 + 0.01 * k, rtol=0, atol=1e-6)
+
+
+def test_not_finite_numbers_are_bridged_and_reported(tmp_path: Path) -> None:
+    table = with_values(range(101, 106), "gx", "nan")(lines())
+    table = with_value(103, "T", "-inf")(table)
+    log = csv_log(tmp_path, table)
+    check_ramp(whole(log))
+    what = "nan in 'gx' and -inf in 'T'"
+    assert log.gaps == (Gap(file=0, row=101, time=1.01, samples=5, what=what),)
+
+
+def test_missing_samples_are_put_in_and_reported(tmp_path: Path) -> None:
+    log = csv_log(tmp_path, without([50, 100, 101, 102, 103, 104])(lines()))
+    check_ramp(whole(log))
+    first, second = log.gaps
+    assert (first.row, first.samples, first.what) == (50, 1, "missing samples")
+    assert (second.row, second.samples, second.what) == (99, 5, "missing samples")
+    assert first.time == pytest.approx(0.50, abs=1e-12)
+    assert second.time == pytest.approx(1.00, abs=1e-12)
+
+
+def test_missing_and_not_finite_samples_in_a_row_are_one_gap(tmp_path: Path) -> None:
+    table = without([99, 101, 103])(with_values([100, 102], "az", "inf")(lines()))
+    log = csv_log(tmp_path, table)
+    check_ramp(whole(log))
+    (gap,) = log.gaps
+    assert (gap.row, gap.samples, gap.what) == (99, 5, "inf in 'az' and missing samples")
+
+
+def test_sound_numbers_beside_a_lost_one_are_kept(tmp_path: Path) -> None:
+    table = with_value(102, "ax", "7.25")(with_values([101, 102, 103], "gy", "nan")(lines()))
+    samples = whole(csv_log(tmp_path, table))
+    assert samples["accel"][101, 0] == 7.25
+
+
+def test_interpolation_is_linear_in_time(tmp_path: Path) -> None:
+    table = with_value(100, "t", "1.003")(with_value(100, "ax", "nan")(lines()))
+    table = with_value(99, "ax", "1.0")(with_value(101, "ax", "3.0")(table))
+    value = whole(csv_log(tmp_path, table))["accel"][99, 0]
+    assert value == pytest.approx(1.0 + 2.0 * (1.003 - 0.99) / 0.02, rel=1e-12)
+
+
+def test_as_many_gaps_as_a_thousandth_of_the_rows_and_three_are_bridged(tmp_path: Path) -> None:
+    lost = list(range(100, 2000, 317))[:5]
+    table = with_values(lost, "gz", "nan")(lines(2000))
+    log = csv_log(tmp_path, table)
+    check_ramp(whole(log), 2000)
+    assert [gap.row for gap in log.gaps] == lost
+    table = with_value(1999, "gz", "nan")(table)
+    assert "expected at most 5 gaps in 2000 rows" in refusal(lambda: whole(csv_log(tmp_path, table)))
+
+
+def test_gaps_in_memory_are_bounded(tmp_path: Path) -> None:
+    frame = pl.DataFrame({"t": np.arange(30_000) / 100, **{name: np.ones(30_000) for name in NAMES[1:]}})
+    frame = frame.with_columns(ax=pl.when(pl.arange(30_000) % 2 == 1).then(math.nan).otherwise(1.0))
+    log = parquet_log(tmp_path, frame)
+    with mock.patch.object(log_module, "_PARQUET_ROWS", 1000), mock.patch.object(log_module, "_BRIDGED_MOST", 700):
+        assert "expected at most 700 gaps in a file" in refusal(lambda: whole(log))
+    assert len(log.gaps) < 1700
+
+
+def test_gaps_are_those_of_the_latest_reading(tmp_path: Path) -> None:
+    log = csv_log(tmp_path, with_values([50, 250], "ax", "nan")(lines()))
+    for _ in range(2):
+        whole(log)
+        assert [gap.row for gap in log.gaps] == [50, 250]
+
+
+def test_gaps_are_reported_for_every_file(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text(with_value(50, "ax", "nan")(lines())))
+    (tmp_path / "b.csv").write_text(text(with_values([20, 40, 60], "ax", "nan")(lines())))
+    log = opened(tmp_path, ["a.csv", "b.csv"])
+    whole(log)
+    assert [(gap.file, gap.row) for gap in log.gaps] == [(0, 50), (1, 20), (1, 40), (1, 60)]
+
+
+def test_gap_in_a_log_without_time_column_is_bridged(tmp_path: Path) -> None:
+    table = with_values([100, 101], "ax", "nan")(lines())
+    log = csv_log(tmp_path, table, time=None, rate_hz=100.0)
+    samples = whole(log)
+    check_ramp(samples)
+    assert set(samples["dt"]) == {0.01}
+    assert [gap.row for gap in log.gaps] == [100]
+
+
+def test_increments_of_a_bridged_gap_are_those_of_their_samples(tmp_path: Path) -> None:
+    table = without([100, 101])(lines())
+    samples = whole(csv_log(tmp_path, table, accel={"columns": ["ax", "ay", "az"], "unit": "m/s"}))
+    k = np.arange(1, ROWS + 1)
+    np.testing.assert_allclose(samples["accel"][:, 0], (9.8 + 0.003 * k) / INTERVAL, rtol=1e-6)
+
+
+# -------------------- the cut of the stream does not matter --------------------
+
+
+@pytest.fixture(scope="module")
+def gappy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Log, Log]:
+    """The same log as CSV and as Parquet, with three gaps of different kinds."""
+    folder = tmp_path_factory.mktemp("gappy")
+    table = with_values([50, 51, 203], "gx", "nan")(lines())
+    table = without([52, 53, 54, 130])(table)
+    csv = csv_log(folder, table)
+    return csv, parquet_log(folder, numbers(table))
+
+
+@pytest.fixture(scope="module")
+def gappy_whole(gappy: tuple[Log, Log]) -> tuple[dict[str, Array], tuple[Gap, ...]]:
+    samples = whole(gappy[0])
+    check_ramp(samples)
+    assert len(gappy[0].gaps) == 3
+    return samples, gappy[0].gaps
+
+
+@settings(max_examples=40, deadline=None)
+@given(rows=st.integers(1, 400), piece=st.integers(40, 30_000), batch=st.integers(1, 400), csv=st.booleans())
+def test_chunks_together_are_the_same_to_the_bit_for_any_size(
+    gappy: tuple[Log, Log],
+    gappy_whole: tuple[dict[str, Array], tuple[Gap, ...]],
+    rows: int,
+    piece: int,
+    batch: int,
+    csv: bool,
+) -> None:
+    log = gappy[0 if csv else 1]
+    cut: Any = {"_PIECE_BYTES": piece, "_FIRST_PIECE_BYTES": piece // 2 + 1, "_PARQUET_ROWS": batch}
+    with mock.patch.multiple(log_module, **cut):
+        chunks = list(log.chunks(rows))
+        samples = whole(log, rows)
+    assert max(len(chunk.time) for chunk in chunks) <= rows
+    assert equal_to_the_bit(samples, gappy_whole[0])
+    assert log.gaps == gappy_whole[1]
+
+
+def test_reading_can_be_given_up(gappy: tuple[Log, Log]) -> None:
+    for log in gappy:
+        chunk: Chunk = next(log.chunks(10))
+        assert len(chunk.time) == 10
+
+
+# -------------------- recordings --------------------
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "samples", "rate"),
+    [("xsens-mti", 51175, 100.0), ("truth-turntable", 56796, 50.0), ("truth-handheld", 25721, 100.0)],
+)
+def test_log_of_the_recordings_reads(data: Path, name: str, samples: int, rate: float) -> None:
+    log = open_log(read_session(data / name))
+    found = whole(log)
+    assert log.rate == pytest.approx(rate, rel=1e-9)
+    assert len(found["time"]) == samples
+    assert log.gaps == ()
+    assert np.median(np.linalg.norm(found["accel"], axis=1)) == pytest.approx(9.8, abs=1.0)
+
+
+@pytest.mark.data
+def test_recording_without_time_column_reads(data: Path, tmp_path: Path) -> None:
+    file = data / "imucal-ferraris" / "example_ferraris_session.csv"
+    (tmp_path / "log.csv").write_bytes(file.read_bytes())
+    log = opened(
+        tmp_path,
+        time=None,
+        rate_hz=102.4,
+        accel={"columns": ["acc_x", "acc_y", "acc_z"], "unit": "m/s^2"},
+        gyro={"columns": ["gyr_x", "gyr_y", "gyr_z"], "unit": "deg/s"},
+        temperature=None,
+    )
+    samples = whole(log)
+    assert len(samples["time"]) == 10376
+    assert samples["time"][-1] == 10376 / 102.4
+    # the first row of the file, its gyro columns first: -0.6103515625 deg/s, 10.332114257812501 m/s²
+    assert samples["gyro"][0, 0] == pytest.approx(-0.6103515625 * math.pi / 180, rel=1e-15)
+    assert samples["accel"][0, 0] == 10.332114257812501
+    # x_rot, rows 6770 to 7093: one turn of 360° about X, negative
+    turn = samples["gyro"][6770:7093] * samples["dt"][6770:7093, None]
+    assert abs(turn[:, 0].sum()) == pytest.approx(2 * math.pi, rel=0.1)
+
+
+@pytest.mark.data
+def test_recording_in_two_files_reads(data: Path, tmp_path: Path) -> None:
+    for name in ("x_up", "x_down"):
+        (tmp_path / f"{name}.csv").write_bytes((data / "ln100-updown" / f"ln100_{name}.csv").read_bytes())
+    log = opened(
+        tmp_path,
+        ["x_up.csv", "x_down.csv"],
+        accel={"columns": ["acc_x", "acc_y", "acc_z"], "unit": "m/s^2"},
+        gyro={"columns": ["gyr_x", "gyr_y", "gyr_z"], "unit": "deg/s"},
+        temperature=None,
+    )
+    chunks = list(log.chunks())
+    up, down = (np.concatenate([c.accel for c in chunks if c.file == file]).mean(axis=0) for file in (0, 1))
+    # as published with the data: half difference 9.80672 m/s², bias −43.6 µg
+    assert (up[0] - down[0]) / 2 == pytest.approx(9.80672, abs=1e-5)
+    assert (up[0] + down[0]) / 2 / 9.80665e-6 == pytest.approx(-43.6, abs=0.1)
+    up, down = (
+        np.concatenate([c.gyro for c in chunks if c.file == file and c.gyro is not None]).mean(axis=0)
+        for file in (0, 1)
+    )
+    assert (up[0] + down[0]) / 2 * 3600 * 180 / math.pi == pytest.approx(-0.254, abs=1e-3)
+    assert log.rate == pytest.approx(64.0, rel=2e-3)
+
+
+@pytest.mark.data
+def test_recording_of_increments_reads(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "log.parquet").write_bytes((data / "psins-systematic" / "log.parquet").read_bytes())
+    log = opened(
+        tmp_path,
+        "log.parquet",
+        accel={"columns": ["dv_x", "dv_y", "dv_z"], "unit": "m/s"},
+        gyro={"columns": ["dtheta_x", "dtheta_y", "dtheta_z"], "unit": "rad"},
+        temperature=None,
+    )
+    samples = whole(log)
+    frame = pl.read_parquet(tmp_path / "log.parquet")
+    velocity = (samples["accel"] * samples["dt"][:, None]).sum(axis=0)
+    expected = frame.select("dv_x", "dv_y", "dv_z").to_numpy().astype(float).sum(axis=0)
+    np.testing.assert_allclose(velocity, expected, rtol=1e-12)
+    # float32 time stamps, 6e-5 s apart at the end: a mean over a rest must be weighted with dt
+    last = samples["accel"][-2000:]
+    rest = np.average(last, axis=0, weights=samples["dt"][-2000:])
+    assert np.linalg.norm(rest) == pytest.approx(9.797, abs=3e-3)
+    assert log.gaps == ()
