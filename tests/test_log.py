@@ -324,6 +324,12 @@ def test_parquet_file_that_is_cut_off_is_told(part: float, tmp_path: Path) -> No
     assert said in refusal(lambda: open_log(log.session))
 
 
+def test_parquet_file_that_lost_rows_since_it_was_opened_is_told(tmp_path: Path) -> None:
+    log = parquet_log(tmp_path, numbers(lines()))
+    numbers(lines(250)).write_parquet(tmp_path / "log.parquet")
+    assert "log.parquet: expected 300 rows, found 250" in refusal(lambda: whole(log))
+
+
 @pytest.mark.parametrize("file", ["log.csv", "log.csv.gz", "log.csv.zst", "log.parquet"])
 def test_empty_file_is_told(file: str, tmp_path: Path) -> None:
     (tmp_path / file).touch()

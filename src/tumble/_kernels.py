@@ -314,10 +314,10 @@ def _squared_differences(a: Array, b: Array, c: Array) -> float:
 
 # Means of blocks and the state of channels --------------------------------------------------------------------
 
-CHANNEL_STATE = 14
+CHANNEL_STATE = 13
 """Per channel: 0 samples, 1 minimum, 2 maximum, 3 repeats, 4 last value, 5 length of the present row of equal
-values, 6 unused, 7 longest row, 8 its end (s), 9 its value, 10 longest row at the minimum, 11 its end, 12 longest
-row at the maximum, 13 its end."""
+values, 6 longest row, 7 its end (s), 8 its value; 9 longest row at the minimum, 10 its end; 11 longest row at the
+maximum, 12 its end."""
 
 
 def new_channel_state(sensors: int) -> Array:
@@ -334,34 +334,43 @@ def block_means(
     """Means of blocks of `size` samples of values (m, n), continued from call to call: `sums` (n,) and `filled`
     (1,) hold the block under way, `state` the channels (CHANNEL_STATE). Returns how many rows of `out` were
     written."""
-    blocks, count = 0, filled[0]
-    for i in range(values.shape[0]):
-        for c in range(values.shape[1]):
-            x = values[i, c]
-            sums[c] += x
-            row = state[c]
-            if x == row[4]:
-                row[3] += 1.0
-                row[5] += 1.0
-                if row[5] > row[7]:
-                    row[7], row[8], row[9] = row[5], time[i], x
-            else:
-                row[4], row[5] = x, 1.0
-            if x < row[1]:
-                row[1], row[10] = x, 0.0
-            if x > row[2]:
-                row[2], row[12] = x, 0.0
-            if x == row[1] and row[5] > row[10]:
-                row[10], row[11] = row[5], time[i]
-            if x == row[2] and row[5] > row[12]:
-                row[12], row[13] = row[5], time[i]
-        count += 1
-        if count == size:
-            for c in range(values.shape[1]):
-                out[blocks, c] = sums[c] / size
-                sums[c] = 0.0
-            blocks, count = blocks + 1, 0
+    blocks = 0
     for c in range(values.shape[1]):
+        blocks, count, total = 0, filled[0], sums[c]
+        last, row, repeats = state[c, 4], state[c, 5], 0
+        for i in range(values.shape[0]):
+            x = values[i, c]
+            total += x
+            if x == last:
+                row += 1.0
+                repeats += 1
+            else:
+                if row > 1.0:
+                    _end_row(state[c], last, row, time[max(i - 1, 0)])
+                last, row = x, 1.0
+                if x < state[c, 1]:
+                    state[c, 1], state[c, 9] = x, 0.0
+                if x > state[c, 2]:
+                    state[c, 2], state[c, 11] = x, 0.0
+            count += 1
+            if count == size:
+                out[blocks, c] = total / size
+                blocks, count, total = blocks + 1, 0, 0.0
+        if row > 1.0:
+            _end_row(state[c], last, row, time[-1])
         state[c, 0] += values.shape[0]
-    filled[0] = count
+        state[c, 3] += repeats
+        state[c, 4], state[c, 5], sums[c] = last, row, total
+    filled[0] = (filled[0] + values.shape[0]) % size
     return blocks
+
+
+@_compiled()
+def _end_row(channel: Array, value: float, length: float, stop: float) -> None:
+    """Take note of a row of equal values that ends, or goes on after this chunk."""
+    if length > channel[6]:
+        channel[6], channel[7], channel[8] = length, stop, value
+    if value == channel[1] and length > channel[9]:
+        channel[9], channel[10] = length, stop
+    if value == channel[2] and length > channel[11]:
+        channel[11], channel[12] = length, stop

@@ -11,7 +11,8 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -228,22 +229,39 @@ def calibrate(session: Session | Path, *, method: str = "staged", progress: Prog
     if method not in METHODS:
         raise InputError(f"method {method!r} is not known; expected one of {', '.join(METHODS)}")
     log = open_log(session)
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        digest = beside.submit(log.sha256)
+        found = _estimated(session, log, METHODS[method], progress)
+        provenance = _provenance(digest.result())
+    if isinstance(found, Outcome):
+        return _without_result(session, log, method, found, provenance)
+    return _result(session, log, *found, provenance)
+
+
+def _estimated(
+    session: Session, log: Log, method: Callable[[Observations], Estimate], progress: Progress
+) -> tuple[Estimate, Observations] | Outcome:
+    """The estimate and what it was made from, or why there is none."""
     reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
     faults = recording_faults(reduction, session)
     if faults:
-        return _without_result(session, log, method, Outcome(reasons=tuple(faults)))
+        return Outcome(reasons=tuple(faults))
     segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
-    everything = Match(rests=segmentation.rests, programme=None, position=None)
+    found = None
     if segmentation.rests:
+        everything = Match(rests=segmentation.rests, programme=None, position=None)
         found = observe(reduction, everything, session.accel_block, session.gyro_block, session.site)
         faults = sense_faults(found, session)
         if faults:
-            return _without_result(session, log, method, Outcome(reasons=tuple(faults)))
+            return Outcome(reasons=tuple(faults))
     match = match_rests(session, reduction, segmentation)
     if not match.rests:
-        return _without_result(session, log, method, no_rests(segmentation))
-    observations = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
-    return _result(session, log, METHODS[method](observations), observations)
+        return no_rests(segmentation)
+    if found is not None and match.rests == segmentation.rests:
+        observations = replace(found, programme=match.programme, position=match.position)
+    else:
+        observations = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    return method(observations), observations
 
 
 def inspect_session(session: Session, *, progress: Progress = Log.chunks) -> tuple[Segmentation, Observations | None]:
@@ -257,9 +275,9 @@ def inspect_session(session: Session, *, progress: Progress = Log.chunks) -> tup
     return segmentation, observe(reduction, match, session.accel_block, session.gyro_block, session.site)
 
 
-def _provenance(log: Log) -> dict[str, str]:
+def _provenance(log_sha256: str) -> dict[str, str]:
     return {
-        "log_sha256": log.sha256(),
+        "log_sha256": log_sha256,
         "software": f"tumble {__version__}",
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }
@@ -270,7 +288,9 @@ def _bridged(log: Log) -> tuple[str, ...]:
     return tuple(f"bridged: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what}" for g in log.gaps)
 
 
-def _without_result(session: Session, log: Log, method: str, outcome: Outcome) -> Calibration:
+def _without_result(
+    session: Session, log: Log, method: str, outcome: Outcome, provenance: Mapping[str, str]
+) -> Calibration:
     return Calibration(
         serial=session.device.serial,
         model=session.device.model,
@@ -282,11 +302,13 @@ def _without_result(session: Session, log: Log, method: str, outcome: Outcome) -
         gyro=None,
         outcome=outcome,
         notes=_bridged(log),
-        provenance=_provenance(log),
+        provenance=provenance,
     )
 
 
-def _result(session: Session, log: Log, estimate: Estimate, observations: Observations) -> Calibration:
+def _result(
+    session: Session, log: Log, estimate: Estimate, observations: Observations, provenance: Mapping[str, str]
+) -> Calibration:
     seen = np.flatnonzero(estimate.observable)
     parameters = tuple(
         Parameter(
@@ -323,5 +345,5 @@ def _result(session: Session, log: Log, estimate: Estimate, observations: Observ
         turn_sigmas=tuple(float(s) for s in estimate.turn_sigmas),
         fits=estimate.fits,
         notes=_bridged(log),
-        provenance=_provenance(log),
+        provenance=provenance,
     )

@@ -191,9 +191,7 @@ def _check_columns(source: _Source, spec: LogSpec) -> None:
             shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
             raise LogError(f"{source.path}: expected a column '{column}', found {shown}{hint}")
         if Counter(names)[column] > 1:
-            raise LogError(
-                f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one"
-            )
+            raise LogError(f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one")
 
 
 def _interval(source: _Source, spec: LogSpec) -> float:
@@ -214,9 +212,7 @@ def _check_time(source: _Source, spec: LogSpec, first: int, time: Array) -> None
     """Times (m,) from data row `first` on must be finite and increase."""
     if not np.isfinite(time).all():
         at = int(np.argmin(np.isfinite(time)))
-        raise LogError(
-            f"{source.place(first + at, spec.time)}: expected a time, found {time[at]}; remove the row"
-        )
+        raise LogError(f"{source.place(first + at, spec.time)}: expected a time, found {time[at]}; remove the row")
     steps = np.diff(time)
     if (steps <= 0.0).any():
         at = int(np.argmax(steps <= 0.0)) + 1
@@ -343,9 +339,7 @@ class _Bridge:
         lost = np.ones(len(time), dtype=bool)
         lost[place] = rows.lost()
         self._report(rows, place, lost, time)
-        return _Rows(
-            first=rows.first, time=time, values=tuple(_interpolated(v, place, time) for v in rows.values)
-        )
+        return _Rows(first=rows.first, time=time, values=tuple(_interpolated(v, place, time) for v in rows.values))
 
     def _missing(self, rows: _Rows, steps: Array) -> npt.NDArray[np.int64]:
         """How many samples are missing before rows 1, 2, …, by their steps in time."""
@@ -360,9 +354,7 @@ class _Bridge:
             )
         return missing.astype(np.int64)
 
-    def _report(
-        self, rows: _Rows, place: npt.NDArray[np.int64], lost: npt.NDArray[np.bool_], time: Array
-    ) -> None:
+    def _report(self, rows: _Rows, place: npt.NDArray[np.int64], lost: npt.NDArray[np.bool_], time: Array) -> None:
         """Add every run of lost samples to the gaps; row i of `rows` is sample place[i]."""
         edges = np.flatnonzero(np.diff(lost)) + 1
         for start, stop in edges.reshape(-1, 2).tolist():
@@ -389,9 +381,7 @@ class _Bridge:
         numbers = np.hstack(rows.values)
         bad = ~np.isfinite(numbers)
         columns = [column for column in self.spec.columns if column != self.spec.time]
-        return [
-            (columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))
-        ]
+        return [(columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
 
     def _check_begins_sound(self, rows: _Rows, lost: npt.NDArray[np.bool_]) -> None:
         if lost[0]:
@@ -413,14 +403,10 @@ class _Bridge:
             raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
         length = float(self.last.time[0]) - self.start + self.interval
         if length < _SHORTEST_TIME * (1.0 - 1e-9):
-            raise LogError(
-                f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s"
-            )
+            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s")
         allowed = _BRIDGED_FREE + math.floor(_BRIDGED_SHARE * self.last.first)
         if self.bridged > allowed:
-            raise self._too_many(
-                f"{allowed}", f"{self.last.first} rows ({_BRIDGED_SHARE:.1%} and {_BRIDGED_FREE})"
-            )
+            raise self._too_many(f"{allowed}", f"{self.last.first} rows ({_BRIDGED_SHARE:.1%} and {_BRIDGED_FREE})")
 
     def _too_long(self, rows: _Rows) -> LogError:
         column, value = self._not_finite(rows)[0]
@@ -489,9 +475,7 @@ def _readable(path: Path) -> Iterator[None]:
 def _source(path: Path) -> _Source:
     ending = _ending(path)
     if ending not in _READERS:
-        raise LogError(
-            f"{path}: expected a file that ends in {', '.join(_READERS)}, found another; convert it"
-        )
+        raise LogError(f"{path}: expected a file that ends in {', '.join(_READERS)}, found another; convert it")
     with _readable(path):
         if path.stat().st_size == 0:
             raise LogError(f"{path}: expected a log, found an empty file")
@@ -510,6 +494,7 @@ class _Parquet:
     path: Path
     names: tuple[str, ...]
     types: Mapping[str, pl.DataType]
+    rows: int
 
     def head(self, column: str, rows: int) -> Array:
         with _readable(self.path):
@@ -524,6 +509,8 @@ class _Parquet:
                 self._check_no_nulls(table, first)
                 first += table.height
                 yield table
+        if first - 1 != self.rows:
+            raise LogError(f"{self.path}: expected {self.rows} rows, found {first - 1}; copy or record it again")
 
     def _scan(self, columns: Sequence[str]) -> pl.LazyFrame:
         for column in columns:
@@ -537,17 +524,17 @@ class _Parquet:
     def _check_no_nulls(self, table: pl.DataFrame, first: int) -> None:
         for column in table:
             if column.null_count():
-                raise _empty_value(
-                    self.place(first + int(np.argmax(column.is_null().to_numpy())), column.name)
-                )
+                raise _empty_value(self.place(first + int(np.argmax(column.is_null().to_numpy())), column.name))
 
     def place(self, row: int, column: str | None = None) -> str:
         return f"{self.path}: row {row}" + _in_column(column)
 
 
 def _open_parquet(path: Path) -> _Parquet:
-    types = dict(pl.scan_parquet(path, glob=False).collect_schema())
-    return _Parquet(path=path, names=tuple(types), types=types)
+    scan = pl.scan_parquet(path, glob=False)
+    types = dict(scan.collect_schema())
+    rows = scan.select(pl.len()).collect().item()
+    return _Parquet(path=path, names=tuple(types), types=types, rows=rows)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -567,7 +554,7 @@ class _Csv:
     def tables(self, columns: Sequence[str]) -> Iterator[pl.DataFrame]:
         first = 1
         with _readable(self.path), self.opened(self.path) as stream:
-            stream.readline()
+            stream.readline(_LINE_BYTES)
             for piece in self._pieces(stream):
                 table = self._table(piece, first, columns)
                 first += table.height
@@ -580,16 +567,12 @@ class _Csv:
         size = _FIRST_PIECE_BYTES
         while read := stream.read(size):
             text = rest + read
-            end = (
-                text.rstrip().rfind(b"\n") + 1
-            )  # the line after it may go on, or be the last before blank ones
+            end = text.rstrip().rfind(b"\n") + 1  # the line after it may go on, or be the last before blank ones
             if end:
                 yield text[:end]
             rest = text[end:]
             if len(rest) > _LINE_BYTES:
-                raise LogError(
-                    f"{self.path}: expected lines of numbers, found one of more than {_LINE_BYTES} bytes"
-                )
+                raise LogError(f"{self.path}: expected lines of numbers, found one of more than {_LINE_BYTES} bytes")
             size = _PIECE_BYTES
         if rest.strip():
             yield rest.rstrip()
@@ -644,8 +627,7 @@ class _Csv:
             if not text.strip():
                 raise _empty_value(self.place(row, column)) from None
             raise LogError(
-                f"{self.place(row, column)}: expected a number, found {text[:40]!r}; correct or remove the "
-                "row"
+                f"{self.place(row, column)}: expected a number, found {text[:40]!r}; correct or remove the row"
             ) from None
 
     def place(self, row: int, column: str | None = None) -> str:
@@ -673,8 +655,7 @@ _READERS: Mapping[str, Callable[[Path], _Source]] = {
 
 def _empty_value(place: str) -> LogError:
     return LogError(
-        f"{place}: expected a number, found an empty value; correct or remove the row, or write nan for a "
-        "lost sample"
+        f"{place}: expected a number, found an empty value; correct or remove the row, or write nan for a lost sample"
     )
 
 

@@ -26,7 +26,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 from scipy.special import ndtr
 from scipy.stats import chi2
@@ -39,8 +38,8 @@ SIZES_PER_OCTAVE = 4
 MIN_SAMPLES = 32
 MIN_CLUSTERS = 4
 """The longest τ is this part of the record."""
-MIN_DEGREES = 6.0
-"""Points with fewer degrees of freedom are shown but not fitted."""
+MIN_SIZE = 4
+"""Shorter clusters, in samples, are shown but not fitted: filters and the way samples are taken bend (1)."""
 SLOPE_ERROR = 0.03
 """How far real sensors follow (1), as a part of σ²: filters and vibration bend it at short τ, where the
 statistical error is far smaller."""
@@ -142,8 +141,9 @@ def _integral(column: Array) -> Array:
 
 
 def _exponents(tau: Array, deviation: Array) -> IntArray:
-    """Exponent α (2, 0, −1, −2) of the power law S ∝ f^α around each τ, from the slope −α − 1 of σ² over an octave
-    to either side (quantisation, slope −2, is α = 2)."""
+    """Exponent α (0, −1, −2: white noise, flicker, random walk) of the power law S ∝ f^α around each τ, from the
+    slope −α − 1 of σ² over an octave to either side. Steeper slopes at short τ (quantisation) count as white,
+    which understates their degrees of freedom where there are plenty."""
     if not deviation.all():
         return np.zeros(len(tau), dtype=np.int64)
     x, y = np.log2(tau), 2.0 * np.log2(deviation)
@@ -151,8 +151,7 @@ def _exponents(tau: Array, deviation: Array) -> IntArray:
     for i, centre in enumerate(x):
         near = np.abs(x - centre) < 1.01
         slope[i] = np.polyfit(x[near] - centre, y[near], 1)[0]
-    kinds = np.array([2, 0, -1, -2])
-    return kinds[np.searchsorted([-1.5, -0.5, 0.5], slope)]
+    return -np.searchsorted([-0.5, 0.5], slope)
 
 
 def _degrees(points: int, sizes: IntArray, exponents: IntArray) -> Array:
@@ -160,107 +159,124 @@ def _degrees(points: int, sizes: IntArray, exponents: IntArray) -> Array:
 
     Source: Riley, Handbook of Frequency Stability Analysis (NIST SP 1065), table 5."""
     n, m = float(points), sizes.astype(float)
-    white_phase = (n + 1.0) * (n - 2.0 * m) / (2.0 * (n - m))
     white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
     flicker = np.where(
         m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 5.0 * n**2 / (4.0 * m * (n + 3.0 * m))
     )
     walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / (n - 3.0) ** 2
-    return np.asarray(
-        np.select([exponents == 2, exponents == 0, exponents == -1], [white_phase, white, flicker], walk)
-    )
+    return np.asarray(np.select([exponents == 0, exponents == -1], [white, flicker], walk))
 
 
 def identify(adev: AllanDeviation) -> tuple[NoiseParameters, ...]:
-    """The noise terms of each channel: non-negative generalised least squares of (1), in which every term has to
-    prove itself significant. Uncertainties are enlarged by √(χ²/dof) where (1) does not fit."""
-    transfer = _Transfer.of(adev.tau)
+    """The noise terms of each channel: non-negative weighted least squares of (1), in which every term has to
+    prove itself significant. Uncertainties come from the full covariance of the estimates of σ², and are
+    enlarged where (1) does not fit."""
+    used = adev.tau > (MIN_SIZE - 0.5) * adev.tau[0]
+    transfer = _Transfer.of(adev.tau[0], adev.tau[used])
     return tuple(
-        _identify(adev.tau, variance, degrees, transfer)
-        for variance, degrees in zip(adev.deviation.T**2, adev.degrees.T, strict=True)
+        _identify(_Fit(variance=variance, degrees=degrees, transfer=transfer))
+        for variance, degrees in zip(adev.deviation[used].T ** 2, adev.degrees[used].T, strict=True)
     )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Transfer:
-    """Transfer functions W (k, f) of the Allan variance at k averaging times, with the spectra (f, 5) of the
-    terms of (1) at unit coefficients and the widths (f,) of the frequency bins, Hz."""
+    """Transfer functions W (k, f) of the Allan variance at averaging times tau (k,), with the spectra (f, 5) of
+    the terms of (1) at unit coefficients and the widths (f,) of the frequency bins, Hz."""
 
+    tau: Array
     W: Array
     spectra: Array
     widths: Array
 
     @classmethod
-    def of(cls, tau: Array) -> _Transfer:
-        """For averaging times that are multiples of the first one, the interval of the samples."""
-        step = tau[0]
-        lowest, highest = 0.01 / tau[-1], 0.5 / step
+    def of(cls, interval: float, tau: Array) -> _Transfer:
+        """For averaging times `tau` that are multiples of the interval of the samples."""
+        lowest, highest = 0.01 / tau[-1], 0.5 / interval
         edges = np.geomspace(lowest, highest, int(128 * np.log2(highest / lowest)))
         f = np.sqrt(edges[1:] * edges[:-1])
-        W = np.sin(np.pi * np.outer(tau, f)) ** 4 / np.outer(tau / step, np.sin(np.pi * f * step)) ** 2
+        sine = np.sin(np.pi * f * interval)
+        W = np.sin(np.pi * np.outer(tau, f)) ** 4 / np.outer(tau / interval, sine) ** 2
         omega = 2.0 * np.pi * f
-        quantisation = 4.0 * np.sin(np.pi * f * step) ** 2 / step
-        spectra = np.column_stack(
-            [quantisation, np.ones_like(f), 1.0 / omega, 1.0 / omega**2, np.zeros_like(f)]
-        )
-        return cls(W=W, spectra=spectra, widths=np.diff(edges))
+        spectra = [4.0 * sine**2 / interval, np.ones_like(f), 1.0 / omega, 1.0 / omega**2, np.zeros_like(f)]
+        return cls(tau=tau, W=W, spectra=np.column_stack(spectra), widths=np.diff(edges))
 
-    def correlation(self, coefficients: Array) -> Array:
-        """Correlation matrix (k, k) of the estimates of σ² for the coefficients (5,) of (1)."""
-        power = (self.spectra @ coefficients) ** 2 * self.widths
+    def correlation(self, squares: Array) -> Array:
+        """Correlation matrix (k, k) of the estimates of σ² for the squares (5,) of the coefficients."""
+        power = (self.spectra @ squares) ** 2 * self.widths
         covariance = (self.W * power) @ self.W.T
         scale = np.sqrt(np.diag(covariance))
-        if not scale.all():
-            return np.eye(len(scale))
-        return np.asarray(covariance / np.outer(scale, scale))
+        return np.asarray(covariance / np.outer(scale, scale)) if scale.all() else np.eye(len(scale))
 
 
-def _identify(tau: Array, variance: Array, degrees: Array, transfer: _Transfer) -> NoiseParameters:
-    """The terms of one channel, the least significant left out one by one."""
-    fitted = (degrees >= MIN_DEGREES) & (variance > 0.0)
-    active = list(range(len(_TERMS)))
-    while active and fitted.sum() > len(active):
-        squares, u = _fit(tau, variance, degrees, transfer, fitted, active)
-        significance = squares / u
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Fit:
+    """Estimates of σ² of one channel and their degrees of freedom (k,), to be fitted by (1)."""
+
+    variance: Array
+    degrees: Array
+    transfer: _Transfer
+
+    def squares(self, active: Sequence[int]) -> Array:
+        """Squares (5,) of the coefficients, zero where not active: non-negative least squares, weighted by the
+        fitted σ² and not by the data, where an estimate that is low by chance would gain weight by it."""
+        columns = _slopes(self.transfer.tau)[:, active]
+        model, out = self.variance, np.zeros(len(_TERMS))
+        for _ in range(8):
+            weight = 1.0 / (self._relative() * model)
+            design = columns * weight[:, None]
+            size = np.linalg.norm(design, axis=0)
+            scaled, _ = nnls(design / size, self.variance * weight)
+            out[active] = scaled / size
+            model = np.maximum(columns @ out[active], 1e-300)
+        return out
+
+    def about(self, squares: Array, active: Sequence[int]) -> tuple[Array, Array, float]:
+        """Least squares with weights and covariance as the noise `squares` (5,) would have them: estimates of the
+        active squares, their standard uncertainties, and χ² over what it should be."""
+        model = _slopes(self.transfer.tau) @ squares
+        weight = 1.0 / (self._relative() * model)
+        design = _slopes(self.transfer.tau)[:, active] * weight[:, None]
+        size = np.linalg.norm(design, axis=0)
+        solver = np.linalg.pinv(design / size)
+        statistical = np.sqrt(2.0 / self.degrees) / self._relative()
+        covariance = self.transfer.correlation(squares) * np.outer(statistical, statistical)
+        covariance += np.diag((SLOPE_ERROR / self._relative()) ** 2)
+        residual_of = np.eye(len(model)) - design / size @ solver
+        misfit = np.sum((residual_of @ (self.variance * weight)) ** 2) / np.trace(residual_of @ covariance)
+        u = np.sqrt(np.diag(solver @ covariance @ solver.T))
+        return solver @ (self.variance * weight) / size, u / size, float(misfit)
+
+    def _relative(self) -> Array:
+        """Relative standard uncertainty (k,) of the estimates of σ²."""
+        return np.asarray(np.sqrt(2.0 / self.degrees + SLOPE_ERROR**2))
+
+
+def _identify(fit: _Fit) -> NoiseParameters:
+    """The terms of one channel: the least significant are left out one by one. A term is tested on the noise that
+    the others make of the record without it: few degrees of freedom say little of how large it is, but may well
+    say that it is there."""
+    active = list(range(len(_TERMS))) if fit.variance.all() else []
+    while len(active) > 1:
+        significance = [_significance(fit, active, j) for j in active]
         weakest = int(np.argmin(significance))
         if significance[weakest] >= SIGNIFICANCE:
-            found = {
-                _TERMS[j]: Coefficient(value=float(np.sqrt(s)), u=float(0.5 * w / np.sqrt(s)))
-                for j, s, w in zip(active, squares, u, strict=True)
-            }
-            return NoiseParameters(**{name: found.get(name) for name in _TERMS})
+            break
         del active[weakest]
-    return NoiseParameters(**dict.fromkeys(_TERMS))
+    if not active:
+        return NoiseParameters(**dict.fromkeys(_TERMS))
+    squares = fit.squares(active)
+    _, u, misfit = fit.about(squares, active)
+    found = {
+        _TERMS[j]: Coefficient(value=float(value), u=float(0.5 * w / value) * max(1.0, misfit**0.5))
+        for j, value, w in zip(active, np.sqrt(squares[active]), u, strict=True)
+    }
+    return NoiseParameters(**{name: found.get(name) for name in _TERMS})
 
 
-def _fit(
-    tau: Array,
-    variance: Array,
-    degrees: Array,
-    transfer: _Transfer,
-    fitted: npt.NDArray[np.bool_],
-    active: Sequence[int],
-) -> tuple[Array, Array]:
-    """Squares of the active coefficients and their standard uncertainties. The weights follow the fitted (1), not
-    the data: an estimate that is low by chance gets no more weight for it."""
-    columns = _slopes(tau)[fitted][:, active]
-    observed, relative = variance[fitted], np.sqrt(2.0 / degrees[fitted] + SLOPE_ERROR**2)
-    model = observed
-    for _ in range(8):
-        weight = 1.0 / (relative * model)
-        design = columns * weight[:, None]
-        size = np.linalg.norm(design, axis=0)
-        scaled, _ = nnls(design / size, observed * weight)
-        squares = scaled / size
-        model = np.maximum(columns @ squares, 1e-300)
-    coefficients = np.zeros(len(_TERMS))
-    coefficients[active] = squares
-    statistical = np.sqrt(2.0 / degrees[fitted]) / relative
-    covariance = transfer.correlation(coefficients)[np.ix_(fitted, fitted)] * np.outer(statistical, statistical)
-    covariance += np.diag((SLOPE_ERROR / relative) ** 2)
-    solver = np.linalg.pinv(design / size)
-    residual_maker = np.eye(len(observed)) - (design / size) @ solver
-    misfit = np.sum((residual_maker @ (observed * weight)) ** 2)
-    expected = np.trace(residual_maker @ covariance)
-    inflation = np.sqrt(max(1.0, misfit / expected))
-    return squares, np.sqrt(np.diag(solver @ covariance @ solver.T)) / size * inflation
+def _significance(fit: _Fit, active: Sequence[int], term: int) -> float:
+    """The square of a term over its standard uncertainty if the term were absent."""
+    others = [j for j in active if j != term]
+    squares, u, _ = fit.about(fit.squares(others), active)
+    at = list(active).index(term)
+    return float(squares[at] / u[at])

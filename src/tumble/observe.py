@@ -17,7 +17,7 @@ Forster et al. 2017) with body-frame sensors and the two-sample coning term.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -78,6 +78,11 @@ class Turns:
         return len(self.duration)
 
 
+Batch = tuple[Array, Array, IntArray, IntArray, IntArray]
+"""Increments, intervals, the turn of each piece, and the range of each piece among them; the sample before every
+piece is kept ahead of it."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TurnSamples:
     """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`."""
@@ -85,10 +90,18 @@ class TurnSamples:
     samples: GyroSamples
     start: IntArray
     stop: IntArray
+    _only_batch: list[Batch] = field(default_factory=list, repr=False)
 
-    def pieces(self) -> Iterator[tuple[Array, Array, IntArray, IntArray, IntArray]]:
-        """Batches of whole or cut turns: increments, intervals, the turn of each piece, and the range of each
-        piece in the batch, with the sample before every piece kept ahead of it."""
+    def pieces(self) -> Iterator[Batch]:
+        """Batches of whole or cut turns. Turns that fill one batch at most are gathered once."""
+        if self._only_batch:
+            return iter(self._only_batch)
+        if int(np.sum(self.stop - self.start)) < BATCH_SAMPLES:
+            self._only_batch.extend(self._gathered())
+            return iter(self._only_batch)
+        return self._gathered()
+
+    def _gathered(self) -> Iterator[Batch]:
         increments: list[Array] = []
         intervals: list[Array] = []
         pieces: list[tuple[int, int, int]] = []
@@ -108,9 +121,7 @@ class TurnSamples:
             yield _batch(increments, intervals, pieces)
 
 
-def _batch(
-    increments: list[Array], intervals: list[Array], pieces: list[tuple[int, int, int]]
-) -> tuple[Array, Array, IntArray, IntArray, IntArray]:
+def _batch(increments: list[Array], intervals: list[Array], pieces: list[tuple[int, int, int]]) -> Batch:
     turn, start, stop = np.array(pieces).T
     return np.concatenate(increments), np.concatenate(intervals), turn, start, stop
 

@@ -20,9 +20,12 @@ Without gyros only the accelerometers decide.
 
 from __future__ import annotations
 
+import os
 import tempfile
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import IO
 
 import numpy as np
 
@@ -43,7 +46,7 @@ MARGIN_FRACTION = 0.05
 MARGIN_SECONDS = (0.2, 1.0)
 ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
 GYRO_ROUNDING = 1e-7  # rad/s
-SPOOL_BYTES = 96 * 2**20
+IN_MEMORY_BYTES = 128 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -100,28 +103,45 @@ class FileBlocks:
 
 
 class GyroSamples:
-    """The gyro increments of a log: three angles (rad) about the body axes from nominal sensors and the interval
-    (s) of each sample, in memory up to SPOOL_BYTES and on disk beyond."""
+    """The gyro samples of a log, kept for the turns: body rates (rad/s) from nominal sensors and the interval (s) of
+    each sample, as the log gave them while they are few, in a temporary file beyond IN_MEMORY_BYTES."""
 
-    _WIDTH = 4 * 8
+    _ROW_BYTES = 4 * 8
 
     def __init__(self) -> None:
-        self._spool = tempfile.SpooledTemporaryFile(max_size=SPOOL_BYTES)  # noqa: SIM115
+        self._chunks: list[tuple[Array, Array]] = []
+        self._starts: list[int] = []
+        self._file: IO[bytes] | None = None
         self.count = 0
 
     def append(self, rates: Array, dt: Array) -> None:
         """Add samples: mean body rates (m, 3) rad/s over intervals dt (m,) s."""
-        rows = np.empty((len(dt), 4))
-        np.multiply(rates, dt[:, None], out=rows[:, :3])
-        rows[:, 3] = dt
-        self._spool.write(rows.data)
+        self._chunks.append((rates, dt))
+        self._starts.append(self.count)
         self.count += len(dt)
+        if self._file is not None or self.count * self._ROW_BYTES > IN_MEMORY_BYTES:
+            self._spill()
+
+    def _spill(self) -> None:
+        """Move what is in memory to the file."""
+        if self._file is None:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115
+        self._file.seek(0, os.SEEK_END)
+        for rates, dt in self._chunks:
+            self._file.write(np.column_stack([rates, dt]).data)
+        self._chunks, self._starts = [], []
 
     def read(self, start: int, stop: int) -> tuple[Array, Array]:
-        """Increments (m, 3) and intervals (m,) of samples start … stop − 1."""
-        self._spool.seek(start * self._WIDTH)
-        rows = np.frombuffer(self._spool.read((stop - start) * self._WIDTH)).reshape(-1, 4)
-        return rows[:, :3], rows[:, 3]
+        """Increments (m, 3), rad, and intervals (m,), s, of samples start … stop − 1."""
+        if self._file is not None:
+            self._file.seek(start * self._ROW_BYTES)
+            rows = np.frombuffer(self._file.read((stop - start) * self._ROW_BYTES)).reshape(-1, 4)
+            return rows[:, :3] * rows[:, 3:], rows[:, 3]
+        first, last = bisect_right(self._starts, start) - 1, bisect_left(self._starts, stop)
+        rates = np.concatenate([rates for rates, _ in self._chunks[first:last]])
+        dt = np.concatenate([dt for _, dt in self._chunks[first:last]])
+        part = slice(start - self._starts[first], stop - self._starts[first])
+        return rates[part] * dt[part, None], dt[part]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -162,16 +182,16 @@ class _Channels:
 
 
 def _channel_state(row: Array) -> ChannelState:
-    at_minimum, at_maximum = row[10:12], row[12:14]
+    at_minimum, at_maximum = row[9:11], row[11:13]
     extreme = at_minimum if at_minimum[0] > at_maximum[0] else at_maximum
     return ChannelState(
         samples=int(row[0]),
         minimum=float(row[1]),
         maximum=float(row[2]),
         repeats=int(row[3]),
-        run=int(row[7]),
-        run_stop=float(row[8]),
-        run_value=float(row[9]),
+        run=int(row[6]),
+        run_stop=float(row[7]),
+        run_value=float(row[8]),
         extreme_run=int(extreme[0]),
         extreme_stop=float(extreme[1]),
     )
@@ -186,6 +206,7 @@ class Reducer:
         self._accel = _Channels(accel.size, self.size)
         self._gyro = _Channels(gyro.size, self.size) if gyro else None
         self._to_body = np.linalg.pinv(gyro.axes).T if gyro else np.eye(3)
+        self._along_body = np.array_equal(self._to_body, np.eye(3))
         self._temperature: list[Array] = []
         self._times: list[Array] = []
         self._files: list[FileBlocks] = []
@@ -204,7 +225,7 @@ class Reducer:
         self._accel.feed(chunk.accel, chunk.time)
         if self._gyro and self._stored is not None and chunk.gyro is not None:
             self._gyro.feed(chunk.gyro, chunk.time)
-            body = chunk.gyro if np.array_equal(self._to_body, np.eye(3)) else chunk.gyro @ self._to_body
+            body = chunk.gyro if self._along_body else chunk.gyro @ self._to_body
             self._stored.append(body, chunk.dt)
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
         self._times.append(chunk.time[ends])

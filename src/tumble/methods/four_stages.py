@@ -166,21 +166,5 @@ def _recorded(observations: Observations, programme: Programme) -> tuple[Series,
     return tuple(course)
 
 
-# All passes
-
-
 def four_stages(observations: Observations, method: Method, iterations: int) -> Estimate:
-    """The estimate after so many iterations, at least one, with covariance. Raises InputError."""
-    if iterations < 1:
-        raise InputError(f"iterations: expected at least 1, found {iterations}")
-    launch = _Launch.of(observations, method)
-    values = np.zeros(launch.size)
-    derivative = np.zeros((launch.size, launch.data.size))
-    increments = []
-    for _ in range(iterations):
-        base, after = launch.run(values)
-        by_data, by_start = launch.derivatives(lambda data, start: launch.passed(data, start, base), values)
-        derivative = by_data + by_start @ derivative
-        increments.append(after - values)
-        values = after
-    return _estimate(launch, values, derivative, tuple(increments))
+    raise NotImplementedError

@@ -1,0 +1,193 @@
+"""Noise-free launches of many IMUs on rough tables at once, for tests: a closed form for everything but the turns.
+
+The programme is rough-table. Mounting (one rotation a launch, body axes) and position errors (one a rest, geographic
+axes) are rotation vectors, uniform within ± per axis; a turn is one rotation about a geographic axis at constant rate
+in 20 s. Rates of a turn are exact means over its samples. Sensor errors are Gaussian.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tumble import _kernels
+from tumble.earth import earth_rate, normal_gravity
+from tumble.methods.compensation import composed, perfect, triad_model
+from tumble.methods.four_stages import (
+    Course,
+    Method,
+    accelerometer_pass,
+    gyro_bias_pass,
+    gyro_matrix_pass,
+)
+from tumble.methods.indirect import RecordedTurn, known_turns, programme_matrix
+from tumble.model import SensorModel
+from tumble.observe import Turns
+from tumble.programme import programme
+from tumble.rotation import rotation_matrix, skew
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
+
+PROGRAMME = programme("rough-table")
+LATITUDE = 56.8 * DEGREE
+EARTH = np.array(earth_rate(LATITUDE))
+GRAVITY = normal_gravity(LATITUDE, 250.0)
+TURN_SECONDS = 20.0
+STEPS = 200
+
+SIZES = {  # standard deviations of §6.5
+    "accel": np.repeat([2e-3, 1e-4, 25 * ARCSEC], 3),
+    "gyro": np.repeat([0.3 * DEGREE_PER_HOUR, 1e-4, 10 * ARCSEC], [3, 3, 6]),
+}
+
+
+def course_of_launches() -> Course:
+    """The course of a recording of the nine known turns only."""
+    series, k = [], 0
+    for moves in known_turns(PROGRAMME):
+        turns = []
+        for move in moves:
+            turns.append(RecordedTurn(turn=k, first=move, last=move + 1, counts=True))
+            k += 1
+        series.append(tuple(turns))
+    return Course(
+        nominal=np.array([p.vertical_b for p in PROGRAMME.positions]),
+        series=tuple(series),
+        duration=np.full(k, TURN_SECONDS),
+        earth_rate=EARTH,
+        matrix=programme_matrix(PROGRAMME)[0],
+    )
+
+
+COURSE = course_of_launches()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Launches:
+    """n launches: true parameters (n, 9) and (n, 12), true attitudes (n, 15, 3, 3), readings (n, 15, 3) and the
+    increments (n, 9, STEPS, 3) that the gyros read in the turns."""
+
+    accel_values: Array
+    gyro_values: Array
+    attitudes: Array
+    force: Array = field(repr=False)
+    rate: Array = field(repr=False)
+    increments: Array = field(repr=False)
+
+    @property
+    def accel(self) -> SensorModel:
+        return triad_model(self.accel_values[:, :3], self.accel_values[:, 3:6], self.accel_values[:, 6:])
+
+    @property
+    def gyro(self) -> SensorModel:
+        return triad_model(self.gyro_values[:, :3], self.gyro_values[:, 3:6], self.gyro_values[:, 6:])
+
+    def turns(self, model: SensorModel) -> Turns:
+        """The turns integrated about a gyro model, as `Observations.turns_about` does it."""
+        dt = TURN_SECONDS / STEPS
+        n, k = self.increments.shape[:2]
+        matrix = np.broadcast_to(model.matrix, (n, 3, 3))[:, None, None]
+        bias = np.broadcast_to(model.bias, (n, 3))[:, None, None]
+        angle = np.linalg.solve(matrix, (self.increments - bias * dt)[..., None])[..., 0]
+        angle = np.concatenate([angle[:, :, :1], angle], axis=2)  # the sample before the first
+        start = np.arange(n * k) * (STEPS + 1) + 1
+        C, M, B = _kernels.preintegrate(
+            angle.reshape(-1, 3),
+            np.full(n * k * (STEPS + 1), dt),
+            start,
+            start + STEPS,
+            np.eye(3),
+            np.zeros(3),
+        )
+        return Turns(
+            first=np.array([t.first for s in COURSE.series for t in s]),
+            last=np.array([t.last for s in COURSE.series for t in s]),
+            duration=COURSE.duration,
+            C=C.reshape(n, k, 3, 3),
+            M=M.reshape(n, k, 3, 3, 3),
+            B=B.reshape(n, k, 3, 3),
+            covariance=np.zeros((k, 3, 3)),
+        )
+
+
+def launches(
+    n: int,
+    rng: np.random.Generator,
+    *,
+    mounting_deg: float,
+    position_deg: float,
+    accel_size: Array = SIZES["accel"],
+    gyro_size: Array = SIZES["gyro"],
+) -> Launches:
+    """n launches with parameters and deviations drawn anew."""
+    accel_values = accel_size * rng.standard_normal((n, 9))
+    gyro_values = gyro_size * rng.standard_normal((n, 12))
+    mounting = rotation_matrix(mounting_deg * DEGREE * rng.uniform(-1.0, 1.0, (n, 1, 3)))
+    position = rotation_matrix(position_deg * DEGREE * rng.uniform(-1.0, 1.0, (n, len(PROGRAMME.positions), 3)))
+    attitudes = position @ np.array([p.matrix for p in PROGRAMME.positions]) @ mounting
+    found = Launches(
+        accel_values=accel_values,
+        gyro_values=gyro_values,
+        attitudes=attitudes,
+        force=np.empty(0),
+        rate=np.empty(0),
+        increments=np.empty(0),
+    )
+    force = reading(found.accel, GRAVITY * attitudes[..., 1, :])
+    rate = reading(found.gyro, np.einsum("...ij,i->...j", attitudes, EARTH))
+    return Launches(
+        accel_values=accel_values,
+        gyro_values=gyro_values,
+        attitudes=attitudes,
+        force=force,
+        rate=rate,
+        increments=_increments(found),
+    )
+
+
+def reading(model: SensorModel, true: Array) -> Array:
+    """Readings (n, N, 3) of true vectors (n, N, 3)."""
+    return np.asarray(true @ np.swapaxes(model.matrix, -1, -2) + model.bias[:, None])
+
+
+def _increments(found: Launches) -> Array:
+    """Increments that the gyros read in the known turns: means over samples of Lᵀ(n θ̇ + Ω)."""
+    first = [t.first for s in COURSE.series for t in s]
+    L0, L1 = found.attitudes[:, first], found.attitudes[:, [i + 1 for i in first]]
+    vector = Rotation.from_matrix((L1 @ np.swapaxes(L0, -1, -2)).reshape(-1, 3, 3)).as_rotvec().reshape(-1, 9, 3)
+    nominal = np.array([PROGRAMME.moves[i].axis * PROGRAMME.moves[i].angle for i in first])
+    total = np.linalg.norm(vector, axis=-1, keepdims=True)
+    back = (vector * nominal).sum(axis=-1, keepdims=True) < 0.0
+    n = np.where(back, -1.0, 1.0) * vector / total
+    total = np.where(back, 2.0 * np.pi - total, total)[..., 0]
+    θ = total[..., None] * np.arange(STEPS + 1) / STEPS
+    step = total[..., None] / STEPS
+    cosine, sine = np.diff(np.sin(θ)) / step, -np.diff(np.cos(θ)) / step
+    along = n * (n @ EARTH)[..., None]
+    across = -(skew(n) @ EARTH)
+    dt = TURN_SECONDS / STEPS
+    geographic = n[..., None, :] * step[..., None] + dt * (
+        along[..., None, :] + cosine[..., None] * (EARTH - along)[..., None, :] + sine[..., None] * across[..., None, :]
+    )
+    body = geographic @ L0
+    matrix, bias = found.gyro.matrix[:, None], found.gyro.bias[:, None, None]
+    return np.asarray(body @ np.swapaxes(matrix, -1, -2) + bias * dt)
+
+
+def passes(
+    found: Launches, method: Method, iterations: int, *, accel: SensorModel | None = None
+) -> list[tuple[SensorModel, SensorModel]]:
+    """Models after each pass of the four stages; with `accel` given the accelerometers are known."""
+    before, gyro = perfect() if accel is None else accel, perfect()
+    out = []
+    for _ in range(iterations):
+        if accel is None:
+            before = accelerometer_pass(method, COURSE, found.force, np.array(GRAVITY), before)
+        force = np.linalg.solve(
+            before.matrix, np.swapaxes(found.force - before.bias[:, None], -1, -2)
+        ).swapaxes(-1, -2)
+        gyro = gyro_bias_pass(method, COURSE, found.rate, force, gyro)
+        gyro = gyro_matrix_pass(COURSE, found.rate, force, found.turns(gyro).C, gyro)
+        out.append((before, gyro))
+    return out
