@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tumble import _kernels
 from tumble.earth import earth_rate, normal_gravity
-from tumble.methods.compensation import composed, perfect, triad_model
+from tumble.methods.compensation import compensated, perfect, triad_model
 from tumble.methods.four_stages import (
     Course,
     Method,
@@ -87,9 +87,8 @@ class Launches:
         """The turns integrated about a gyro model, as `Observations.turns_about` does it."""
         dt = TURN_SECONDS / STEPS
         n, k = self.increments.shape[:2]
-        matrix = np.broadcast_to(model.matrix, (n, 3, 3))[:, None, None]
-        bias = np.broadcast_to(model.bias, (n, 3))[:, None, None]
-        angle = np.linalg.solve(matrix, (self.increments - bias * dt)[..., None])[..., 0]
+        angle = compensated(SensorModel(matrix=model.matrix, bias=model.bias * dt), self.increments.reshape(n, -1, 3))
+        angle = angle.reshape(n, k, STEPS, 3)
         angle = np.concatenate([angle[:, :, :1], angle], axis=2)  # the sample before the first
         start = np.arange(n * k) * (STEPS + 1) + 1
         C, M, B = _kernels.preintegrate(
@@ -156,7 +155,7 @@ def _increments(found: Launches) -> Array:
     first = [t.first for s in COURSE.series for t in s]
     L0, L1 = found.attitudes[:, first], found.attitudes[:, [i + 1 for i in first]]
     vector = Rotation.from_matrix((L1 @ np.swapaxes(L0, -1, -2)).reshape(-1, 3, 3)).as_rotvec().reshape(-1, 9, 3)
-    nominal = np.array([PROGRAMME.moves[i].axis * PROGRAMME.moves[i].angle for i in first])
+    nominal = np.array([m.axis * m.angle for m in PROGRAMME.moves if m.axis is not None and m.angle is not None])
     total = np.linalg.norm(vector, axis=-1, keepdims=True)
     back = (vector * nominal).sum(axis=-1, keepdims=True) < 0.0
     n = np.where(back, -1.0, 1.0) * vector / total
@@ -184,9 +183,7 @@ def passes(
     for _ in range(iterations):
         if accel is None:
             before = accelerometer_pass(method, COURSE, found.force, np.array(GRAVITY), before)
-        force = np.linalg.solve(
-            before.matrix, np.swapaxes(found.force - before.bias[:, None], -1, -2)
-        ).swapaxes(-1, -2)
+        force = compensated(before, found.force)
         gyro = gyro_bias_pass(method, COURSE, found.rate, force, gyro)
         gyro = gyro_matrix_pass(COURSE, found.rate, force, found.turns(gyro).C, gyro)
         out.append((before, gyro))

@@ -129,9 +129,7 @@ def _preintegrate_stretches(
 
 
 @_compiled(error_model="numpy")
-def _begin(
-    increment: Array, dt: Array, first: IntArray, transform: Array, offset: Array, state: Array
-) -> None:
+def _begin(increment: Array, dt: Array, first: IntArray, transform: Array, offset: Array, state: Array) -> None:
     """Zero `state`, with attitude 1 and the compensated increment of the sample before each lane."""
     state[:] = 0.0
     for lane, sample in enumerate(first):
@@ -321,26 +319,26 @@ maximum, 12 its end."""
 
 
 def new_channel_state(sensors: int) -> Array:
-    """State of `block_means` before the first sample: one row of CHANNEL_STATE numbers a channel."""
+    """State of `block_sums` before the first sample: one row of CHANNEL_STATE numbers a channel."""
     state = np.zeros((sensors, CHANNEL_STATE))
     state[:, 1], state[:, 2], state[:, 4] = np.inf, -np.inf, np.nan
     return state
 
 
 @_compiled()
-def block_means(
-    values: Array, time: Array, size: int, sums: Array, filled: IntArray, state: Array, out: Array
+def block_sums(
+    values: Array, time: Array, weight: Array, size: int, sums: Array, filled: IntArray, state: Array, out: Array
 ) -> int:
-    """Means of blocks of `size` samples of values (m, n), continued from call to call: `sums` (n,) and `filled`
-    (1,) hold the block under way, `state` the channels (CHANNEL_STATE). Returns how many rows of `out` were
-    written."""
+    """Weighted sums of blocks of `size` samples of values (m, n) at times (m,), s, continued from call to call:
+    `sums` (n,) and `filled` (1,) hold the block under way, `state` the channels (CHANNEL_STATE). Returns how many
+    rows of `out` were written."""
     blocks = 0
     for c in range(values.shape[1]):
         blocks, count, total = 0, filled[0], sums[c]
         last, row, repeats = state[c, 4], state[c, 5], 0
         for i in range(values.shape[0]):
             x = values[i, c]
-            total += x
+            total += x * weight[i]
             if x == last:
                 row += 1.0
                 repeats += 1
@@ -354,7 +352,7 @@ def block_means(
                     state[c, 2], state[c, 11] = x, 0.0
             count += 1
             if count == size:
-                out[blocks, c] = total / size
+                out[blocks, c] = total
                 blocks, count, total = blocks + 1, 0, 0.0
         if row > 1.0:
             _end_row(state[c], last, row, time[-1])

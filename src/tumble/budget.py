@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal
 
@@ -40,7 +40,7 @@ from tumble.errors import InputError, ProgrammeError
 from tumble.model import Block
 from tumble.programme import Programme
 from tumble.programme import programme as built_in
-from tumble.rotation import rotation_matrix, skew
+from tumble.rotation import axes_matrix, rotation_matrix
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 _N, _U, _E = 0, 1, 2
@@ -195,7 +195,7 @@ def scalar_residuals(vertical: Array, bias: Array, scale: Array, angles: Array) 
 
     With (|ŵ| − g)/g in place of the quadratic form the first part has the square of e across the vertical only."""
     u = np.asarray(vertical)
-    M = accelerometer_matrix_error(scale, angles)
+    M = _accel_matrix_error(scale, angles)
     e = bias + _apply(M, u)
     across = e - u * _dot(u, e)[..., None]
     linearisation = 0.5 * _dot(e, e) + _dot(u, _apply(_second_order_matrix(scale, angles), u))
@@ -355,21 +355,14 @@ def indirect_matrix(programme: Programme) -> Array:
     """Matrix (2K, 9) of the indirect method for the K known turns of a programme, Earth's rate apart: derivative of y
     (north, east of each turn) with respect to the gyros' k (3) and γ (6). Eq. (6.3)."""
     turns = _turns(programme)
-    change = turn_error(turns.start[None], turns.axis, turns.angle, _GYRO_BASIS[3:, None])
+    change = turn_error(turns.start, turns.axis, turns.angle, _GYRO_BASIS[:, None])
     return horizontal_differences(change, np.zeros(3)).reshape(9, -1).T
 
 
 def indirect_accelerometer_matrix(programme: Programme) -> Array:
     """Matrix (2K, 9) of the derivative of y with respect to the accelerometers' b (3), k (3) and γ (3): the terms of
     Eq. (6.3) with superscript A. An exact turn leaves nothing of k."""
-    turns = _turns(programme)
-
-    def seen(attitudes: Array) -> Array:
-        u = _transposed(attitudes) @ _UP
-        return _apply(attitudes, _accelerometer_errors(np.eye(9)[:, None], u))
-
-    change = seen(turns.stop[None]) - seen(turns.start[None])
-    return horizontal_differences(np.zeros(3), change).reshape(9, -1).T
+    return _accelerometer_matrix(_turns(programme))
 
 
 def accelerometer_leakage(programme: Programme) -> Array:
@@ -734,7 +727,9 @@ def _rotation_between(start: Array, stop: Array, nominal: _Turns) -> tuple[Array
     along = R + _transposed(R) + (1.0 - trace)[..., None, None] * np.eye(3)  # 2 (1 − cos Θ) n nᵀ
     axis = _apply(along, nominal.axis)
     axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    sine = 0.5 * _dot(axis, np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1))
+    sine = 0.5 * _dot(
+        axis, np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    )
     angle = np.arctan2(sine, 0.5 * (trace - 1.0))
     return axis, angle + 2.0 * np.pi * np.round((nominal.angle - angle) / (2.0 * np.pi))
 
@@ -826,17 +821,21 @@ def _logged_matrix(plan: _Plan, attitudes: Array) -> Array:
     """Matrix (..., 1, 2K, 9) of the indirect method with the Jacobian from the logged rate, §6.6: of the real turns,
     Earth's rate and TRIAD at the start of the series included."""
     seen = _seen(plan, attitudes)
-    gyro_only = _Seen(accel=np.zeros((9, *seen.accel.shape[-2:])), gyro=seen.gyro[..., 12:, :, :], turn=seen.turn[..., 12:, :, :])
+    gyro_only = _Seen(
+        accel=np.zeros((9, *seen.accel.shape[-2:])), gyro=seen.gyro[..., 12:, :, :], turn=seen.turn[..., 12:, :, :]
+    )
     return _transposed(_differences(plan, attitudes[..., None, :, :, :], gyro_only))[..., None, :, :]
 
 
-# The pipeline: what one method leaves of the parameters
+# The pipeline: what a method leaves of the parameters
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Pipeline:
-    """What passes of a method leave, as variances (21,) by cause for a set-up whose table and mounting errors are
-    `scale` times those of the set-up. All but `rest_noise` (times s) and `other_noise` are functions of it."""
+    """What passes of a method leave of the parameters. Matrices (21, 21) are to be applied to the variances of the
+    parameters: `exact`, `by_table` and `by_mounting` for the first pass, and for the second the parts that grow with
+    the 0th, 2nd and 4th power of the deviations, `twice`. `second_order` (21,) and `noise` (21,) by cause are variances
+    themselves; `spread` (21,) the rms of the parameters."""
 
     method: Method
     groups: tuple[str, ...]
@@ -848,22 +847,509 @@ class _Pipeline:
     noise: Mapping[str, Array]
     spread: Array
 
-    def variances(self, iteration: int, scale: float = 1.0) -> dict[str, Array]:
-        """Variances (21,) by the name of their cause, with table and mounting errors multiplied by `scale`."""
-        return self.methodical(iteration, scale) | dict(self.noise)
+    def variances(self, iteration: int) -> dict[str, Array]:
+        """Variances (21,) of the errors after so many passes, by the name of their cause."""
+        return self.methodical(iteration, 1.0) | dict(self.noise)
 
-    def methodical(self, iteration: int, scale: float = 1.0) -> dict[str, Array]:
-        """The part of `variances` that is not noise: zero rows are parameters without this cause."""
-        s2 = scale**2
+    def methodical(self, iteration: int, scale: float) -> dict[str, Array]:
+        """The part of `variances` that is not noise, with table and mounting errors multiplied by `scale`."""
         if iteration == 1:
-            out = self._by_group("{} × table error", s2 * self.by_table)
-            out |= self._by_group("{} × mounting error", s2 * self.by_mounting)
-            out |= self._by_group("{} × Earth's rate", self.exact)
-            return out | {"second order in the parameters": self.second_order}
+            return {
+                **self._by_group("{} × table error", scale**2 * self.by_table),
+                **self._by_group("{} × mounting error", scale**2 * self.by_mounting),
+                **self._by_group("{} × Earth's rate", self.exact),
+                "second order in the parameters": self.second_order,
+            }
         fixed, linear, square = self.twice
-        out = self._by_group("{}, left by the pass before", fixed + s2 * linear + s2**2 * square)
+        second = self._by_group("{} left by the pass before", fixed + scale**2 * linear + scale**4 * square)
         if iteration == 2:
-            return out
-        first, second = (sum(v.values(), np.zeros(len(NAMES))) for v in (self.methodical(1, scale), out))
-        gain = np.array([second[_members(g)].mean() / first[_members(g)].mean() for g in _group_of(first)])
-        return {name: v * gain ** (iteration - 2) for name, v in out.items()}
+            return second
+        gain = _gain(_total(self.methodical(1, scale)), _total(second)) ** (iteration - 2)
+        return {name: gain * variance for name, variance in second.items()}
+
+    def _by_group(self, name: str, matrix: Array) -> dict[str, Array]:
+        """Variances (21,) that each group of parameters contributes through a matrix."""
+        out = {}
+        for group in GROUPS:
+            members = _members(group)
+            out[name.format(group)] = matrix[:, members] @ self.spread[members] ** 2
+        return out
+
+
+def _total(variances: Mapping[str, Array]) -> Array:
+    return sum(variances.values(), np.zeros(len(NAMES)))
+
+
+def _gain(first: Array, second: Array) -> Array:
+    """By how much the second pass reduced the variance of each parameter's group (21,)."""
+    gain = np.zeros(len(NAMES))
+    for members in map(_members, GROUPS):
+        before = float(first[members].mean())
+        gain[members] = second[members].mean() / before if before > 0.0 else 0.0
+    return gain
+
+
+def _pipeline(setup: Setup, method: Method) -> _Pipeline:
+    """A method on the programme of a set-up."""
+    plan = _plan(setup, method)
+    T0, D = _passes(plan, method)
+    table = 3 * len(plan.nominal)
+    width = np.repeat([setup.table_error, setup.mounting_error], [table, 3])
+    v = width**2 / 3.0  # uniform
+    spread = np.concatenate(
+        [
+            np.repeat([setup.accel.bias / setup.gravity, setup.accel.scale, setup.accel.axis], 3),
+            np.repeat([setup.gyro.bias, setup.gyro.scale, setup.gyro.axis], [3, 3, 6]),
+        ]
+    )
+    return _Pipeline(
+        method=method,
+        groups=GROUPS if plan.turns is not None else GROUPS[:4],
+        exact=T0**2,
+        by_table=np.tensordot(v[:table], D[:table] ** 2, axes=1),
+        by_mounting=np.tensordot(v[table:], D[table:] ** 2, axes=1),
+        twice=_twice(T0, D, v, width**4 / 5.0),
+        second_order=_mean_square(lambda X: _second_order(plan, method, X), spread),
+        noise=_noise(setup, plan, method),
+        spread=spread,
+    )
+
+
+def _passes(plan: _Plan, method: Method) -> tuple[Array, Array]:
+    """What one pass leaves of the parameters: T₀ (21, 21) on an exact programme and its derivatives D (3N + 3, 21, 21)
+    with respect to the deviations, per rad, by central differences."""
+    N = len(plan.nominal)
+    step = 1e-4
+    τ = step * np.concatenate([np.eye(3 * N + 3), -np.eye(3 * N + 3), np.zeros((1, 3 * N + 3))])
+    table = rotation_matrix(τ[:, : 3 * N].reshape(-1, N, 3))
+    attitudes = table @ plan.nominal @ rotation_matrix(τ[:, None, 3 * N :])
+    left = np.eye(len(NAMES)) - _transposed(_estimates(plan, method, attitudes, _seen(plan, attitudes)))
+    forward, backward, T0 = np.split(left, [3 * N + 3, 6 * N + 6])
+    return T0[0], (forward - backward) / (2.0 * step)
+
+
+def _twice(T0: Array, D: Array, v: Array, fourth: Array) -> tuple[Array, Array, Array]:
+    """Mean squares (21, 21) of T² with T = T₀ + Σ τ_k D_k, in parts that grow with the 0th, 2nd and 4th power of τ; `v`
+    and `fourth` are the second and fourth moments of the independent τ_k. See the module's docstring."""
+    c = T0 @ T0
+    l = T0 @ D + D @ T0
+    A = np.einsum("kpj,ljq->klpq", D, D)
+    S = 0.5 * (A + A.swapaxes(0, 1))
+    own = np.einsum("kkpq->kpq", A)
+    trace = np.tensordot(v, own, axes=1)
+    square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
+    square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
+    return c**2, 2.0 * c * trace + np.tensordot(v, l**2, axes=1), square
+
+
+def _noise(setup: Setup, plan: _Plan, method: Method) -> dict[str, Array]:
+    """Variances (21,) of the parameters from noise, by cause, on an exact programme: each noise as if alone."""
+    N, K = len(plan.nominal), len(plan.duration)
+    accel = np.eye(3 * N).reshape(3 * N, N, 3)
+    turn = np.eye(3 * K).reshape(3 * K, K, 3)
+    by_accel = _gains(plan, method, _Seen(accel=accel, gyro=0.0 * accel, turn=np.zeros((3 * N, K, 3))))
+    by_gyro = _gains(plan, method, _Seen(accel=0.0 * accel, gyro=accel, turn=np.zeros((3 * N, K, 3))))
+    by_turn = _gains(plan, method, _Seen(accel=np.zeros((3 * K, N, 3)), gyro=np.zeros((3 * K, N, 3)), turn=turn))
+    by_change = _gains(plan, method, _Seen(accel=0.0 * accel, gyro=accel, turn=_held(plan, accel)))
+    seconds = np.repeat(plan.duration, 3)
+    return {
+        REST_NOISE[0]: (by_accel**2).sum(axis=0) * (setup.accel_white / setup.gravity) ** 2 / setup.rest,
+        REST_NOISE[1]: (by_gyro**2).sum(axis=0) * setup.gyro_white**2 / setup.rest,
+        "gyro noise in turns": seconds @ by_turn**2 * setup.gyro_white**2,
+        "accelerometer instability": (by_accel**2).sum(axis=0) * (setup.accel_instability / setup.gravity) ** 2,
+        "gyro instability": (by_change**2).sum(axis=0) * setup.gyro_instability**2,
+    }
+
+
+REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
+"""The causes that longer rests reduce."""
+
+
+def _gains(plan: _Plan, method: Method, seen: _Seen) -> Array:
+    """Estimates (m, 21) that m unit errors of what is seen lead to."""
+    return _estimates(plan, method, plan.nominal, seen)
+
+
+def _held(plan: _Plan, gyro: Array) -> Array:
+    """Attitude errors (m, K, 3) that gyro errors (m, N, 3) make when they stay through the turn after a rest."""
+    if plan.turns is None:
+        return np.zeros((len(gyro), 0, 3))
+    turns = plan.turns
+    return turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, gyro[:, turns.first])
+
+
+# Errors of second order in the parameters
+
+
+def _mean_square(form: Callable[[Array], Array], spread: Array) -> Array:
+    """Mean squares (p,) of quadratic forms q(X) = Xᵀ Q X of independent Gaussian X with rms `spread` (m,):
+    (tr Q)² + 2 Σ Q_ij². `form` takes (..., m) to (..., p); Q is found by polarisation."""
+    m = len(spread)
+    single = np.diag(spread)
+    pair = single[:, None] + single[None, :]
+    diagonal = form(single)
+    Q = 0.5 * (form(pair) - diagonal[:, None] - diagonal[None, :])
+    Q[np.arange(m), np.arange(m)] = diagonal
+    return np.asarray(diagonal.sum(axis=0) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)))
+
+
+def _second_order(plan: _Plan, method: Method, X: Array) -> Array:
+    """Errors (..., 21) of second order in the parameters X (..., 21) that a method makes on an exact programme."""
+    b, k, γ = X[..., 0:3], X[..., 3:6], X[..., 6:9]
+    u = plan.nominal[:, 1, :]
+    linearised, orientation = scalar_residuals(u, b[..., None, :], k[..., None, :], γ[..., None, :])
+    if method == "sequential":
+        along = _dot(u, _accelerometer_errors(X[..., None, :9], u))
+        modulus = linearised - 0.5 * along**2  # |ŵ|/g − 1 in place of the quadratic form
+        accel = _sequential_accelerometers(plan, u, modulus[..., None] * u)
+        left = np.concatenate([accel[..., :6], np.zeros((*accel.shape[:-1], 3))], axis=-1)
+        accel[..., 6:] = -_oblique_angles(plan, u, _accelerometer_errors(left[..., None, :], u))
+    else:
+        accel = _solved(scalar_matrix(u), linearised + orientation)
+    bias = np.zeros((*X.shape[:-1], 3))
+    if method == "scalar":
+        E = _gyro_matrix_error(X[..., None, 12:15], X[..., None, 15:])
+        error = X[..., None, 9:12] + gyro_matrix_rate_error(plan.nominal, E, plan.latitude)
+        polar = _transposed(plan.nominal) @ np.array(earth_rate(plan.latitude)) / EARTH_RATE
+        bias = _solved(polar, modulus_residual(_apply(plan.nominal, error)))
+    gyro = np.zeros((*X.shape[:-1], 9))
+    if plan.turns is not None:
+        by_accel = _solved(plan.indirect, -_apply(_accelerometer_matrix(plan.turns), accel))
+        gyro = _solved(plan.indirect, _turns_second_order(plan.turns, method, X[..., 12:])) + by_accel
+    return np.concatenate([accel, bias, gyro], axis=-1)
+
+
+def _accelerometer_matrix(turns: _Turns) -> Array:
+    """`indirect_accelerometer_matrix` of these turns."""
+
+    def seen(attitudes: Array) -> Array:
+        return _apply(attitudes, _accelerometer_errors(np.eye(9)[:, None], attitudes[..., 1, :]))
+
+    return horizontal_differences(np.zeros(3), seen(turns.stop) - seen(turns.start)).reshape(9, -1).T
+
+
+def _turns_second_order(turns: _Turns, method: Method, values: Array) -> Array:
+    """What the differences y (..., 2K) of exact turns have beyond the matrix of the method times the gyros' k and γ
+    (..., 9), to second order: half the sum for these values and their opposites."""
+    return 0.5 * (_turns_beyond(turns, method, values) + _turns_beyond(turns, method, -values))
+
+
+def _turns_beyond(turns: _Turns, method: Method, values: Array) -> Array:
+    """Differences y (..., 2K) of exact turns without Earth's rate, less those the method's matrix gives.
+
+    In such a turn the rate is constant in the body, and so is what the gyros make of it."""
+    k, γ = values[..., :3], values[..., 3:]
+    S = (1.0 + k)[..., None] * np.moveaxis(axes_matrix(*np.moveaxis(γ, -1, 0)), (0, 1), (-2, -1))
+    E = _gyro_matrix_error(k, γ)
+    out = []
+    computed = turns.start[0]
+    for t, (start, stop) in enumerate(zip(turns.start, turns.stop, strict=True)):
+        computed = start if turns.opens[t] else computed
+        turned = _apply(S, start.T @ (turns.axis[t] * turns.angle[t]))
+        after = computed @ rotation_matrix(turned)
+        found = _apply(after, stop[1]) - _apply(computed, start[1])
+        if method == "staged":
+            angle = np.linalg.norm(turned, axis=-1)
+            axis = _apply(computed, turned) / angle[..., None]
+            expected = turn_error(computed, axis, angle, E)
+        else:
+            expected = turn_error(start, turns.axis[t], turns.angle[t], E)
+        out.append(found[..., [_N, _E]] - horizontal_differences(expected, np.zeros(3)))
+        computed = after
+    return np.concatenate(out, axis=-1)
+
+
+# -------------------- requirements: the inverse --------------------
+
+LARGEST_DEVIATION = 5.0 * DEGREE
+"""Largest table and mounting error, rad, for which the formulas of first order are taken to hold."""
+
+REST_SHARE = 0.25
+"""Part of the permitted variance that `require` gives to the noise of rests; table and mounting get the others."""
+
+BiasEstimator = Literal["programme", "vertical", "polar"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Requirement:
+    """What one wanted accuracy asks of the set-up: largest `table_error` and `mounting_error`, rad (uniform within ±, in
+    the ratio of the set-up), their rms together per axis, `tilt`, rad, and the shortest `rest`, s. `limited` says
+    whether the table matters at all within 5°. If not `feasible` the tolerances are zero, `rest` is infinite, and
+    `reason` says what stands in the way of any table."""
+
+    group: str
+    estimator: str
+    wanted: float
+    unit: str
+    feasible: bool
+    limited: bool
+    table_error: float
+    mounting_error: float
+    tilt: float
+    rest: float
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Requirements:
+    """All requirements, and what meets those that can be met: the smallest tolerances and the longest rest."""
+
+    setup: Setup
+    method: Method
+    iteration: int
+    rows: tuple[Requirement, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether some set-up meets all of them."""
+        return all(row.feasible for row in self.rows)
+
+    @property
+    def table_error(self) -> float:
+        """Largest error of the table, rad, that meets every requirement that can be met."""
+        return min((row.table_error for row in self.rows if row.feasible), default=0.0)
+
+    @property
+    def mounting_error(self) -> float:
+        """Largest error of the mounting, rad, that meets every requirement that can be met."""
+        return min((row.mounting_error for row in self.rows if row.feasible), default=0.0)
+
+    @property
+    def rest(self) -> float:
+        """Shortest rest, s, that meets every requirement that can be met."""
+        return max((row.rest for row in self.rows if row.feasible), default=0.0)
+
+
+def require(
+    wanted: Mapping[str, float],
+    setup: Setup,
+    *,
+    method: Method = "sequential",
+    iteration: int = 1,
+    gyro_bias: BiasEstimator = "programme",
+) -> Requirements:
+    """Tolerances of table and mounting, and duration of the rests, for wanted rms errors by group of parameters, SI.
+
+    Of `setup` the programme, noises, spreads, turn rate and site are used, and the ratio of table to mounting error;
+    if both are zero they get equal tolerances. `gyro_bias`: instead of what the method does with the whole programme,
+    "vertical" is one rest per gyro with its axis vertical, Eq. (18), and "polar" one along the Earth's axis, Eq. (17).
+    Raises InputError for a group that does not exist or values that make no sense."""
+    _check(setup, iteration)
+    pipeline = _pipeline(_unit_ratio(setup), method)
+    _check_wanted(wanted, pipeline)
+    rows = []
+    for group, value in wanted.items():
+        if group == "gyro.bias" and gyro_bias != "programme":
+            demand = _single_rest_demand(setup, pipeline, iteration, gyro_bias)
+        else:
+            demand = _demand(setup, pipeline, iteration, group)
+        rows.append(_requirement(_unit_ratio(setup), group, value, demand))
+    return Requirements(setup=setup, method=method, iteration=iteration, rows=tuple(rows))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Demand:
+    """What a group's variance is made of, SI: `fixed` by cause, whatever the table; `rest_noise` (variance × s); and
+    what `deviations` of so many times the unit ratio add."""
+
+    estimator: str
+    fixed: Mapping[str, float]
+    rest_noise: float
+    deviations: Callable[[float], float]
+
+
+def _demand(setup: Setup, pipeline: _Pipeline, iteration: int, group: str) -> _Demand:
+    """Of the method with the whole programme."""
+    members, square = _members(group), _size(setup, group) ** 2
+
+    def variance(causes: Mapping[str, Array]) -> dict[str, float]:
+        return {name: square * float(v[members].mean()) for name, v in causes.items()}
+
+    still = variance(pipeline.methodical(iteration, 0.0))
+    noise = variance(pipeline.noise)
+    floor = sum(still.values())
+    return _Demand(
+        estimator=ESTIMATORS[pipeline.method][group],
+        fixed=still | {name: v for name, v in noise.items() if name not in REST_NOISE},
+        rest_noise=setup.rest * sum(noise[name] for name in REST_NOISE),
+        deviations=lambda scale: sum(variance(pipeline.methodical(iteration, scale)).values()) - floor,
+    )
+
+
+def _single_rest_demand(setup: Setup, pipeline: _Pipeline, iteration: int, estimator: BiasEstimator) -> _Demand:
+    """Of one rest per gyro, vertical (18) or polar (17), with accelerometers as the passes so far have left them."""
+    σ, accel = setup.gyro.bias, _members("accel.bias")
+    ratio = _unit_ratio(setup)
+    tilt = math.sqrt((ratio.table_error**2 + ratio.mounting_error**2) / 3.0)
+    _, up, _ = earth_rate(setup.latitude)
+    level, steep = (earth_rate(setup.latitude)[0], up) if estimator == "vertical" else (0.0, EARTH_RATE)
+
+    def deviations(scale: float) -> float:
+        b2 = float(_total(pipeline.methodical(iteration, scale))[accel].mean())
+        return level**2 * b2 + (scale * tilt) ** 2 * (steep**2 * b2 + σ**2)
+
+    fixed = {"gyro instability": setup.gyro_instability**2}
+    if estimator == "polar":
+        fixed["azimuth error of TRIAD, δω²/2Ω"] = 3.0 * (σ**2 / (2.0 * EARTH_RATE)) ** 2
+    return _Demand(
+        estimator=_SINGLE_REST[estimator], fixed=fixed, rest_noise=setup.gyro_white**2, deviations=deviations
+    )
+
+
+_SINGLE_REST = {"vertical": "one rest, axis vertical, Eq. (18)", "polar": "one rest, axis along the Earth's, Eq. (17)"}
+
+
+def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Requirement:
+    """The inverse: what of wanted² is left over what no table can help goes to deviations and to the noise of rests."""
+    free = wanted**2 - sum(demand.fixed.values())
+    estimator, gives = demand.estimator, _UNITS[group]
+    if free <= 0.0:
+        cause = max(demand.fixed, key=lambda name: demand.fixed[name])
+        floor = math.sqrt(sum(demand.fixed.values()))
+        reason = (
+            f"{group}: expected at least {floor:.3g} {gives} to be wanted, which an exact table and endless rests "
+            f"leave (mostly {cause}), found {wanted:.3g}; {_REMEDY.get(cause, 'take another pass or method')}"
+        )
+        return Requirement(
+            group=group, estimator=estimator, wanted=wanted, unit=gives, feasible=False, limited=True,
+            table_error=0.0, mounting_error=0.0, tilt=0.0, rest=math.inf, reason=reason,
+        )  # fmt: skip
+    noisy = demand.rest_noise > 0.0
+    rest = demand.rest_noise / (REST_SHARE * free) if noisy else 0.0
+    largest = LARGEST_DEVIATION / max(unit.table_error, unit.mounting_error)
+    scale = _largest(demand.deviations, (1.0 - REST_SHARE) * free if noisy else free, largest)
+    table, mounting = scale * unit.table_error, scale * unit.mounting_error
+    return Requirement(
+        group=group, estimator=estimator, wanted=wanted, unit=gives, feasible=True, limited=scale < largest,
+        table_error=table, mounting_error=mounting, tilt=math.sqrt((table**2 + mounting**2) / 3.0), rest=rest, reason="",
+    )  # fmt: skip
+
+
+_REMEDY: Mapping[str, str] = MappingProxyType(
+    {
+        "gyro noise in turns": "turn faster, or average launches",
+        "accelerometer instability": "average launches",
+        "gyro instability": "average launches",
+        "second order in the parameters": "take another pass",
+        "azimuth error of TRIAD, δω²/2Ω": "take vertical axes, Eq. (18), or another pass",
+    }
+)
+
+
+def _largest(function: Callable[[float], float], limit: float, most: float) -> float:
+    """The largest x up to `most` with function(x) ≤ limit, of a function that grows from zero."""
+    if function(most) <= limit:
+        return most
+    low, high = 0.0, most
+    while high - low > 1e-6 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(middle) <= limit else (low, middle)
+    return low
+
+
+def _unit_ratio(setup: Setup) -> Setup:
+    """The set-up with the larger of table and mounting error 1 rad, in its ratio, or both if they are zero."""
+    larger = max(setup.table_error, setup.mounting_error)
+    table, mounting = (setup.table_error / larger, setup.mounting_error / larger) if larger > 0.0 else (1.0, 1.0)
+    return replace(setup, table_error=table, mounting_error=mounting)
+
+
+def _check(setup: Setup, iterations: int) -> None:
+    """Raise InputError for values that make no sense."""
+    if iterations < 1:
+        raise InputError(f"iterations: expected at least 1, found {iterations}")
+    if not abs(setup.latitude) < 0.5 * math.pi - DEGREE:
+        found = setup.latitude / DEGREE
+        raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
+    for name in ("rest", "turn_rate", "gravity"):
+        _expect(name, getattr(setup, name), least="more than 0")
+    for name in ("table_error", "mounting_error", "accel_white", "gyro_white", "accel_instability", "gyro_instability"):
+        _expect(name, getattr(setup, name), least="0 or more")
+    for kind in ("accel", "gyro"):
+        for what in ("bias", "scale", "axis"):
+            _expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
+
+
+def _expect(name: str, value: float, *, least: str) -> None:
+    if not (0.0 < value < math.inf or (value == 0.0 and least == "0 or more")):
+        raise InputError(f"{name}: expected {least}, in SI, found {value:g}")
+
+
+def _check_wanted(wanted: Mapping[str, float], pipeline: _Pipeline) -> None:
+    """Raise InputError for a group the programme does not give or an accuracy that is none."""
+    for group, value in wanted.items():
+        if group not in pipeline.groups:
+            raise InputError(f"wanted: expected some of {', '.join(pipeline.groups)}, found {group!r}")
+        _expect(group, value, least="more than 0")
+
+
+# -------------------- linear pieces --------------------
+
+
+def _apply(matrix: Array, vector: Array) -> Array:
+    """Matrices (..., p, q) times vectors (..., q)."""
+    return np.asarray(np.einsum("...pq,...q->...p", matrix, vector))
+
+
+def _dot(left: Array, right: Array) -> Array:
+    return np.asarray(np.einsum("...p,...p->...", left, right))
+
+
+def _transposed(matrix: Array) -> Array:
+    return np.swapaxes(np.asarray(matrix), -1, -2)
+
+
+def _solved(rows: Array, right: Array) -> Array:
+    """Least squares (..., m) of rows (..., r, m) for right-hand sides (..., r)."""
+    return _apply(np.linalg.pinv(rows), right)
+
+
+def _swept(axis: Array, angle: Array, vector: Array) -> Array:
+    """∫ R v dΘ (..., 3) over a rotation by `angle` about `axis`: [Θ n nᵀ + sin Θ (I − n nᵀ) + (1 − cos Θ) [n×]] v."""
+    along = axis * _dot(axis, vector)[..., None]
+    Θ = np.asarray(angle)[..., None]
+    return np.asarray(Θ * along + np.sin(Θ) * (vector - along) + (1.0 - np.cos(Θ)) * np.cross(axis, vector))
+
+
+def _placed(values: Array, places: Sequence[tuple[int, int]]) -> Array:
+    """Matrices (..., 3, 3), zero but for values (..., m) at m places."""
+    v = np.asarray(values, dtype=float)
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    for i, (p, q) in enumerate(places):
+        out[..., p, q] = v[..., i]
+    return out
+
+
+_DIAGONAL = ((0, 0), (1, 1), (2, 2))
+
+
+def _accel_matrix_error(scale: Array, angles: Array) -> Array:
+    """M (..., 3, 3) of k (..., 3) and γ_yx, γ_zx, γ_zy (..., 3)."""
+    return _placed(scale, _DIAGONAL) + _placed(angles, _ACCEL_PAIRS)
+
+
+def _gyro_matrix_error(scale: Array, angles: Array) -> Array:
+    """E (..., 3, 3) of k (..., 3) and γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy (..., 6)."""
+    return _placed(scale, _DIAGONAL) + _placed(angles, _GYRO_PAIRS)
+
+
+def _angle_sums(angles: Array) -> Array:
+    """Γ (..., 3, 3) of γ_yx, γ_zx, γ_zy: γ_pq + γ_qp."""
+    lower = _placed(angles, _ACCEL_PAIRS)
+    return lower + _transposed(lower)
+
+
+def _second_order_matrix(scale: Array, angles: Array) -> Array:
+    """What diag(1 + k) A(γ) has beyond I + M, to second order (..., 3, 3)."""
+    Γ = _placed(angles, _ACCEL_PAIRS)
+    return np.asarray(scale)[..., None] * Γ - 0.5 * _placed((Γ**2).sum(axis=-1), _DIAGONAL)
+
+
+def _accelerometer_errors(values: Array, vertical: Array) -> Array:
+    """Errors over g (..., 3) at rest of accelerometers with b, k, γ (..., 9), for verticals (..., 3) in the body."""
+    v = np.asarray(values)
+    return v[..., :3] + _apply(_accel_matrix_error(v[..., 3:6], v[..., 6:]), vertical)
+
+
+_GYRO_BASIS = _gyro_matrix_error(np.eye(9)[:, :3], np.eye(9)[:, 3:])
+"""E (9, 3, 3) of each of the gyros' k and γ, taken as 1."""

@@ -3,19 +3,21 @@
 The Allan variance at τ is half the mean square of the difference of neighbouring means over τ. Noise terms that
 are independent add in it, each with its own slope:
 
-    σ²(τ) = 3 Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3 + R² τ²/2                                          (1)
+    σ²(τ) = 3 Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3                                                    (1)
 
     Q  quantisation of the angle or velocity             rad, m/s
     N  white noise: angle or velocity random walk        rad/√s = rad/s/√Hz, m/s/√s = m/s²/√Hz
     B  bias instability (flicker noise, S = B²/2πf)      rad/s, m/s²; the flat part is 0.664 B
     K  random walk of the rate (S = K²/(2πf)²)           rad/s/√s, m/s²/√s
-    R  ramp: a steady drift                              rad/s², m/s³
 
 Source: IEEE Std 952-1997, annex C; IEEE Std 1554-2005, annex D. S are two-sided spectral densities.
 
-Estimates of σ² at neighbouring τ come from the same samples and are strongly correlated. (1) is therefore fitted
-with their full covariance: the variances follow from the equivalent degrees of freedom, the correlations from
-the fitted spectrum, ∫ S² W_i W_j df with W the transfer function of the Allan variance (Greenhall & Riley 2003).
+Estimates of σ² at neighbouring τ come from the same samples and are strongly correlated. The fit of (1) is
+weighted by their variances 2σ⁴/ν, with ν the equivalent degrees of freedom; its uncertainties follow from their
+full covariance, with the correlations ∫ S² W_i W_j df of the fitted spectrum S, where W is the transfer function
+of the Allan variance.
+
+A steady drift (warm-up) is not a noise. It makes σ grow with τ and passes for a random walk.
 """
 
 from __future__ import annotations
@@ -81,7 +83,6 @@ class NoiseParameters:
     white_noise: Coefficient | None
     bias_instability: Coefficient | None
     rate_random_walk: Coefficient | None
-    rate_ramp: Coefficient | None
 
     def variances(self, tau: Array) -> dict[str, Array]:
         """The terms of (1), (k,) each, by name: what each noise contributes to σ²(τ)."""
@@ -94,12 +95,12 @@ class NoiseParameters:
         }
 
 
-_TERMS = ("quantisation", "white_noise", "bias_instability", "rate_random_walk", "rate_ramp")
+_TERMS = ("quantisation", "white_noise", "bias_instability", "rate_random_walk")
 
 
 def _slopes(tau: Array) -> Array:
-    """Columns (k, 5) of (1): what Q², N², B², K² and R² contribute to σ²(τ)."""
-    return np.column_stack([3.0 / tau**2, 1.0 / tau, np.full_like(tau, FLICKER), tau / 3.0, tau**2 / 2.0])
+    """Columns (k, 4) of (1): what unit Q, N, B and K contribute to σ²(τ)."""
+    return np.column_stack([3.0 / tau**2, 1.0 / tau, np.full_like(tau, FLICKER), tau / 3.0])
 
 
 def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
@@ -181,7 +182,7 @@ def identify(adev: AllanDeviation) -> tuple[NoiseParameters, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Transfer:
-    """Transfer functions W (k, f) of the Allan variance at averaging times tau (k,), with the spectra (f, 5) of
+    """Transfer functions W (k, f) of the Allan variance at averaging times tau (k,), with the spectra (f, 4) of
     the terms of (1) at unit coefficients and the widths (f,) of the frequency bins, Hz."""
 
     tau: Array
@@ -198,11 +199,11 @@ class _Transfer:
         sine = np.sin(np.pi * f * interval)
         W = np.sin(np.pi * np.outer(tau, f)) ** 4 / np.outer(tau / interval, sine) ** 2
         omega = 2.0 * np.pi * f
-        spectra = [4.0 * sine**2 / interval, np.ones_like(f), 1.0 / omega, 1.0 / omega**2, np.zeros_like(f)]
+        spectra = [4.0 * sine**2 / interval, np.ones_like(f), 1.0 / omega, 1.0 / omega**2]
         return cls(tau=tau, W=W, spectra=np.column_stack(spectra), widths=np.diff(edges))
 
     def correlation(self, squares: Array) -> Array:
-        """Correlation matrix (k, k) of the estimates of σ² for the squares (5,) of the coefficients."""
+        """Correlation matrix (k, k) of the estimates of σ² for the squares (4,) of the coefficients."""
         power = (self.spectra @ squares) ** 2 * self.widths
         covariance = (self.W * power) @ self.W.T
         scale = np.sqrt(np.diag(covariance))
@@ -218,7 +219,7 @@ class _Fit:
     transfer: _Transfer
 
     def squares(self, active: Sequence[int]) -> Array:
-        """Squares (5,) of the coefficients, zero where not active: non-negative least squares, weighted by the
+        """Squares (4,) of the coefficients, zero where not active: non-negative least squares, weighted by the
         fitted σ² and not by the data, where an estimate that is low by chance would gain weight by it."""
         columns = _slopes(self.transfer.tau)[:, active]
         model, out = self.variance, np.zeros(len(_TERMS))
@@ -232,7 +233,7 @@ class _Fit:
         return out
 
     def about(self, squares: Array, active: Sequence[int]) -> tuple[Array, Array, float]:
-        """Least squares with weights and covariance as the noise `squares` (5,) would have them: estimates of the
+        """Least squares with weights and covariance as the noise `squares` (4,) would have them: estimates of the
         active squares, their standard uncertainties, and χ² over what it should be."""
         model = _slopes(self.transfer.tau) @ squares
         weight = 1.0 / (self._relative() * model)

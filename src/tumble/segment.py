@@ -5,8 +5,9 @@ each channel and the gyro increments of every sample; a block is defined by the 
 chunks of any size give the same blocks. When the stream has ended, `find_rests` sets its thresholds from the
 whole:
 
-1. The level of the gyros at rest is the densest point of the one-second means of the angular rate: turns go
-   many ways, rests all read the bias (and the Earth's rate, within 2Ω).
+1. The level of the gyros at rest is the densest point of the one-second means of the angular rate where the
+   accelerometers are quiet, their scatter within QUIET_FACTOR of its floor: turns go many ways, rests all read the
+   bias (and the Earth's rate, within 2Ω), and slow turns that take most of the log are not quiet.
 2. The noise floor of the distance from that level is a clipped median, started from the tenth percentile. A
    block belongs to a rest where the distance is below FLOOR_FACTOR floors (and 2Ω for the Earth's rate), and
    the scatter of the accelerometers in the same second below SCATTER_FACTOR of its own floor. Vibration that
@@ -39,6 +40,7 @@ BLOCK_SECONDS = 0.1
 WINDOW_SECONDS = 1.0
 FLOOR_FACTOR = 5.0
 SCATTER_FACTOR = 10.0
+QUIET_FACTOR = 2.0
 EDGE_SIGMAS = 4.0
 MIN_REST_SECONDS = 2.0
 DENSITY_POINTS = 1000
@@ -46,7 +48,7 @@ MARGIN_FRACTION = 0.05
 MARGIN_SECONDS = (0.2, 1.0)
 ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
 GYRO_ROUNDING = 1e-7  # rad/s
-IN_MEMORY_BYTES = 128 * 2**20
+IN_MEMORY_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,6 +70,22 @@ class ChannelState:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Tail:
+    """The samples after the last whole block of a file: their weighted `total` (n,); and the weights (K + 1,) of the
+    blocks and of the tail in a mean."""
+
+    total: Array
+    weight: Array
+
+    def mean(self, means: Array, first: int, last: int) -> Array:
+        """Mean (n,) over blocks first … last − 1, with the tail where they end the file."""
+        total, weight = self.weight[first:last] @ means[first:last], self.weight[first:last].sum()
+        if last == len(means):
+            total, weight = total + self.total, weight + self.weight[-1]
+        return np.asarray(total / weight)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class FileBlocks:
     """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the
     accelerometers (K, n) and gyros (K, n) in SI, and of the temperature."""
@@ -80,26 +98,18 @@ class FileBlocks:
     accel: Array
     gyro: Array | None
     temperature: Array | None
-    samples: int
-    accel_tail: Array
-    """Sum of the samples after the last whole block."""
-    gyro_tail: Array | None
+    accel_tail: Tail
+    gyro_tail: Tail | None
 
     def accel_mean(self, first: int, last: int) -> Array:
         """Mean accelerometer reading (n,) over blocks first … last − 1, and over the tail where they end the file."""
-        return self._mean(self.accel, self.accel_tail, first, last)
+        return self.accel_tail.mean(self.accel, first, last)
 
     def gyro_mean(self, first: int, last: int) -> Array:
         """Mean gyro reading (n,), likewise; empty without gyros."""
         if self.gyro is None or self.gyro_tail is None:
             return np.empty(0)
-        return self._mean(self.gyro, self.gyro_tail, first, last)
-
-    def _mean(self, means: Array, tail: Array, first: int, last: int) -> Array:
-        total, count = self.size * means[first:last].sum(axis=0), self.size * (last - first)
-        if last == len(means):
-            total, count = total + tail, self.samples - self.size * first
-        return np.asarray(total / count)
+        return self.gyro_tail.mean(self.gyro, first, last)
 
 
 class GyroSamples:
@@ -156,25 +166,30 @@ class Reduction:
 
 
 class _Channels:
-    """Running block sums and channel states of one kind of sensor."""
+    """Running block sums and channel states of one kind of sensor. Samples that came as increments have the weight of
+    their intervals in a mean, samples that came as rates one and the same weight, whatever their time stamps."""
 
-    def __init__(self, sensors: int, size: int) -> None:
+    def __init__(self, sensors: int, size: int, increments: bool) -> None:
         self.size = size
+        self.increments = increments
         self.sums = np.zeros(sensors)
         self.filled = np.zeros(1, dtype=np.int64)
         self.state = _kernels.new_channel_state(sensors)
-        self.means: list[Array] = []
+        self.blocks: list[Array] = []
 
-    def feed(self, values: Array, time: Array) -> None:
+    def feed(self, values: Array, time: Array, dt: Array) -> None:
+        weight = dt if self.increments else np.ones(len(dt))
         out = np.empty(((len(values) + self.size) // self.size, len(self.sums)))
-        blocks = _kernels.block_means(values, time, self.size, self.sums, self.filled, self.state, out)
-        self.means.append(out[:blocks])
+        count = _kernels.block_sums(values, time, weight, self.size, self.sums, self.filled, self.state, out)
+        self.blocks.append(out[:count])
 
-    def end_file(self) -> tuple[Array, Array]:
-        """Means of the blocks of the file, and the sum of what was left."""
-        means = np.concatenate(self.means)
-        self.means, self.filled[0] = [], 0
-        tail, self.sums = self.sums, np.zeros_like(self.sums)
+    def end_file(self, edges: Array) -> tuple[Array, Tail]:
+        """Means of the blocks of the file, and what was left; `edges` (K + 2,) of the blocks and the file's end."""
+        count = len(edges) - 2
+        weight = np.diff(edges) if self.increments else np.append(np.full(count, float(self.size)), self.filled)
+        means = np.concatenate(self.blocks) / weight[:count, None]
+        tail = Tail(total=self.sums, weight=weight)
+        self.blocks, self.filled[0], self.sums = [], 0, np.zeros_like(self.sums)
         return means, tail
 
     def states(self) -> tuple[ChannelState, ...]:
@@ -200,11 +215,14 @@ def _channel_state(row: Array) -> ChannelState:
 class Reducer:
     """Takes a log chunk by chunk and keeps what segmentation and reduction need."""
 
-    def __init__(self, *, rate: float, accel: Block, gyro: Block | None) -> None:
+    def __init__(
+        self, *, rate: float, accel: Block, gyro: Block | None, increments: tuple[bool, bool] = (False, False)
+    ) -> None:
+        """`increments`: whether accelerometers and gyros came as increments per sample."""
         self.rate = rate
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
-        self._accel = _Channels(accel.size, self.size)
-        self._gyro = _Channels(gyro.size, self.size) if gyro else None
+        self._accel = _Channels(accel.size, self.size, increments[0])
+        self._gyro = _Channels(gyro.size, self.size, increments[1]) if gyro else None
         self._to_body = np.linalg.pinv(gyro.axes).T if gyro else np.eye(3)
         self._along_body = np.array_equal(self._to_body, np.eye(3))
         self._temperature: list[Array] = []
@@ -213,7 +231,7 @@ class Reducer:
         self._file = -1
         self._first = 0
         self._count = 0
-        self._start = 0.0
+        self._start = self._stop = 0.0
         self._stored = GyroSamples() if gyro else None
 
     def feed(self, chunk: Chunk) -> None:
@@ -222,9 +240,9 @@ class Reducer:
             self._end_file()
             self._file, self._start = chunk.file, float(chunk.time[0] - chunk.dt[0])
             self._first, self._count = self._first + self._count, 0
-        self._accel.feed(chunk.accel, chunk.time)
+        self._accel.feed(chunk.accel, chunk.time, chunk.dt)
         if self._gyro and self._stored is not None and chunk.gyro is not None:
-            self._gyro.feed(chunk.gyro, chunk.time)
+            self._gyro.feed(chunk.gyro, chunk.time, chunk.dt)
             body = chunk.gyro if self._along_body else chunk.gyro @ self._to_body
             self._stored.append(body, chunk.dt)
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
@@ -232,22 +250,23 @@ class Reducer:
         if chunk.temperature is not None:
             self._temperature.append(chunk.temperature[ends])
         self._count += len(chunk.time)
+        self._stop = float(chunk.time[-1])
 
     def _end_file(self) -> None:
         if self._file < 0:
             return
-        accel, accel_tail = self._accel.end_file()
-        gyro, gyro_tail = self._gyro.end_file() if self._gyro else (None, None)
+        edges = np.concatenate([[self._start], *self._times, [self._stop]])
+        accel, accel_tail = self._accel.end_file(edges)
+        gyro, gyro_tail = self._gyro.end_file(edges) if self._gyro else (None, None)
         self._files.append(
             FileBlocks(
                 file=self._file,
                 first_sample=self._first,
                 size=self.size,
-                edges=np.concatenate([[self._start], *self._times]),
+                edges=edges[:-1],
                 accel=accel,
                 gyro=gyro,
                 temperature=np.concatenate(self._temperature) if self._temperature else None,
-                samples=self._count,
                 accel_tail=accel_tail,
                 gyro_tail=gyro_tail,
             )
@@ -269,7 +288,9 @@ class Reducer:
 
 def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None) -> Reduction:
     """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress."""
-    reducer = Reducer(rate=log.rate, accel=accel, gyro=gyro)
+    spec = log.session.log
+    kinds = [channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)]
+    reducer = Reducer(rate=log.rate, accel=accel, gyro=gyro, increments=(kinds[0], kinds[1]))
     for chunk in log.chunks() if chunks is None else chunks:
         reducer.feed(chunk)
     return reducer.finish()
@@ -314,14 +335,17 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
     to_body = np.linalg.pinv(accel.axes).T
     specific_force = [f.accel @ to_body for f in reduction.files]
     scatter = [_moving_scatter(a, window) for a in specific_force]
-    scatter_limit = (SCATTER_FACTOR if gyro else FLOOR_FACTOR) * _floor(np.concatenate(scatter)) + ACCEL_ROUNDING
+    floor = _floor(np.concatenate(scatter))
+    scatter_limit = (SCATTER_FACTOR if gyro else FLOOR_FACTOR) * floor + ACCEL_ROUNDING
     calm = [s < scatter_limit for s in scatter]
     if gyro is None:
         spans = [_runs(c) for c in calm]
         return _assemble(reduction, specific_force, spans, window, scatter_limit, None, [])
     gyro_to_body = np.linalg.pinv(gyro.axes).T
     rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
-    spans, rate_limit = _still_spans(rates, calm, window)
+    quiet = [s < QUIET_FACTOR * floor + ACCEL_ROUNDING for s in scatter]
+    spans, rate_limit = _still_spans(rates, calm, quiet, window)
+    unmoved, _ = _still_spans(rates, None, quiet, window)
     restless = [
         Rejected(
             file=f.file,
@@ -329,24 +353,26 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
             stop=float(f.edges[j]),
             reason=f"accelerometer scatter {s[i:j].max():.2g} m/s^2 within a second is above {scatter_limit:.2g} m/s^2",
         )
-        for f, s, quiet, c in zip(reduction.files, scatter, _still_spans(rates, None, window)[0], calm, strict=True)
-        for i, j in quiet
+        for f, s, still, c in zip(reduction.files, scatter, unmoved, calm, strict=True)
+        for i, j in still
         if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
     ]
     return _assemble(reduction, rates, spans, window, scatter_limit, rate_limit, restless)
 
 
 def _still_spans(
-    rates: list[Array], calm: list[BoolArray] | None, window: int
+    rates: list[Array], calm: list[BoolArray] | None, quiet: list[BoolArray], window: int
 ) -> tuple[list[list[tuple[int, int]]], float]:
     """Stretches of blocks in which the body does not turn, per file, and the limit of the rate, rad/s."""
     smooth = [_moving_mean(w, window) for w in rates]
-    level = [np.broadcast_to(_densest(np.concatenate([s[::window] for s in smooth])), s.shape) for s in smooth]
+    in_quiet = np.concatenate(quiet)
+    densest = _densest(np.concatenate([s[::window][q[::window]] for s, q in zip(smooth, quiet, strict=True)]))
+    level = [np.broadcast_to(densest, s.shape) for s in smooth]
     spans: list[list[tuple[int, int]]] = [[] for _ in rates]
     limit = 0.0
     for _ in range(5):  # the level follows slow drift from rest to rest
         distance = [np.linalg.norm(s - at, axis=1) for s, at in zip(smooth, level, strict=True)]
-        limit = FLOOR_FACTOR * _floor(np.concatenate(distance)) + 2.0 * EARTH_RATE
+        limit = FLOOR_FACTOR * _floor(np.concatenate(distance)[in_quiet]) + 2.0 * EARTH_RATE
         still = [d < limit for d in distance]
         if calm is not None:
             still = [a & b for a, b in zip(still, calm, strict=True)]

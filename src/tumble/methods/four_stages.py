@@ -1,39 +1,28 @@
-"""The paper's method from end to end: four stages, each with the results of the stage before, iterated.
+"""The four stages of the paper's method, each with the results of the stage before, and what they need to know.
 
     1  biases and scale factors of the accelerometers     from rests
     2  angles between the axes of the accelerometers      from rests (the scalar method does 1 and 2 at once)
     3  biases of the gyros                                from rests
     4  scale factors and axis angles of the gyros         from turns, by the indirect method
 
-An iteration is one pass over the same data with the readings compensated by all passes before it; what a pass finds
-is composed with what was known (`compensation`), exactly. The turns are integrated about the model of the pass.
-An increment therefore measures what the pass before erred by its own method, not the noise, which is common to all.
+All stages together are a pass. It starts from the models of the pass before (perfect sensors at first), looks at
+readings compensated by them, and composes what it finds with them, exactly (`compensation`). `iterations` repeats it.
+Stage 4 uses the programme matrix of §6.3 and plain least squares, as the paper has it.
 
-Stage 4 uses the programme matrix of §6.3, so that the passes converge as the deviations from the programme, and
-plain least squares as the paper has it. Uncertainty is propagated through the passes as they are: derivatives of
-each pass by central differences, with respect to every mean reading, turn, gravity, and the model it starts from.
+The stages take any leading axes. Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy import linalg, stats
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
-from tumble.estimate import SCATTER_PROBABILITY, Estimate, Fit, scatter_of, sigmas
-from tumble.methods.compensation import (
-    ACCEL_ANGLES,
-    compensated,
-    composed,
-    perfect,
-    remaining,
-    triad_model,
-    triad_parameters,
-)
+from tumble.methods.compensation import compensated, composed, triad_model
 from tumble.methods.indirect import (
     RecordedTurn,
     Series,
@@ -42,12 +31,12 @@ from tumble.methods.indirect import (
     known_turns,
     programme_matrix,
 )
-from tumble.methods.levelling import triad, vertical
-from tumble.model import Block, SensorModel
-from tumble.observe import Observations, Turns
+from tumble.methods.levelling import triad
+from tumble.model import SensorModel
+from tumble.observe import Observations
 from tumble.programme import Programme
-from tumble.rotation import rotation_matrix
 from tumble.units import Array
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Method:
@@ -76,7 +65,9 @@ class Course:
 # One pass
 
 
-def accelerometer_pass(method: Method, course: Course, readings: Array, gravity: Array, before: SensorModel) -> SensorModel:
+def accelerometer_pass(
+    method: Method, course: Course, readings: Array, gravity: Array, before: SensorModel
+) -> SensorModel:
     """Stages 1 and 2: the model after a pass over readings (..., N, 3), given the one before."""
     found = method.accelerometers(compensated(before, readings), course.nominal, gravity)
     return composed(before, found)
@@ -109,8 +100,8 @@ def course_of(observations: Observations, method: Method) -> Course:
     programme, position = observations.programme, observations.position
     if programme is None or position is None:
         raise ProgrammeError(
-            f"method {method.name}: expected a programme with known positions and turns, such as rough-table, found none; "
-            "give [programme] in session.toml or take the method staged"
+            f"method {method.name}: expected a programme with known positions and turns, such as rough-table, "
+            "found none; give [programme] in session.toml or take the method staged"
         )
     for block in (observations.accel_block, observations.gyro_block):
         if block is not None and not block.triad:
@@ -121,13 +112,11 @@ def course_of(observations: Observations, method: Method) -> Course:
     nominal = np.array([programme.positions[k].vertical_b for k in position])
     method.check(nominal)
     if observations.gyro_block is None:
-        return Course(
-            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9))
-        )
+        return Course(nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9)))
     if observations.site.latitude is None:
         raise SessionError(
-            f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; give it "
-            "or take the method staged"
+            f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
+            "give it or take the method staged"
         )
     check_directions(programme)
     return Course(
@@ -149,8 +138,8 @@ def _recorded(observations: Observations, programme: Programme) -> tuple[Series,
         for rest in rests[:-1]:
             if int(rest) not in between:
                 raise ProgrammeError(
-                    f"programme {programme.name}: expected the turn from rest {rest + 1} to rest {rest + 2} in the log, "
-                    "found the end of a file; record every series in one file or take the method staged"
+                    f"programme {programme.name}: expected the turn from rest {rest + 1} to rest {rest + 2} in the "
+                    "log, found the end of a file; record every series in one file or take the method staged"
                 )
         course.append(
             tuple(
@@ -160,11 +149,7 @@ def _recorded(observations: Observations, programme: Programme) -> tuple[Series,
                     last=int(b),
                     counts=bool(observations.position[a] != observations.position[b]),
                 )
-                for a, b in zip(rests[:-1], rests[1:], strict=True)
+                for a, b in pairwise(rests)
             )
         )
     return tuple(course)
-
-
-def four_stages(observations: Observations, method: Method, iterations: int) -> Estimate:
-    raise NotImplementedError

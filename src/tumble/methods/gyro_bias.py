@@ -28,7 +28,7 @@ def vector_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     To be believed along the polar axis, where sensor errors enter times deviations from the programme, Eq. (17),
     and along the vertical, Eq. (18). TRIAD's azimuth is not linear in the bias: at the polar axis −δω_E²/2Ω is
     left, which the paper does not have (1.8 % of 0.3 °/h)."""
-    return rate - np.einsum("...ij,i->...j", triad(force, rate), earth_rate)
+    return np.asarray(rate - np.einsum("...ij,i->...j", triad(force, rate), earth_rate))
 
 
 def vertical_bias(rate: Array, force: Array, earth_rate: Array, nominal: Array) -> Array:

@@ -129,14 +129,14 @@ def check_directions(programme: Programme) -> None:
     advice = "take the programme rough-table or the method staged"
     if rank < 9:
         raise ProgrammeError(
-            f"programme {programme.name}: expected known turns that determine nine gyro scale factors and angles, found "
-            f"{rank} from {described}; {advice}"
+            f"programme {programme.name}: expected known turns that determine nine gyro scale factors and angles, "
+            f"found {rank} from {described}; {advice}"
         )
     leak = float(np.abs(leakage(programme)[:3, :3]).max())
     if leak > LEAK:
         raise ProgrammeError(
-            f"programme {programme.name}: expected directions of turns in which the accelerometer biases cancel in the gyro "
-            f"scale factors, found {described}, which pass {leak:.2f} of a bias in g on to them; turn back the second time "
+            f"programme {programme.name}: expected turns in whose directions accelerometer biases cancel in the gyro "
+            f"scale factors, found {described}, which pass on {leak:.2f} of a bias in g; turn back the second time "
             "about the same axis, as in N+180, U+180, N-180"
         )
 
@@ -169,9 +169,7 @@ class RecordedTurn:
 Series = tuple[RecordedTurn, ...]
 
 
-def carried_attitudes(
-    series: Series, attitude: Array, C: Array, duration: Array, earth_rate: Array
-) -> list[Array]:
+def carried_attitudes(series: Series, attitude: Array, C: Array, duration: Array, earth_rate: Array) -> list[Array]:
     """Attitudes (..., 3, 3) of a series before its first turn and after each: the start is that of the rest before
     the first turn, of attitudes (..., N, 3, 3), held during rests and carried by the turns C (..., K, 3, 3)."""
     found = [attitude[..., series[0].first, :, :]]
@@ -217,9 +215,7 @@ def logged_jacobian(
             after = Φ @ (Ψ + turned)
             if t.counts:
                 change = _TILT @ (after - Ψ)
-                change[..., :9] += _LEVEL @ (
-                    L[j + 1] @ accel[..., t.last, :, :] - L[j] @ accel[..., t.first, :, :]
-                )
+                change[..., :9] += _LEVEL @ (L[j + 1] @ accel[..., t.last, :, :] - L[j] @ accel[..., t.first, :, :])
                 rows.append(change)
             Ψ = after
     return np.concatenate(rows, axis=-2)

@@ -17,8 +17,9 @@ import numpy as np
 from tumble.errors import ProgrammeError
 from tumble.estimate import Estimate
 from tumble.methods.compensation import triad_model
-from tumble.methods.four_stages import Method, four_stages
+from tumble.methods.four_stages import Method
 from tumble.methods.gyro_bias import scalar_bias
+from tumble.methods.iterations import iterated
 from tumble.methods.levelling import vertical
 from tumble.model import SensorModel
 from tumble.observe import Observations
@@ -33,7 +34,7 @@ def scalar(observations: Observations, iterations: int = 2) -> Estimate:
 
     Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
     method = Method(name="scalar", accelerometers=accelerometers, gyro_bias=_gyro_bias, check=check_positions)
-    return four_stages(observations, method, iterations)
+    return iterated(observations, method, iterations)
 
 
 def scalar_rows(u: Array) -> Array:

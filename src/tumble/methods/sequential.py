@@ -16,12 +16,13 @@ import numpy as np
 from tumble.errors import ProgrammeError
 from tumble.estimate import Estimate
 from tumble.methods.compensation import triad_model
-from tumble.methods.four_stages import Method, four_stages
+from tumble.methods.four_stages import Method
 from tumble.methods.gyro_bias import vertical_bias
+from tumble.methods.iterations import iterated
 from tumble.methods.levelling import vertical
 from tumble.model import SensorModel
 from tumble.observe import Observations
-from tumble.units import Array
+from tumble.units import Array, BoolArray
 
 EXACT = 1e-6
 """By how much nominal cosines may miss what the programme of the method asks for."""
@@ -34,7 +35,7 @@ def sequential(observations: Observations, iterations: int = 2) -> Estimate:
 
     Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
     method = Method(name="sequential", accelerometers=accelerometers, gyro_bias=vertical_bias, check=check_positions)
-    return four_stages(observations, method, iterations)
+    return iterated(observations, method, iterations)
 
 
 # Stage 1
@@ -118,24 +119,28 @@ def _mean_angle(readings: Array, nominal: Array, p: int, q: int, gravity: Array)
     """Mean of the angle between axes p and q (...) over the rests made for it."""
     rests = _oblique(nominal, p, q)
     w = readings[..., rests, :]
-    return angle_between(w[..., p], w[..., q], w[..., 3 - p - q], np.asarray(gravity)[..., None]).mean(axis=-1)
+    angles = angle_between(w[..., p], w[..., q], w[..., 3 - p - q], np.asarray(gravity)[..., None])
+    return np.asarray(angles.mean(axis=-1))
 
 
-def _oblique(nominal: Array, p: int, q: int) -> Array:
+def _oblique(nominal: Array, p: int, q: int) -> BoolArray:
     """Rests (N,) in which axes p and q are symmetric about the horizon in a vertical plane."""
     return np.asarray((np.abs(nominal[:, p] + nominal[:, q]) < EXACT) & (np.abs(nominal[:, 3 - p - q]) < EXACT))
 
 
 def check_positions(nominal: Array) -> None:
     """Raise ProgrammeError unless there are rests (N, 3) for every axis and every pair."""
-    wanted = {f"{'XYZ'[p]} {side}": sign * nominal[:, p] > 1.0 - EXACT for p in range(3) for side, sign in _SIDES}
-    wanted |= {f"{'XYZ'[p]} 45° above and {'XYZ'[q]} 45° below the horizon": _oblique(nominal, p, q) for p, q in PAIRS}
-    missing = [name for name, rests in wanted.items() if not rests.any()]
+    wanted = [
+        (f"{'XYZ'[p]} {side}", np.asarray(sign * nominal[:, p] > 1.0 - EXACT))
+        for p in range(3)
+        for side, sign in (("up", 1.0), ("down", -1.0))
+    ]
+    wanted += [
+        (f"{'XYZ'[p]} 45° above and {'XYZ'[q]} 45° below the horizon", _oblique(nominal, p, q)) for p, q in PAIRS
+    ]
+    missing = [name for name, rests in wanted if not rests.any()]
     if missing:
         raise ProgrammeError(
             f"method sequential: expected rests with {'; '.join(missing)}, found none in the programme; "
             "take the programme rough-table or the method staged"
         )
-
-
-_SIDES = (("up", 1.0), ("down", -1.0))

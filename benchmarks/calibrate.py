@@ -1,0 +1,99 @@
+"""How long `tumble calibrate` takes, and how much memory, against reading the same file with polars.
+
+Whole process: start-up of `tumble --help`, and `tumble calibrate` on the Xsens recording (TUMBLE_DATA) and on a
+simulated hour at 1 kHz, Parquet and CSV, with peak memory. In process, imports and compilation excluded: calibrating the
+hour against the time polars takes to read the same columns into memory, pair by pair. Memory of a file of 20 million
+rows. Usage: python benchmarks/calibrate.py [--short]
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import polars as pl
+
+from tumble.calibration import calibrate
+from tumble.session import read_session
+from tumble.simulate import Request, simulate_session
+
+TUMBLE = Path(sys.executable).with_name("tumble")
+DATA = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+RUNS = 5
+
+
+def seconds(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def process(*command: str) -> tuple[float, float]:
+    """Median wall time (s) of a command over RUNS, after one run to warm up, and its peak memory (MB)."""
+    times = []
+    for _ in range(RUNS + 1):
+        start = time.perf_counter()
+        child = subprocess.Popen([str(TUMBLE), *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        _, status, usage = os.wait4(child.pid, 0)
+        times.append(time.perf_counter() - start)
+        if os.waitstatus_to_exitcode(status) not in (0, 1):
+            raise SystemExit(f"{' '.join(command)} failed")
+        peak = usage.ru_maxrss / 1024
+    return statistics.median(times[1:]), peak
+
+
+def against_polars(folder: Path) -> tuple[float, float, float]:
+    """Median of the ratio calibrate / polars, pair by pair, and the medians of both (s)."""
+    session = read_session(folder)
+    log, columns = session.log.files[0], list(session.log.columns)
+    read = pl.read_parquet if log.suffix == ".parquet" else pl.read_csv
+    calibrate(session)
+    pairs = [(seconds(lambda: calibrate(session)), seconds(lambda: read(log, columns=columns))) for _ in range(RUNS)]
+    ours, theirs = zip(*pairs, strict=True)
+    return statistics.median(a / b for a, b in pairs), statistics.median(ours), statistics.median(theirs)
+
+
+def hour(folder: Path, log_format: str, rest: float) -> Path:
+    """A session of about an hour at 1 kHz (less in the short form)."""
+    request = Request(programme="rough-table", rest=rest, sample_rate=1000.0)
+    return simulate_session(folder, request, seed=5, log_format=log_format)  # type: ignore[arg-type]
+
+
+def main() -> None:
+    short = "--short" in sys.argv
+    with tempfile.TemporaryDirectory() as temporary:
+        lines = [f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"]
+        wall, _ = process("--help")
+        lines.append(f"tumble --help                       {wall:6.2f} s")
+        out = str(Path(temporary) / "out.json")
+        if (DATA / "xsens-mti").is_dir():
+            wall, peak = process("calibrate", str(DATA / "xsens-mti"), "--out", out, "--force")
+            lines.append(f"tumble calibrate xsens-mti          {wall:6.2f} s {peak:6.0f} MB")
+        for log_format in ("parquet", "csv"):
+            folder = hour(Path(temporary) / log_format, log_format, 10.0 if short else 225.0)
+            rows = pl.scan_parquet(folder / "log.parquet").select(pl.len()).collect().item() if log_format == "parquet" else rows
+            wall, peak = process("calibrate", str(folder), "--out", out, "--force")
+            lines.append(f"tumble calibrate, {rows:>9,} {log_format:7} {wall:6.2f} s {peak:6.0f} MB")
+            ratio, ours, theirs = against_polars(folder)
+            lines.append(f"  in process {ours:.2f} s, polars reads it in {theirs:.2f} s, ratio {ratio:.2f}")
+            shutil.rmtree(folder)
+        if not short:
+            folder = hour(Path(temporary) / "long", "parquet", 1317.0)
+            rows = pl.scan_parquet(folder / "log.parquet").select(pl.len()).collect().item()
+            wall, peak = process("calibrate", str(folder), "--out", out, "--force")
+            lines.append(f"tumble calibrate, {rows:>10,} rows   {wall:6.2f} s {peak:6.0f} MB")
+        print(*lines, sep="\n")
+        print(f"(peak of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB)")
+
+
+if __name__ == "__main__":
+    main()
