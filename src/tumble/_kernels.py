@@ -25,9 +25,9 @@ def _compiled(**flags: Any) -> Callable[[Function], Function]:
 
     def decorate(function: Function) -> Function:
         try:
-            return numba.njit(cache=True, **flags)(function)  # type: ignore[no-any-return]
+            return numba.njit(cache=True, nogil=True, **flags)(function)  # type: ignore[no-any-return]
         except RuntimeError:
-            return numba.njit(**flags)(function)  # type: ignore[no-any-return]
+            return numba.njit(nogil=True, **flags)(function)  # type: ignore[no-any-return]
 
     return decorate
 

@@ -1,13 +1,15 @@
 """Rests found in a log, matched to the positions of a programme.
 
 Verticals are compared (bias taken off by the median difference), for programmes in order also the turns as the
-gyros saw them. Rests that follow each other without a turn between them are one position. A rest that cannot be
-the programme's position, a missing or a surplus one, is a `ProgrammeError` that names the position.
+gyros saw them. Rests that follow each other without a turn between them are one position; without gyros, rests in a
+row with one vertical are the positions in a row that have it. A rest that cannot be the programme's position, a
+missing or a surplus one, is a `ProgrammeError` that names the position.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
@@ -47,11 +49,12 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     verticals = _verticals(readings, listed, session.site.gravity)
     if not listed.ordered:
         return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals))
-    groups = _groups(session, reduction, rests)
+    seen = session.log.gyro is not None
+    groups = _groups(session, reduction, rests) if seen else _groups_by_vertical(listed, verticals)
     first = [group[0] for group in groups]
     _check_order(listed, [rests[i] for i in first], verticals[first])
     _check_turns(session, reduction, listed, rests, groups)
-    position = np.repeat(np.arange(len(groups)), [len(group) for group in groups])
+    position = np.array([next(k for k, group in enumerate(groups) if i in group) for i in range(len(rests))])
     return Match(rests=rests, programme=listed, position=position)
 
 
@@ -91,6 +94,24 @@ def _groups(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...])
             groups[-1].append(i)
         else:
             groups.append([i])
+    return groups
+
+
+def _groups_by_vertical(listed: Programme, verticals: Array) -> list[list[int]]:
+    """Indices of rests by position where no gyro sees the turns between them: a turn about the vertical hardly shows,
+    so that rests in a row with one vertical belong to all positions in a row that have it."""
+    expected = np.array([p.vertical_b for p in listed.positions])
+    same = np.argmax(expected @ expected.T > 1.0 - 1e-9, axis=1)
+    nearest = same[np.argmax(verticals @ expected.T, axis=1)]
+    lengths: dict[int, list[int]] = {}
+    for vertical, run in groupby(same.tolist()):
+        lengths.setdefault(vertical, []).append(len(list(run)))
+    groups: list[list[int]] = []
+    for vertical, members in groupby(range(len(verticals)), key=nearest.tolist().__getitem__):
+        rests, left = list(members), lengths[vertical]
+        positions = left.pop(0) if len(left) > 1 else left[0]
+        parts = np.array_split(rests, positions) if len(rests) >= positions else [np.array(rests)] * positions
+        groups += [part.tolist() for part in parts]
     return groups
 
 

@@ -45,7 +45,7 @@ MIN_SIZE = 4
 SLOPE_ERROR = 0.03
 """How far real sensors follow (1), as a part of σ²: filters and vibration bend it at short τ, where the
 statistical error is far smaller."""
-SIGNIFICANCE = 3.5
+SIGNIFICANCE = 4.0
 """A term is reported when its coefficient in (1) is so many of its standard uncertainties."""
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
@@ -254,30 +254,39 @@ class _Fit:
 
 
 def _identify(fit: _Fit) -> NoiseParameters:
-    """The terms of one channel: the least significant are left out one by one. A term is tested on the noise that
-    the others make of the record without it: few degrees of freedom say little of how large it is, but may well
-    say that it is there."""
+    """The terms of one channel: the least significant are left out one by one."""
     active = list(range(len(_TERMS))) if fit.variance.all() else []
-    while len(active) > 1:
+    while True:
+        squares, u = _estimates(fit, active)
         significance = [_significance(fit, active, j) for j in active]
-        weakest = int(np.argmin(significance))
-        if significance[weakest] >= SIGNIFICANCE:
+        if min(significance, default=np.inf) >= SIGNIFICANCE:
             break
-        del active[weakest]
-    if not active:
-        return NoiseParameters(**dict.fromkeys(_TERMS))
-    squares = fit.squares(active)
-    _, u, misfit = fit.about(squares, active)
+        del active[int(np.argmin(significance))]
+    values = np.sqrt(squares[active])
     found = {
-        _TERMS[j]: Coefficient(value=float(value), u=float(0.5 * w / value) * max(1.0, misfit**0.5))
-        for j, value, w in zip(active, np.sqrt(squares[active]), u, strict=True)
+        _TERMS[j]: Coefficient(value=float(value), u=float(0.5 * w / value))
+        for j, value, w in zip(active, values, u, strict=True)
     }
     return NoiseParameters(**{name: found.get(name) for name in _TERMS})
 
 
+def _estimates(fit: _Fit, active: Sequence[int]) -> tuple[Array, Array]:
+    """Squares (4,) of the coefficients and standard uncertainties of the active ones, enlarged by √χ² where it
+    is larger than it should be."""
+    if not active:
+        return np.zeros(len(_TERMS)), np.zeros(0)
+    squares = fit.squares(active)
+    _, u, misfit = fit.about(squares, active)
+    return squares, u * np.sqrt(max(1.0, misfit))
+
+
 def _significance(fit: _Fit, active: Sequence[int], term: int) -> float:
-    """The square of a term over its standard uncertainty if the term were absent."""
+    """The square of a coefficient over what its standard uncertainty would be without the term: few degrees of
+    freedom say little of how large a noise is, but may well say that it is there."""
     others = [j for j in active if j != term]
+    if not others:
+        return np.inf
     squares, u, _ = fit.about(fit.squares(others), active)
+    _, _, misfit = fit.about(fit.squares(active), active)
     at = list(active).index(term)
-    return float(squares[at] / u[at])
+    return float(squares[at] / (u[at] * np.sqrt(max(1.0, misfit))))

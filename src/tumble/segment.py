@@ -16,7 +16,8 @@ whole:
 3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
    shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two rests of a file is a turn.
 
-Without gyros only the accelerometers decide.
+Without gyros only the accelerometers decide: their scatter, and the step between the means of two neighbouring
+seconds, which shows a turn about a nearly vertical axis by the little it tilts.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from __future__ import annotations
 import os
 import tempfile
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import IO
 
@@ -48,7 +50,7 @@ MARGIN_FRACTION = 0.05
 MARGIN_SECONDS = (0.2, 1.0)
 ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
 GYRO_ROUNDING = 1e-7  # rad/s
-IN_MEMORY_BYTES = 64 * 2**20
+IN_MEMORY_BYTES = 32 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -116,12 +118,11 @@ class GyroSamples:
     """The gyro samples of a log, kept for the turns: body rates (rad/s) from nominal sensors and the interval (s) of
     each sample, as the log gave them while they are few, in a temporary file beyond IN_MEMORY_BYTES."""
 
-    _ROW_BYTES = 4 * 8
-
+    _BYTES = 4 * 8  # a sample
     def __init__(self) -> None:
         self._chunks: list[tuple[Array, Array]] = []
         self._starts: list[int] = []
-        self._file: IO[bytes] | None = None
+        self._files: tuple[IO[bytes], IO[bytes]] | None = None
         self.count = 0
 
     def append(self, rates: Array, dt: Array) -> None:
@@ -129,29 +130,35 @@ class GyroSamples:
         self._chunks.append((rates, dt))
         self._starts.append(self.count)
         self.count += len(dt)
-        if self._file is not None or self.count * self._ROW_BYTES > IN_MEMORY_BYTES:
+        if self._files is not None or self.count * self._BYTES > IN_MEMORY_BYTES:
             self._spill()
 
     def _spill(self) -> None:
-        """Move what is in memory to the file."""
-        if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115
-        self._file.seek(0, os.SEEK_END)
+        """Move what is in memory to the files."""
+        if self._files is None:
+            self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()
         for rates, dt in self._chunks:
-            self._file.write(np.column_stack([rates, dt]).data)
+            for file, values in zip(self._files, (rates, dt), strict=True):
+                file.seek(0, os.SEEK_END)
+                file.write(np.ascontiguousarray(values).data)
         self._chunks, self._starts = [], []
 
     def read(self, start: int, stop: int) -> tuple[Array, Array]:
         """Increments (m, 3), rad, and intervals (m,), s, of samples start … stop − 1."""
-        if self._file is not None:
-            self._file.seek(start * self._ROW_BYTES)
-            rows = np.frombuffer(self._file.read((stop - start) * self._ROW_BYTES)).reshape(-1, 4)
-            return rows[:, :3] * rows[:, 3:], rows[:, 3]
+        if self._files is not None:
+            rates, dt = (_values_at(file, width, start, stop) for file, width in zip(self._files, (3, 1), strict=True))
+            return rates.reshape(-1, 3) * dt[:, None], dt
         first, last = bisect_right(self._starts, start) - 1, bisect_left(self._starts, stop)
         rates = np.concatenate([rates for rates, _ in self._chunks[first:last]])
         dt = np.concatenate([dt for _, dt in self._chunks[first:last]])
         part = slice(start - self._starts[first], stop - self._starts[first])
         return rates[part] * dt[part, None], dt[part]
+
+
+def _values_at(file: IO[bytes], width: int, start: int, stop: int) -> Array:
+    """Rows start … stop − 1, `width` numbers each, of a file of numbers."""
+    file.seek(8 * width * start)
+    return np.frombuffer(file.read(8 * width * (stop - start)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -291,9 +298,18 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
     spec = log.session.log
     kinds = [channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)]
     reducer = Reducer(rate=log.rate, accel=accel, gyro=gyro, increments=(kinds[0], kinds[1]))
-    for chunk in log.chunks() if chunks is None else chunks:
+    for chunk in _one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
     return reducer.finish()
+
+
+def _one_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:
+    """The same chunks; the next one is read while this one is worked on."""
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        ahead = beside.submit(next, chunks, None)
+        while (chunk := ahead.result()) is not None:
+            ahead = beside.submit(next, chunks, None)
+            yield chunk
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -339,7 +355,9 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
     scatter_limit = (SCATTER_FACTOR if gyro else FLOOR_FACTOR) * floor + ACCEL_ROUNDING
     calm = [s < scatter_limit for s in scatter]
     if gyro is None:
-        spans = [_runs(c) for c in calm]
+        step = [_moving_step(a, window) for a in specific_force]
+        step_limit = FLOOR_FACTOR * _floor(np.concatenate(step)) + ACCEL_ROUNDING
+        spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
         return _assemble(reduction, specific_force, spans, window, scatter_limit, None, [])
     gyro_to_body = np.linalg.pinv(gyro.axes).T
     rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
@@ -480,6 +498,14 @@ def _moving_scatter(values: Array, window: int) -> Array:
     for i in range(window):
         variance += ((values[i : inside + i] - mean) ** 2).sum(axis=1)
     return np.asarray(np.sqrt(variance / window)[_window_of(len(values), window)])
+
+
+def _moving_step(values: Array, window: int) -> Array:
+    """Distance between the means of the `window` rows before and behind each row, at the ends that of the nearest."""
+    window = min(window, len(values) // 2)
+    mean = _inner_mean(values, window)
+    step = np.linalg.norm(mean[window:] - mean[:-window], axis=1)
+    return np.asarray(step[np.clip(np.arange(len(values)) - window, 0, len(step) - 1)])
 
 
 def _inner_mean(values: Array, window: int) -> Array:

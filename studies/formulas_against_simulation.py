@@ -1,0 +1,428 @@
+"""Do the accuracy formulas of the paper predict what a nonlinear simulation shows?
+
+The simulation knows nothing of `tumble.budget`: exact sensors, Eq. (1), on a rough table; rests levelled by TRIAD;
+turns integrated through the Earth's rotation at constant rate; the estimators as the paper describes them. Each of
+its launches has an instrument, a mounting, a table and noise of its own. Printed are rms errors over launches and
+over the parameters of a group, and the budget's prediction beside them.
+
+    python studies/formulas_against_simulation.py [--short]
+
+The answer is printed last; the exit status is 1 if it is no.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.budget import GROUPS, NAMES, Method, Setup, budget, require
+from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
+from tumble.programme import programme
+from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
+from tumble.units import ARCSEC, DEGREE, Array, IntArray
+
+STEPS = 12
+"""Steps of the integration of a turn, of fourth order: 15° each."""
+
+ALLOWANCE = 0.05
+"""How far a prediction of first order in table errors of some degrees may be off for the answer to be yes."""
+
+SIGMAS = 5.0
+
+
+# -------------------- the simulated launches --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Launches:
+    """T launches: true parameters (T, 21), readings at rest over N positions (T, N, 3), and the readings of the gyros
+    at the Gauss nodes of the steps of K turns, `rates` (T, K, STEPS, 2, 3), rad/s. `first`, `last`, `duration` (K,) of
+    the turns; `nominal` (N, 3, 3)."""
+
+    setup: Setup
+    truth: Array
+    attitudes: Array
+    accel: Array
+    gyro: Array
+    rates: Array
+    first: IntArray
+    last: IntArray
+    duration: Array
+    nominal: Array
+
+
+def simulate(setup: Setup, launches: int, rng: np.random.Generator) -> Launches:
+    """Launches of instruments with Gaussian parameters on tables and mountings with uniform errors."""
+    a, g = setup.accel, setup.gyro
+    spread = np.repeat([a.bias, a.scale, a.axis, g.bias, g.scale, g.axis], [3, 3, 3, 3, 3, 6])
+    nominal = np.array([position.matrix for position in setup.programme.positions])
+    table = setup.table_error * rng.uniform(-1.0, 1.0, (launches, len(nominal), 3))
+    mounting = setup.mounting_error * rng.uniform(-1.0, 1.0, (launches, 1, 3))
+    attitudes = rotation_matrix(table) @ nominal @ rotation_matrix(mounting)
+    return readings(setup, spread * rng.standard_normal((launches, len(NAMES))), attitudes, rng)
+
+
+def readings(setup: Setup, truth: Array, attitudes: Array, rng: np.random.Generator) -> Launches:
+    """What instruments (T, 21) read at these true attitudes (T, N, 3, 3) and in the turns between them."""
+    known = [(i, m.angle) for i, m in enumerate(setup.programme.moves) if m.angle is not None]
+    first = np.array([i for i, _ in known], dtype=int)
+    axis = np.array([setup.programme.moves[i].axis for i in first], dtype=float).reshape(-1, 3)
+    angle = np.array([a for _, a in known], dtype=float)
+    duration = np.abs(angle) / setup.turn_rate
+    S_a, b_a, S_g, b_g = matrices(truth)
+    up = np.swapaxes(attitudes, -1, -2) @ [0.0, 1.0, 0.0]
+    earth = np.swapaxes(attitudes, -1, -2) @ np.array(earth_rate(setup.latitude))
+    dwell = math.sqrt(setup.rest)
+    changes = setup.gyro_instability * rng.standard_normal(earth.shape)
+    accel = setup.gravity * up @ S_a.swapaxes(1, 2) + b_a[:, None]
+    accel += setup.accel_instability * rng.standard_normal(up.shape)
+    accel += setup.accel_white / dwell * rng.standard_normal(up.shape)
+    gyro = earth @ S_g.swapaxes(1, 2) + b_g[:, None] + changes
+    gyro += setup.gyro_white / dwell * rng.standard_normal(up.shape)
+    start = attitudes[:, first]
+    vector = turn_vectors(start, attitudes[:, first + 1], axis * angle[:, None])
+    true = true_rates(start, vector, duration, setup.latitude)
+    step = duration / STEPS
+    noise = setup.gyro_white / np.sqrt(step)[:, None, None] * rng.standard_normal((*true.shape[:3], 3))
+    rates = true @ S_g[:, None, None].swapaxes(-1, -2) + (b_g[:, None] + changes[:, first])[:, :, None, None]
+    return Launches(
+        setup=setup,
+        truth=truth,
+        attitudes=attitudes,
+        accel=accel,
+        gyro=gyro,
+        rates=rates + noise[:, :, :, None],
+        first=first,
+        last=first + 1,
+        duration=duration,
+        nominal=np.array([position.matrix for position in setup.programme.positions]),
+    )
+
+
+def matrices(X: Array) -> tuple[Array, Array, Array, Array]:
+    """Matrices (T, 3, 3) and biases (T, 3) of accelerometers and gyros with parameters (T, 21): the exact Eq. (1)."""
+    zero = np.zeros(len(X))
+    accel = axes_matrix(zero, zero, X[:, 6], zero, X[:, 7], X[:, 8])  # type: ignore[arg-type]
+    gyro = axes_matrix(*X[:, 15:21].T)
+    S_a = (1.0 + X[:, 3:6])[:, :, None] * np.moveaxis(accel, 2, 0)
+    S_g = (1.0 + X[:, 12:15])[:, :, None] * np.moveaxis(gyro, 2, 0)
+    return S_a, X[:, :3], S_g, X[:, 9:12]
+
+
+def parameters(S_a: Array, b_a: Array, S_g: Array, b_g: Array) -> Array:
+    """Parameters (T, 21) of matrices and biases: `matrices` inverted."""
+    out = []
+    for S, b, angles in ((S_a, b_a, [2, 4, 5]), (S_g, b_g, [0, 1, 2, 3, 4, 5])):
+        norms = np.linalg.norm(S, axis=2)
+        six = axes_angles(np.moveaxis(S / norms[:, :, None], 0, 2))
+        out += [b, norms - 1.0, six[angles].T]
+    return np.concatenate(out, axis=1)
+
+
+def turn_vectors(start: Array, stop: Array, nominal: Array) -> Array:
+    """Rotation vectors (T, K, 3), geographic, that lead from one attitude to the other, on the side of the nominal
+    ones (K, 3): Newton's method from there."""
+    vector = np.broadcast_to(nominal, start.shape[:-1]).copy()
+    for _ in range(5):
+        left = stop @ np.swapaxes(rotation_matrix(vector) @ start, -1, -2)
+        small = 0.5 * (left - np.swapaxes(left, -1, -2))
+        error = np.stack([small[..., 2, 1], small[..., 0, 2], small[..., 1, 0]], axis=-1)
+        vector = vector + np.linalg.solve(left_jacobian(vector), error[..., None])[..., 0]
+    return vector
+
+
+def left_jacobian(vector: Array) -> Array:
+    """∫₀¹ exp(s [v×]) ds (..., 3, 3) of rotation vectors (..., 3)."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    K = cross_matrix(vector) / angle
+    return np.asarray(np.eye(3) + (1 - np.cos(angle)) / angle * K + (1 - np.sin(angle) / angle) * (K @ K))
+
+
+def cross_matrix(vector: Array) -> Array:
+    """[v×] (..., 3, 3)."""
+    return np.cross(vector[..., None, :], np.eye(3)).swapaxes(-1, -2)
+
+
+NODES = 0.5 + np.array([-1.0, 1.0]) * math.sqrt(3.0) / 6.0
+
+
+def true_rates(start: Array, vector: Array, duration: Array, latitude: float) -> Array:
+    """Rates in the body (T, K, STEPS, 2, 3) at the Gauss nodes of the steps of turns at constant rate: Lᵀ(n Θ̇ + Ω)."""
+    s = ((np.arange(STEPS)[:, None] + NODES) / STEPS)[:, :, None]
+    back = rotation_matrix(-s * vector[:, :, None, None])
+    total = vector[:, :, None, None] / duration[:, None, None, None] + np.array(earth_rate(latitude))
+    return np.einsum("tkba,tksnbc,tksnc->tksna", start, back, total)
+
+
+# -------------------- the methods --------------------
+
+
+@dataclass(kw_only=True)
+class Found:
+    """What is known of the sensors so far: matrices (T, 3, 3) and biases (T, 3)."""
+
+    S_a: Array
+    b_a: Array
+    S_g: Array
+    b_g: Array
+
+
+def calibrate(launches: Launches, method: Method, iterations: int) -> list[Array]:
+    """Errors (T, 21), estimated − true, after each pass of a method."""
+    T = len(launches.truth)
+    eye, zero = np.broadcast_to(np.eye(3), (T, 3, 3)), np.zeros((T, 3))
+    found = Found(S_a=eye, b_a=zero, S_g=eye, b_g=zero)
+    errors = []
+    for _ in range(iterations):
+        one_pass(launches, method, found)
+        errors.append(parameters(found.S_a, found.b_a, found.S_g, found.b_g) - launches.truth)
+    return errors
+
+
+def one_pass(launches: Launches, method: Method, found: Found) -> None:
+    """All stages on readings corrected by what is known; what they find is put on top of it, exactly."""
+    accel = accelerometers_sequential if method == "sequential" else accelerometers_scalar
+    w = np.linalg.solve(found.S_a[:, None], (launches.accel - found.b_a[:, None])[..., None])[..., 0]
+    S, b = accel(launches, w)
+    found.b_a = found.b_a + (found.S_a @ b[..., None])[..., 0]
+    found.S_a = found.S_a @ S
+    w = np.linalg.solve(found.S_a[:, None], (launches.accel - found.b_a[:, None])[..., None])[..., 0]
+    ω = np.linalg.solve(found.S_g[:, None], (launches.gyro - found.b_g[:, None])[..., None])[..., 0]
+    bias = BIAS[method](launches, w, ω)
+    found.b_g = found.b_g + (found.S_g @ bias[..., None])[..., 0]
+    if len(launches.first):
+        found.S_g = found.S_g @ gyro_matrices(launches, method, found, w, ω - bias[:, None])
+
+
+def accelerometers_sequential(launches: Launches, w: Array) -> tuple[Array, Array]:
+    """Eqs. (3), (4) on all rests with an axis up or down, levelled by TRIAD, then (10) and (2)."""
+    g = launches.setup.gravity
+    nominal = launches.nominal[:, 1]
+    unit = w / np.linalg.norm(w, axis=-1, keepdims=True)
+    X = np.zeros((len(w), len(NAMES)))
+    for p in range(3):
+        rests = np.abs(nominal[:, p]) > 0.9
+        c, r = unit[:, rests, p], w[:, rests, p]
+        dc, dr = c - c.mean(1, keepdims=True), r - r.mean(1, keepdims=True)
+        slope = (dc * dr).sum(1) / (dc**2).sum(1)
+        X[:, 3 + p], X[:, p] = slope / g - 1.0, r.mean(1) - slope * c.mean(1)
+    w = (w - X[:, None, :3]) / (1.0 + X[:, None, 3:6])
+    φ = []
+    for p, q in ((0, 1), (0, 2), (1, 2)):
+        (rest,) = np.flatnonzero(np.abs(nominal[:, p] * nominal[:, q]) > 0.4)
+        across = np.sqrt(g**2 - w[:, rest, 3 - p - q] ** 2)
+        φ.append(np.arccos(w[:, rest, q] / across) - np.arccos(w[:, rest, p] / across))
+    X[:, 6], X[:, 7] = 0.5 * np.pi - φ[0], 0.5 * np.pi - φ[1]
+    sine = np.cos(φ[2]) - np.sin(X[:, 6]) * np.sin(X[:, 7])
+    X[:, 8] = np.arcsin(sine / (np.cos(X[:, 6]) * np.cos(X[:, 7])))
+    return matrices(X)[:2]
+
+
+def accelerometers_scalar(launches: Launches, w: Array) -> tuple[Array, Array]:
+    """Eqs. (12), (13) on all rests with the estimated orientation."""
+    g = launches.setup.gravity
+    u = w / np.linalg.norm(w, axis=-1, keepdims=True)
+    x, y, z = np.moveaxis(u, -1, 0)
+    H = np.stack([x, y, z, x * x, y * y, z * z, x * y, x * z, y * z], axis=-1)
+    Z = ((w**2).sum(-1) - g**2) / (2.0 * g**2)
+    X = np.zeros((len(w), len(NAMES)))
+    X[:, :9] = (np.linalg.pinv(H) @ Z[..., None])[..., 0]
+    X[:, :3] *= g
+    return matrices(X)[:2]
+
+
+def triad(w: Array, ω: Array) -> Array:
+    """Attitudes body → geographic (..., 3, 3), rows N, U, E: the vertical is the base vector."""
+    up = w / np.linalg.norm(w, axis=-1, keepdims=True)
+    east = np.cross(ω, up)
+    east = east / np.linalg.norm(east, axis=-1, keepdims=True)
+    return np.stack([np.cross(up, east), up, east], axis=-2)
+
+
+def bias_vertical(launches: Launches, w: Array, ω: Array) -> Array:
+    """Vector method: each gyro where it is vertical."""
+    shown = ω - np.swapaxes(triad(w, ω), -1, -2) @ np.array(earth_rate(launches.setup.latitude))
+    vertical = np.abs(launches.nominal[:, 1]) > 0.9
+    return np.stack([shown[:, vertical[:, p], p].mean(1) for p in range(3)], axis=1)
+
+
+def bias_modulus(launches: Launches, w: Array, ω: Array) -> Array:
+    """Scalar method on all rests."""
+    rows = np.swapaxes(triad(w, ω), -1, -2) @ np.array(earth_rate(launches.setup.latitude)) / EARTH_RATE
+    right = ((ω**2).sum(-1) - EARTH_RATE**2) / (2.0 * EARTH_RATE)
+    return np.asarray((np.linalg.pinv(rows) @ right[..., None])[..., 0])
+
+
+def bias_dot_product(launches: Launches, w: Array, ω: Array) -> Array:
+    """Dot-product invariant on all rests."""
+    u = w / np.linalg.norm(w, axis=-1, keepdims=True)
+    right = (u * ω).sum(-1) - earth_rate(launches.setup.latitude)[1]
+    return np.asarray((np.linalg.pinv(u) @ right[..., None])[..., 0])
+
+
+BIAS: dict[Method, Callable[[Launches, Array, Array], Array]] = {
+    "sequential": bias_vertical,
+    "scalar": bias_modulus,
+    "staged": bias_dot_product,
+}
+
+
+def gyro_matrices(launches: Launches, method: Method, found: Found, w: Array, ω: Array) -> Array:
+    """Indirect method: matrices (T, 3, 3) of what is left in the gyros, with the table of §6.3 (scalar, sequential) or
+    with the Jacobian of the integrated rates (staged)."""
+    C, M = integrated(launches, found, with_columns=method == "staged")
+    y, H = differences(launches, w, ω, C, M)
+    rows = PROGRAMME_MATRIX if method != "staged" else H
+    x = (np.linalg.pinv(rows) @ y[..., None])[..., 0]
+    X = np.zeros((len(w), len(NAMES)))
+    X[:, 12:] = x
+    return matrices(X)[2]
+
+
+def integrated(launches: Launches, found: Found, *, with_columns: bool) -> tuple[Array, Array]:
+    """Rotations C (T, K, 3, 3), body at the end → at the start, non-rotating, by Magnus steps of fourth order, and
+    M (T, K, 3, 9) = ∫ C E_c ω dt for the nine gyro parameters if wanted."""
+    inverse = np.linalg.inv(found.S_g)[:, None]
+    T, K = launches.rates.shape[:2]
+    C = np.broadcast_to(np.eye(3), (T, K, 3, 3))
+    M = np.zeros((T, K, 3, 9))
+    h = (launches.duration / STEPS)[:, None]
+    for s in range(STEPS):
+        first = (inverse @ (launches.rates[:, :, s, 0] - found.b_g[:, None])[..., None])[..., 0]
+        second = (inverse @ (launches.rates[:, :, s, 1] - found.b_g[:, None])[..., None])[..., 0]
+        φ = 0.5 * h * (first + second) + math.sqrt(3.0) / 12.0 * h**2 * np.cross(first, second)
+        if with_columns:
+            M = M + C @ left_jacobian(φ) @ columns(φ)
+        C = C @ rotation_matrix(φ)
+    return C, M
+
+
+def columns(ω: Array) -> Array:
+    """E_c ω (..., 3, 9) of the nine gyro parameters: k, then xy, xz, yx, yz, zx, zy."""
+    out = np.zeros((*ω.shape, 9))
+    for c, (p, q) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))):
+        out[..., p, c] = ω[..., q]
+    return out
+
+
+def differences(launches: Launches, w: Array, ω: Array, C: Array, M: Array) -> tuple[Array, Array]:
+    """y (T, 2K) and its derivative (T, 2K, 9): attitude by TRIAD at the start of a series, held in rests, carried
+    through turns."""
+    earth = np.array(earth_rate(launches.setup.latitude))
+    y, H = [], []
+    L, Ψ = np.empty(0), np.empty(0)
+    for t, (i, j) in enumerate(zip(launches.first, launches.last, strict=True)):
+        if t == 0 or i != launches.last[t - 1]:
+            L = triad(w[:, i], ω[:, i])
+            Ψ = np.zeros((len(w), 3, 9))
+            Ψ[:, 1] = (L @ columns(ω[:, i]))[:, 2] / earth[0]
+        turned = rotation_matrix(-earth * launches.duration[t])
+        after, Ψ_after = turned @ L @ C[:, t], turned @ (Ψ + L @ M[:, t])
+        y.append((after @ w[:, j, :, None] - L @ w[:, i, :, None])[:, [0, 2], 0] / launches.setup.gravity)
+        change = Ψ_after - Ψ
+        H.append(np.stack([-change[:, 2], change[:, 0]], axis=1))
+        L, Ψ = after, Ψ_after
+    return np.concatenate(y, axis=1), np.concatenate(H, axis=1)
+
+
+PROGRAMME_TABLE = """
+ 0   0   0     0  0 -2  0  0  0
+ pi  0   0     0  0  0  0  0  0
+ 0   0   0    -2  0  0  0  0  0
+ 0   0   0     0  0  0  0  0  2
+ 0   0   0     0  0 -2  0  0  0
+-pi  0   0     0  0  0  0  0  0
+ 0   0   0     0  0  0  0  0 -2
+ 0   pi  0     0  0  0  0  0  0
+ 0   0   0     0  0  0 -2  0  0
+ 0   0   0     0  2  0  0  0  0
+ 0   0   0     0  0  0  0  0 -2
+ 0  -pi  0     0  0  0  0  0  0
+ 0   0   0     0 -2  0  0  0  0
+ 0   0   pi    0  0  0  0  0  0
+ 0   0   0     0  0  0  0 -2  0
+ 0   0   0     0  0  2  0  0  0
+ 0   0   0     0 -2  0  0  0  0
+ 0   0  -pi    0  0  0  0  0  0
+"""
+"""The table of §6.3: y_N and y_E of the nine turns against k and γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy."""
+
+_WORTH = {"pi": math.pi, "-pi": -math.pi}
+PROGRAMME_MATRIX = np.array(
+    [[_WORTH.get(word) or float(word) for word in line.split()] for line in PROGRAMME_TABLE.split("\n") if line]
+)
+
+
+# -------------------- the question --------------------
+
+
+def rms_by_group(errors: Array) -> dict[str, tuple[float, float]]:
+    """Rms of each group over launches and its parameters, and the relative standard error of it."""
+    out = {}
+    for group in GROUPS:
+        square = (errors[:, [name.startswith(group) for name in NAMES]] ** 2).mean(axis=1)
+        out[group] = (math.sqrt(square.mean()), 0.5 * float(square.std() / square.mean()) / math.sqrt(len(square)))
+    return out
+
+
+SHOWN = {"m/s^2": (1e-6, "µm/s²"), "1": (1e-6, "ppm"), "rad": (ARCSEC, "″"), "rad/s": (DEGREE / 3600.0, "°/h")}
+
+
+def compare(title: str, setup: Setup, launches: int, seed: int, methods: tuple[Method, ...], worst: list[float]) -> None:
+    """Print predictions and simulated rms errors; add to `worst` how far apart they are beyond chance."""
+    predicted = budget(setup, methods, iterations=2)
+    simulated = simulate(setup, launches, np.random.default_rng(seed))
+    print(f"\n{title}: {launches} launches")
+    print("  method      pass  group         predicted   simulated  unit    ratio    the largest term")
+    for method in methods:
+        for iteration, errors in enumerate(calibrate(simulated, method, 2), start=1):
+            for group, (rms, u) in rms_by_group(errors).items():
+                rows = [r for r in predicted.rows if (r.method, r.group, r.iteration) == (method, group, iteration)]
+                if not rows or rows[0].error < 1e-4 * rows[0].error / rows[0].relative:
+                    continue  # the programme does not give it, or nothing to speak of is left
+                row = rows[0]
+                size, name = SHOWN[row.unit]
+                ratio = rms / row.error
+                worst.append(max(abs(math.log(ratio)) - SIGMAS * u, 0.0))
+                print(
+                    f"  {method:<11} {iteration}     {group:<12} {row.error / size:10.4g}  {rms / size:10.4g}  {name:<6} "
+                    f"{ratio:6.3f}    {row.dominating}"
+                )
+
+
+def main(arguments: list[str]) -> int:
+    """Ask the question and answer it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--short", action="store_true", help="fewer launches")
+    launches = 400 if parser.parse_args(arguments).short else 4000
+    latitude = 56.84 * DEGREE
+    setup = Setup(latitude=latitude, gravity=normal_gravity(latitude, 270.0))
+    silent = replace(setup, accel_white=0.0, gyro_white=0.0)
+    both: tuple[Method, ...] = ("sequential", "scalar")
+    worst: list[float] = []
+    compare("rough-table ±1°, mounting ±1°, 60 s, noise", setup, launches, 1, both, worst)
+    compare("the same without noise", silent, launches, 2, both, worst)
+    nine = replace(silent, programme=programme("nine"), table_error=1.5 * DEGREE, mounting_error=0.0)
+    compare("nine positions ±1.5°, without noise", nine, launches, 3, both, worst)
+    compare("Jacobian from the logged rate", setup, launches // 4, 4, ("staged",), worst)
+    wanted = {"accel.scale": 3.5e-6, "accel.bias": 5e-5, "gyro.axis": 1.0 * ARCSEC}
+    asked = require(wanted, setup, iteration=1)
+    met = replace(setup, table_error=asked.table_error, mounting_error=asked.mounting_error, rest=asked.rest)
+    rms = rms_by_group(calibrate(simulate(met, launches, np.random.default_rng(5)), "sequential", 1)[0])
+    print(f"\nrequired: table and mounting ±{asked.table_error / DEGREE:.3f}°, rests of {asked.rest:.0f} s")
+    for group, value in wanted.items():
+        print(f"  {group:<12} wanted {value:.3g}, simulated {rms[group][0]:.3g}")
+        worst.append(max(math.log(rms[group][0] / value) - SIGMAS * rms[group][1], 0.0))
+    furthest = math.exp(max(worst)) - 1.0
+    answer = "yes" if furthest < ALLOWANCE else "no"
+    print(f"\nDo the formulas predict the simulation? {answer}: beyond chance they are at most {100 * furthest:.1f} % off.")
+    return 0 if answer == "yes" else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
