@@ -106,9 +106,9 @@ def readings(setup: Setup, truth: Array, attitudes: Array, rng: np.random.Genera
 
 def matrices(X: Array) -> tuple[Array, Array, Array, Array]:
     """Matrices (T, 3, 3) and biases (T, 3) of accelerometers and gyros with parameters (T, 21): the exact Eq. (1)."""
-    zero = np.zeros(len(X))
-    accel = axes_matrix(zero, zero, X[:, 6], zero, X[:, 7], X[:, 8])  # type: ignore[arg-type]
-    gyro = axes_matrix(*X[:, 15:21].T)
+    six = np.zeros((6, len(X)))
+    six[[2, 4, 5]] = X[:, 6:9].T
+    accel, gyro = axes_matrix(*six), axes_matrix(*X[:, 15:21].T)
     S_a = (1.0 + X[:, 3:6])[:, :, None] * np.moveaxis(accel, 2, 0)
     S_g = (1.0 + X[:, 12:15])[:, :, None] * np.moveaxis(gyro, 2, 0)
     return S_a, X[:, :3], S_g, X[:, 9:12]
@@ -156,7 +156,7 @@ def true_rates(start: Array, vector: Array, duration: Array, latitude: float) ->
     s = ((np.arange(STEPS)[:, None] + NODES) / STEPS)[:, :, None]
     back = rotation_matrix(-s * vector[:, :, None, None])
     total = vector[:, :, None, None] / duration[:, None, None, None] + np.array(earth_rate(latitude))
-    return np.einsum("tkba,tksnbc,tksnc->tksna", start, back, total)
+    return np.asarray(np.einsum("tkba,tksnbc,tksnc->tksna", start, back, total))
 
 
 # -------------------- the methods --------------------
@@ -187,16 +187,21 @@ def calibrate(launches: Launches, method: Method, iterations: int) -> list[Array
 def one_pass(launches: Launches, method: Method, found: Found) -> None:
     """All stages on readings corrected by what is known; what they find is put on top of it, exactly."""
     accel = accelerometers_sequential if method == "sequential" else accelerometers_scalar
-    w = np.linalg.solve(found.S_a[:, None], (launches.accel - found.b_a[:, None])[..., None])[..., 0]
+    w = corrected(launches.accel, found.S_a, found.b_a)
     S, b = accel(launches, w)
     found.b_a = found.b_a + (found.S_a @ b[..., None])[..., 0]
     found.S_a = found.S_a @ S
-    w = np.linalg.solve(found.S_a[:, None], (launches.accel - found.b_a[:, None])[..., None])[..., 0]
-    ω = np.linalg.solve(found.S_g[:, None], (launches.gyro - found.b_g[:, None])[..., None])[..., 0]
+    w = corrected(launches.accel, found.S_a, found.b_a)
+    ω = corrected(launches.gyro, found.S_g, found.b_g)
     bias = BIAS[method](launches, w, ω)
     found.b_g = found.b_g + (found.S_g @ bias[..., None])[..., 0]
     if len(launches.first):
-        found.S_g = found.S_g @ gyro_matrices(launches, method, found, w, ω - bias[:, None])
+        found.S_g = np.asarray(found.S_g @ gyro_matrices(launches, method, found, w, ω - bias[:, None]))
+
+
+def corrected(values: Array, S: Array, b: Array) -> Array:
+    """Readings (T, N, 3) corrected by matrices (T, 3, 3) and biases (T, 3)."""
+    return np.asarray(np.linalg.solve(S[:, None], (values - b[:, None])[..., None])[..., 0])
 
 
 def accelerometers_sequential(launches: Launches, w: Array) -> tuple[Array, Array]:
@@ -373,7 +378,9 @@ def rms_by_group(errors: Array) -> dict[str, tuple[float, float]]:
 SHOWN = {"m/s^2": (1e-6, "µm/s²"), "1": (1e-6, "ppm"), "rad": (ARCSEC, "″"), "rad/s": (DEGREE / 3600.0, "°/h")}
 
 
-def compare(title: str, setup: Setup, launches: int, seed: int, methods: tuple[Method, ...], worst: list[float]) -> None:
+def compare(
+    title: str, setup: Setup, launches: int, seed: int, methods: tuple[Method, ...], worst: list[float]
+) -> None:
     """Print predictions and simulated rms errors; add to `worst` how far apart they are beyond chance."""
     predicted = budget(setup, methods, iterations=2)
     simulated = simulate(setup, launches, np.random.default_rng(seed))
@@ -386,13 +393,11 @@ def compare(title: str, setup: Setup, launches: int, seed: int, methods: tuple[M
                 if not rows or rows[0].error < 1e-4 * rows[0].error / rows[0].relative:
                     continue  # the programme does not give it, or nothing to speak of is left
                 row = rows[0]
-                size, name = SHOWN[row.unit]
+                size, unit = SHOWN[row.unit]
                 ratio = rms / row.error
                 worst.append(max(abs(math.log(ratio)) - SIGMAS * u, 0.0))
-                print(
-                    f"  {method:<11} {iteration}     {group:<12} {row.error / size:10.4g}  {rms / size:10.4g}  {name:<6} "
-                    f"{ratio:6.3f}    {row.dominating}"
-                )
+                numbers = f"{row.error / size:10.4g}  {rms / size:10.4g}  {unit:<6} {ratio:6.3f}"
+                print(f"  {method:<11} {iteration}     {group:<12} {numbers}    {row.dominating}")
 
 
 def main(arguments: list[str]) -> int:
@@ -420,7 +425,8 @@ def main(arguments: list[str]) -> int:
         worst.append(max(math.log(rms[group][0] / value) - SIGMAS * rms[group][1], 0.0))
     furthest = math.exp(max(worst)) - 1.0
     answer = "yes" if furthest < ALLOWANCE else "no"
-    print(f"\nDo the formulas predict the simulation? {answer}: beyond chance they are at most {100 * furthest:.1f} % off.")
+    said = f"{answer}: beyond chance they are at most {100 * furthest:.1f} % off"
+    print(f"\nDo the formulas predict the simulation? {said}.")
     return 0 if answer == "yes" else 1
 
 

@@ -7,14 +7,14 @@ in 20 s. Rates of a turn are exact means over its samples. Sensor errors are Gau
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tumble import _kernels
 from tumble.earth import earth_rate, normal_gravity
-from tumble.methods.compensation import compensated, perfect, triad_model
+from tumble.methods.compensation import ACCEL_ANGLES, compensated, perfect, triad_model, triad_parameters
 from tumble.methods.four_stages import (
     Course,
     Method,
@@ -36,10 +36,13 @@ GRAVITY = normal_gravity(LATITUDE, 250.0)
 TURN_SECONDS = 20.0
 STEPS = 200
 
-SIZES = {  # standard deviations of §6.5
-    "accel": np.repeat([2e-3, 1e-4, 25 * ARCSEC], 3),
-    "gyro": np.repeat([0.3 * DEGREE_PER_HOUR, 1e-4, 10 * ARCSEC], [3, 3, 6]),
-}
+SIZES = np.concatenate(
+    [
+        np.repeat([2e-3, 1e-4, 25 * ARCSEC], 3),
+        np.repeat([0.3 * DEGREE_PER_HOUR, 1e-4, 10 * ARCSEC], [3, 3, 6]),
+    ]
+)
+"""Standard deviations of the parameters in §6.5, accelerometers and gyros."""
 
 
 def course_of_launches() -> Course:
@@ -65,23 +68,16 @@ COURSE = course_of_launches()
 
 @dataclass(frozen=True, kw_only=True)
 class Launches:
-    """n launches: true parameters (n, 9) and (n, 12), true attitudes (n, 15, 3, 3), readings (n, 15, 3) and the
+    """n launches: true parameters (n, 21) and models, true attitudes (n, 15, 3, 3), readings (n, 15, 3) and the
     increments (n, 9, STEPS, 3) that the gyros read in the turns."""
 
-    accel_values: Array
-    gyro_values: Array
+    values: Array
+    accel: SensorModel
+    gyro: SensorModel
     attitudes: Array
-    force: Array = field(repr=False)
-    rate: Array = field(repr=False)
-    increments: Array = field(repr=False)
-
-    @property
-    def accel(self) -> SensorModel:
-        return triad_model(self.accel_values[:, :3], self.accel_values[:, 3:6], self.accel_values[:, 6:])
-
-    @property
-    def gyro(self) -> SensorModel:
-        return triad_model(self.gyro_values[:, :3], self.gyro_values[:, 3:6], self.gyro_values[:, 6:])
+    force: Array
+    rate: Array
+    increments: Array
 
     def turns(self, model: SensorModel) -> Turns:
         """The turns integrated about a gyro model, as `Observations.turns_about` does it."""
@@ -110,39 +106,38 @@ class Launches:
         )
 
 
-def launches(
-    n: int,
-    rng: np.random.Generator,
-    *,
-    mounting_deg: float,
-    position_deg: float,
-    accel_size: Array = SIZES["accel"],
-    gyro_size: Array = SIZES["gyro"],
-) -> Launches:
-    """n launches with parameters and deviations drawn anew."""
-    accel_values = accel_size * rng.standard_normal((n, 9))
-    gyro_values = gyro_size * rng.standard_normal((n, 12))
+def drawn_values(n: int, rng: np.random.Generator) -> Array:
+    """Parameters (n, 21) of n IMUs, accelerometers first, of the sizes of §6.5."""
+    return np.asarray(SIZES * rng.standard_normal((n, 21)))
+
+
+def rough_attitudes(n: int, rng: np.random.Generator, *, mounting_deg: float, position_deg: float) -> Array:
+    """Attitudes (n, 15, 3, 3) of n launches with deviations drawn anew."""
     mounting = rotation_matrix(mounting_deg * DEGREE * rng.uniform(-1.0, 1.0, (n, 1, 3)))
     position = rotation_matrix(position_deg * DEGREE * rng.uniform(-1.0, 1.0, (n, len(PROGRAMME.positions), 3)))
-    attitudes = position @ np.array([p.matrix for p in PROGRAMME.positions]) @ mounting
-    found = Launches(
-        accel_values=accel_values,
-        gyro_values=gyro_values,
-        attitudes=attitudes,
-        force=np.empty(0),
-        rate=np.empty(0),
-        increments=np.empty(0),
-    )
-    force = reading(found.accel, GRAVITY * attitudes[..., 1, :])
-    rate = reading(found.gyro, np.einsum("...ij,i->...j", attitudes, EARTH))
+    return np.asarray(position @ np.array([p.matrix for p in PROGRAMME.positions]) @ mounting)
+
+
+def launches(values: Array, attitudes: Array) -> Launches:
+    """The launches of IMUs with these parameters (n, 21) in these attitudes (n, 15, 3, 3)."""
+    accel = triad_model(values[:, :3], values[:, 3:6], values[:, 6:9])
+    gyro = triad_model(values[:, 9:12], values[:, 12:15], values[:, 15:])
     return Launches(
-        accel_values=accel_values,
-        gyro_values=gyro_values,
+        values=values,
+        accel=accel,
+        gyro=gyro,
         attitudes=attitudes,
-        force=force,
-        rate=rate,
-        increments=_increments(found),
+        force=reading(accel, GRAVITY * attitudes[..., 1, :]),
+        rate=reading(gyro, np.einsum("...ij,i->...j", attitudes, EARTH)),
+        increments=_increments(gyro, attitudes),
     )
+
+
+def rough_launches(n: int, seed: int, *, mounting_deg: float, position_deg: float) -> Launches:
+    """n launches of IMUs drawn at random."""
+    rng = np.random.default_rng(seed)
+    values = drawn_values(n, rng)
+    return launches(values, rough_attitudes(n, rng, mounting_deg=mounting_deg, position_deg=position_deg))
 
 
 def reading(model: SensorModel, true: Array) -> Array:
@@ -150,10 +145,10 @@ def reading(model: SensorModel, true: Array) -> Array:
     return np.asarray(true @ np.swapaxes(model.matrix, -1, -2) + model.bias[:, None])
 
 
-def _increments(found: Launches) -> Array:
+def _increments(gyro: SensorModel, attitudes: Array) -> Array:
     """Increments that the gyros read in the known turns: means over samples of Lᵀ(n θ̇ + Ω)."""
     first = [t.first for s in COURSE.series for t in s]
-    L0, L1 = found.attitudes[:, first], found.attitudes[:, [i + 1 for i in first]]
+    L0, L1 = attitudes[:, first], attitudes[:, [i + 1 for i in first]]
     vector = Rotation.from_matrix((L1 @ np.swapaxes(L0, -1, -2)).reshape(-1, 3, 3)).as_rotvec().reshape(-1, 9, 3)
     nominal = np.array([m.axis * m.angle for m in PROGRAMME.moves if m.axis is not None and m.angle is not None])
     total = np.linalg.norm(vector, axis=-1, keepdims=True)
@@ -170,7 +165,7 @@ def _increments(found: Launches) -> Array:
         along[..., None, :] + cosine[..., None] * (EARTH - along)[..., None, :] + sine[..., None] * across[..., None, :]
     )
     body = geographic @ L0
-    matrix, bias = found.gyro.matrix[:, None], found.gyro.bias[:, None, None]
+    matrix, bias = gyro.matrix[:, None], gyro.bias[:, None, None]
     return np.asarray(body @ np.swapaxes(matrix, -1, -2) + bias * dt)
 
 
@@ -188,3 +183,9 @@ def passes(
         gyro = gyro_matrix_pass(COURSE, found.rate, force, found.turns(gyro).C, gyro)
         out.append((before, gyro))
     return out
+
+
+def values_of(accel: SensorModel, gyro: SensorModel) -> Array:
+    """Parameters (n, 21) of models."""
+    bias, scale, angles = triad_parameters(accel)
+    return np.concatenate([bias, scale, angles[..., ACCEL_ANGLES], *triad_parameters(gyro)], axis=-1)

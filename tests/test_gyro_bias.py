@@ -1,11 +1,11 @@
-"""Stage 3, biases of the gyros from rests: what each method errs by, Eqs. (16) to (18) and what the paper leaves out."""
+"""Stage 3, biases of the gyros from rests: what each method errs by, Eqs. (16) to (18), and what the paper omits."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from rough_launches import EARTH, GRAVITY, LATITUDE, PROGRAMME
+
 from tumble.earth import EARTH_RATE
 from tumble.methods.gyro_bias import (
     invariant_bias,
@@ -78,15 +78,13 @@ def test_azimuth_of_triad_leaves_the_squared_bias_that_the_paper_has_not() -> No
 
 
 def test_vertical_axes_err_by_equation_18() -> None:
-    w_N, bias = 2e-3, np.array([0.1, -0.2, 0.3]) * DEGREE_PER_HOUR
+    w_N, bias = 2e-5, np.array([0.1, -0.2, 0.3]) * 1e-2 * DEGREE_PER_HOUR
     θ = np.array([0.4, -0.3, 0.5]) * DEGREE
     L = rotation_matrix(θ) @ attitude("UEN")
     rate, force = at_rest(L, bias, L.T @ np.array([w_N, 0.0, 0.0]))
     error = bias[0] - vector_bias(rate[None], force[None], EARTH)[0, 0]
     δω_E, b = (L @ bias)[2], w_N / GRAVITY
-    # the deviation of X from the vertical is +θ_N towards east, −θ_E towards north
-    expected = -Ω_N * b - θ[2] * Ω_U * b + θ[0] * δω_E
-    assert error == pytest.approx(expected, rel=2e-2)
+    assert error + Ω_N * b == pytest.approx(-θ[2] * Ω_U * b + θ[0] * δω_E, rel=2e-2)
 
 
 def test_the_accelerometer_floor_is_that_of_the_paper() -> None:
@@ -98,7 +96,7 @@ def test_the_accelerometer_floor_is_that_of_the_paper() -> None:
 
 
 def test_the_scalar_method_leaves_squares_that_cancel_over_the_programme() -> None:
-    bias = np.array([0.3, -0.2, 0.1]) * DEGREE_PER_HOUR
+    bias = np.array([0.3, -0.2, 0.1]) * 1e-2 * DEGREE_PER_HOUR
     L = np.array([p.matrix for p in PROGRAMME.positions])
     rate, force = at_rest(L, bias, np.zeros(3))
     δω = L @ bias
@@ -107,33 +105,28 @@ def test_the_scalar_method_leaves_squares_that_cancel_over_the_programme() -> No
     east /= np.linalg.norm(east, axis=-1, keepdims=True)
     polar = (np.cross(L[:, 1], east) * Ω_N + L[:, 1] * Ω_U) / EARTH_RATE
     left = (δω[:, 0] ** 2 + δω[:, 1] ** 2 - δω[:, 2] ** 2) / (2 * EARTH_RATE)
-    np.testing.assert_allclose(z - polar @ bias, left, rtol=0.1, atol=2e-2 * np.abs(left).max())
+    np.testing.assert_allclose(z - polar @ bias, left, rtol=1e-2)
     error = scalar_bias(rate[:12], force[:12], EARTH) - bias
-    assert np.abs(error).max() < 0.1 * np.abs(left).max()
+    assert np.abs(error).max() < 1e-2 * np.abs(left).max()
 
 
-def test_one_pass_of_the_methods_errs_as_section_5_says() -> None:
-    """RMS relative errors, 200 launches, tilts ±1.5°, biases 0.03 … 1 °/h rms, perfect accelerometers but for 1e-6 g:
-    published 0.7 % vector, 0.05–1.4 % scalar, 0.002–0.04 % dot product."""
+@pytest.mark.parametrize(
+    ("method", "rests", "degrees_per_hour", "percent"),
+    [("vector", 15, 0.03, 0.7), ("vector", 15, 1.0, 0.7), ("scalar", 15, 0.03, 0.05), ("scalar", 12, 1.0, 1.4)],
+)
+def test_one_pass_errs_as_section_5_says(method: str, rests: int, degrees_per_hour: float, percent: float) -> None:
+    """RMS relative errors over 1000 launches, tilts ±1.5°, perfect accelerometers, within 15 %; published 0.7 %
+    vector, 0.05–1.4 % scalar for 0.03–1 °/h. It is not said from which rests the scalar method has 1.4 %: it is 2.1 %
+    with all 15, 1.5 % with the twelve in which an axis is vertical."""
     rng = np.random.default_rng(6)
-    L = turned(np.array([p.matrix for p in PROGRAMME.positions]), 1.5, rng, 200)
-    direction = rng.standard_normal((200, 1, 3))
-    relative = {}
-    for degrees_per_hour in (0.03, 1.0):
-        bias = degrees_per_hour * DEGREE_PER_HOUR * direction
-        rate, force = at_rest(L, bias, np.zeros(3))
-        found = {
-            "vector": vertical_bias(rate, force, EARTH, NOMINAL),
-            "scalar": scalar_bias(rate, force, EARTH),
-            "dot": invariant_bias(rate, force, EARTH),
-        }
-        for name, value in found.items():
-            relative[name, degrees_per_hour] = rms(value - bias[:, 0]) / (degrees_per_hour * DEGREE_PER_HOUR)
-    assert relative["vector", 0.03] == pytest.approx(0.007, rel=0.3)
-    assert relative["vector", 1.0] == pytest.approx(0.007, rel=0.3)
-    assert relative["scalar", 0.03] == pytest.approx(0.0005, rel=0.5)
-    assert relative["scalar", 1.0] == pytest.approx(0.014, rel=0.5)
-    assert max(relative["dot", 0.03], relative["dot", 1.0]) < 1e-8
+    L = turned(np.array([p.matrix for p in PROGRAMME.positions[:rests]]), 1.5, rng, 1000)
+    bias = degrees_per_hour * DEGREE_PER_HOUR * rng.standard_normal((1000, 1, 3))
+    rate, force = at_rest(L, bias, np.zeros(3))
+    if method == "vector":
+        found = vertical_bias(rate, force, EARTH, NOMINAL[:rests])
+    else:
+        found = scalar_bias(rate, force, EARTH)
+    assert 100 * rms(found - bias[:, 0]) / (degrees_per_hour * DEGREE_PER_HOUR) == pytest.approx(percent, rel=0.15)
 
 
 def two_positions(turn_deg: float, bias: Array, accel_bias: Array) -> tuple[Array, Array, Array]:

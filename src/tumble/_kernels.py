@@ -312,16 +312,16 @@ def _squared_differences(a: Array, b: Array, c: Array) -> float:
 
 # Means of blocks and the state of channels --------------------------------------------------------------------
 
-CHANNEL_STATE = 13
+CHANNEL_STATE = 14
 """Per channel: 0 samples, 1 minimum, 2 maximum, 3 repeats, 4 last value, 5 length of the present row of equal
 values, 6 longest row, 7 its end (s), 8 its value; 9 longest row at the minimum, 10 its end; 11 longest row at the
-maximum, 12 its end."""
+maximum, 12 its end; 13 smallest step from one value to another."""
 
 
 def new_channel_state(sensors: int) -> Array:
     """State of `block_sums` before the first sample: one row of CHANNEL_STATE numbers a channel."""
     state = np.zeros((sensors, CHANNEL_STATE))
-    state[:, 1], state[:, 2], state[:, 4] = np.inf, -np.inf, np.nan
+    state[:, 1], state[:, 2], state[:, 4], state[:, 13] = np.inf, -np.inf, np.nan, np.inf
     return state
 
 
@@ -345,6 +345,9 @@ def block_sums(
             else:
                 if row > 1.0:
                     _end_row(state[c], last, row, time[max(i - 1, 0)])
+                step = abs(x - last)
+                if step < state[c, 13]:
+                    state[c, 13] = step
                 last, row = x, 1.0
                 if x < state[c, 1]:
                     state[c, 1], state[c, 9] = x, 0.0

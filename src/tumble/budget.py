@@ -507,16 +507,18 @@ class Row:
 
     @property
     def dominating(self) -> str:
-        """The largest term's name."""
-        return self.terms[0].name
+        """The largest term's name; nothing where nothing is left, to the order of the formulas."""
+        return self.terms[0].name if self.terms else "nothing"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Budget:
-    """The rows of a set-up: by method, then by iteration, then by group."""
+    """The rows of a set-up: by method, then by iteration, then by group; `remarks` say, in sentences, where the set-up
+    is outside what the formulas hold for."""
 
     setup: Setup
     rows: tuple[Row, ...]
+    remarks: tuple[str, ...]
 
     def row(self, method: Method, group: str, iteration: int) -> Row:
         """The row of this method, group and iteration. Raises KeyError if there is none."""
@@ -537,7 +539,33 @@ def budget(setup: Setup, methods: Sequence[Method] = METHODS, iterations: int = 
         pipeline = _pipeline(setup, method)
         for iteration in range(1, iterations + 1):
             rows += _rows(setup, pipeline, iteration)
-    return Budget(setup=setup, rows=tuple(rows))
+    return Budget(setup=setup, rows=tuple(rows), remarks=_remarks(setup, methods))
+
+
+def _remarks(setup: Setup, methods: Sequence[Method]) -> tuple[str, ...]:
+    """What a set-up has that the formulas do not hold for."""
+    out = []
+    if max(setup.table_error, setup.mounting_error) > LARGEST_DEVIATION:
+        out.append(
+            f"errors of table and mounting up to {max(setup.table_error, setup.mounting_error) / DEGREE:.3g}°: the "
+            f"formulas are of first order in them and hold up to {LARGEST_DEVIATION / DEGREE:g}°"
+        )
+    rate = math.hypot(setup.gyro.bias, setup.gyro_white / math.sqrt(setup.rest), setup.gyro_instability)
+    north = earth_rate(setup.latitude)[0]
+    if rate > LARGEST_AZIMUTH * north and set(methods) != {"staged"}:
+        out.append(
+            f"gyros off by {rate / DEGREE_PER_HOUR:.3g} °/h at rest, with {north / DEGREE_PER_HOUR:.3g} °/h of Earth's "
+            "rate to find north by: the methods sequential and scalar do worse in gyro parameters than predicted, "
+            "take staged"
+        )
+    return tuple(out)
+
+
+LARGEST_DEVIATION = 5.0 * DEGREE
+"""Largest table and mounting error, rad, for which formulas of first order in them are taken to hold."""
+
+LARGEST_AZIMUTH = 0.1
+"""Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
 
 
 def _rows(setup: Setup, pipeline: _Pipeline, iteration: int) -> list[Row]:
@@ -727,9 +755,7 @@ def _rotation_between(start: Array, stop: Array, nominal: _Turns) -> tuple[Array
     along = R + _transposed(R) + (1.0 - trace)[..., None, None] * np.eye(3)  # 2 (1 − cos Θ) n nᵀ
     axis = _apply(along, nominal.axis)
     axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    sine = 0.5 * _dot(
-        axis, np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
-    )
+    sine = 0.5 * _dot(axis, _vee(R - _transposed(R)))
     angle = np.arctan2(sine, 0.5 * (trace - 1.0))
     return axis, angle + 2.0 * np.pi * np.round((nominal.angle - angle) / (2.0 * np.pi))
 
@@ -821,9 +847,8 @@ def _logged_matrix(plan: _Plan, attitudes: Array) -> Array:
     """Matrix (..., 1, 2K, 9) of the indirect method with the Jacobian from the logged rate, §6.6: of the real turns,
     Earth's rate and TRIAD at the start of the series included."""
     seen = _seen(plan, attitudes)
-    gyro_only = _Seen(
-        accel=np.zeros((9, *seen.accel.shape[-2:])), gyro=seen.gyro[..., 12:, :, :], turn=seen.turn[..., 12:, :, :]
-    )
+    no_accel = np.zeros((9, *seen.accel.shape[-2:]))
+    gyro_only = _Seen(accel=no_accel, gyro=seen.gyro[..., 12:, :, :], turn=seen.turn[..., 12:, :, :])
     return _transposed(_differences(plan, attitudes[..., None, :, :, :], gyro_only))[..., None, :, :]
 
 
@@ -925,21 +950,26 @@ def _passes(plan: _Plan, method: Method) -> tuple[Array, Array]:
     attitudes = table @ plan.nominal @ rotation_matrix(τ[:, None, 3 * N :])
     left = np.eye(len(NAMES)) - _transposed(_estimates(plan, method, attitudes, _seen(plan, attitudes)))
     forward, backward, T0 = np.split(left, [3 * N + 3, 6 * N + 6])
-    return T0[0], (forward - backward) / (2.0 * step)
+    D = (forward - backward) / (2.0 * step)
+    return np.where(np.abs(T0[0]) > _ROUNDING, T0[0], 0.0), np.where(np.abs(D) > _ROUNDING / step, D, 0.0)
+
+
+_ROUNDING = 1e-12
+"""What a pass leaves of a parameter relative to another is nothing below this."""
 
 
 def _twice(T0: Array, D: Array, v: Array, fourth: Array) -> tuple[Array, Array, Array]:
     """Mean squares (21, 21) of T² with T = T₀ + Σ τ_k D_k, in parts that grow with the 0th, 2nd and 4th power of τ; `v`
     and `fourth` are the second and fourth moments of the independent τ_k. See the module's docstring."""
-    c = T0 @ T0
-    l = T0 @ D + D @ T0
+    fixed = T0 @ T0
+    linear = T0 @ D + D @ T0
     A = np.einsum("kpj,ljq->klpq", D, D)
     S = 0.5 * (A + A.swapaxes(0, 1))
     own = np.einsum("kkpq->kpq", A)
     trace = np.tensordot(v, own, axes=1)
     square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
     square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
-    return c**2, 2.0 * c * trace + np.tensordot(v, l**2, axes=1), square
+    return fixed**2, 2.0 * fixed * trace + np.tensordot(v, linear**2, axes=1), square
 
 
 def _noise(setup: Setup, plan: _Plan, method: Method) -> dict[str, Array]:
@@ -1061,9 +1091,6 @@ def _turns_beyond(turns: _Turns, method: Method, values: Array) -> Array:
 
 # -------------------- requirements: the inverse --------------------
 
-LARGEST_DEVIATION = 5.0 * DEGREE
-"""Largest table and mounting error, rad, for which the formulas of first order are taken to hold."""
-
 REST_SHARE = 0.25
 """Part of the permitted variance that `require` gives to the noise of rests; table and mounting get the others."""
 
@@ -1072,8 +1099,8 @@ BiasEstimator = Literal["programme", "vertical", "polar"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Requirement:
-    """What one wanted accuracy asks of the set-up: largest `table_error` and `mounting_error`, rad (uniform within ±, in
-    the ratio of the set-up), their rms together per axis, `tilt`, rad, and the shortest `rest`, s. `limited` says
+    """What one wanted accuracy asks of the set-up: largest `table_error` and `mounting_error`, rad (uniform within ±,
+    in the ratio of the set-up), their rms together per axis, `tilt`, rad, and the shortest `rest`, s. `limited` says
     whether the table matters at all within 5°. If not `feasible` the tolerances are zero, `rest` is infinite, and
     `reason` says what stands in the way of any table."""
 
@@ -1177,26 +1204,36 @@ def _demand(setup: Setup, pipeline: _Pipeline, iteration: int, group: str) -> _D
 
 
 def _single_rest_demand(setup: Setup, pipeline: _Pipeline, iteration: int, estimator: BiasEstimator) -> _Demand:
-    """Of one rest per gyro, vertical (18) or polar (17), with accelerometers as the passes so far have left them."""
-    σ, accel = setup.gyro.bias, _members("accel.bias")
+    """Of one rest per gyro, vertical (18) or polar (17), with the accelerometers as each pass leaves them: the bias
+    that a pass has left is what the next one sees."""
+    accel = _members("accel.bias")
     ratio = _unit_ratio(setup)
     tilt = math.sqrt((ratio.table_error**2 + ratio.mounting_error**2) / 3.0)
-    _, up, _ = earth_rate(setup.latitude)
-    level, steep = (earth_rate(setup.latitude)[0], up) if estimator == "vertical" else (0.0, EARTH_RATE)
+    north, up, _ = earth_rate(setup.latitude)
+    level, steep = (north, up) if estimator == "vertical" else (0.0, EARTH_RATE)
 
-    def deviations(scale: float) -> float:
-        b2 = float(_total(pipeline.methodical(iteration, scale))[accel].mean())
-        return level**2 * b2 + (scale * tilt) ** 2 * (steep**2 * b2 + σ**2)
+    def variance(scale: float) -> float:
+        left = setup.gyro.bias**2
+        for i in range(1, iteration + 1):
+            b2 = float(_total(pipeline.methodical(i, scale))[accel].mean())
+            curved = 3.0 * (left / (2.0 * EARTH_RATE)) ** 2 if estimator == "polar" else 0.0
+            left = level**2 * b2 + (scale * tilt) ** 2 * (steep**2 * b2 + left) + curved
+        return left
 
-    fixed = {"gyro instability": setup.gyro_instability**2}
-    if estimator == "polar":
-        fixed["azimuth error of TRIAD, δω²/2Ω"] = 3.0 * (σ**2 / (2.0 * EARTH_RATE)) ** 2
+    floor = variance(0.0)
     return _Demand(
-        estimator=_SINGLE_REST[estimator], fixed=fixed, rest_noise=setup.gyro_white**2, deviations=deviations
+        estimator=_SINGLE_REST[estimator],
+        fixed={_FLOOR[estimator]: floor, "gyro instability": setup.gyro_instability**2},
+        rest_noise=setup.gyro_white**2,
+        deviations=lambda scale: variance(scale) - floor,
     )
 
 
 _SINGLE_REST = {"vertical": "one rest, axis vertical, Eq. (18)", "polar": "one rest, axis along the Earth's, Eq. (17)"}
+_FLOOR = {
+    "vertical": "accelerometer error × horizontal Earth's rate",
+    "polar": "azimuth error of TRIAD, δω²/2Ω",
+}
 
 
 def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Requirement:
@@ -1219,9 +1256,10 @@ def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Req
     largest = LARGEST_DEVIATION / max(unit.table_error, unit.mounting_error)
     scale = _largest(demand.deviations, (1.0 - REST_SHARE) * free if noisy else free, largest)
     table, mounting = scale * unit.table_error, scale * unit.mounting_error
+    tilt = math.sqrt((table**2 + mounting**2) / 3.0)
     return Requirement(
         group=group, estimator=estimator, wanted=wanted, unit=gives, feasible=True, limited=scale < largest,
-        table_error=table, mounting_error=mounting, tilt=math.sqrt((table**2 + mounting**2) / 3.0), rest=rest, reason="",
+        table_error=table, mounting_error=mounting, tilt=tilt, rest=rest, reason="",
     )  # fmt: skip
 
 
@@ -1283,6 +1321,23 @@ def _check_wanted(wanted: Mapping[str, float], pipeline: _Pipeline) -> None:
         _expect(group, value, least="more than 0")
 
 
+def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
+    """c₁ (per rad) and c₂ (per rad²) of "gyro.scale" and "gyro.axis": relative errors c₁ σ after the first pass of the
+    indirect method with the programme's matrix and c₂ σ² after the second, when σ, rad, is the rms error per axis of
+    the mounting and of the positions each, and accelerometers and gyro biases are perfect. §7.
+
+    They depend on the ratio of scale-factor to axis errors in `setup.gyro`: axis angles suffer from scale factors."""
+    _check(setup, 1)
+    pipeline = _pipeline(replace(setup, table_error=math.sqrt(3.0), mounting_error=math.sqrt(3.0)), "scalar")
+    once, twice = pipeline.by_table + pipeline.by_mounting, pipeline.twice[2]
+    out = {}
+    for group in ("gyro.scale", "gyro.axis"):
+        of = np.ix_(_members(group), np.arange(12, len(NAMES)))
+        c1, c2 = (_rms(matrix[of] @ pipeline.spread[12:] ** 2) / _spread(setup, group) for matrix in (once, twice))
+        out[group] = (c1, c2)
+    return out
+
+
 # -------------------- linear pieces --------------------
 
 
@@ -1301,7 +1356,7 @@ def _transposed(matrix: Array) -> Array:
 
 def _solved(rows: Array, right: Array) -> Array:
     """Least squares (..., m) of rows (..., r, m) for right-hand sides (..., r)."""
-    return _apply(np.linalg.pinv(rows), right)
+    return _apply(np.asarray(np.linalg.pinv(rows), dtype=float), right)
 
 
 def _swept(axis: Array, angle: Array, vector: Array) -> Array:
@@ -1309,6 +1364,11 @@ def _swept(axis: Array, angle: Array, vector: Array) -> Array:
     along = axis * _dot(axis, vector)[..., None]
     Θ = np.asarray(angle)[..., None]
     return np.asarray(Θ * along + np.sin(Θ) * (vector - along) + (1.0 - np.cos(Θ)) * np.cross(axis, vector))
+
+
+def _vee(matrix: Array) -> Array:
+    """v (..., 3) of an antisymmetric matrix [v×] (..., 3, 3)."""
+    return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)
 
 
 def _placed(values: Array, places: Sequence[tuple[int, int]]) -> Array:

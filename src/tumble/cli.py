@@ -40,18 +40,19 @@ def main() -> None:
 
 
 def _with_progress(log: Log) -> Iterator[Chunk]:
-    """The chunks of a log, with a progress bar on a terminal where reading takes longer than a second."""
+    """The chunks of a log; on a terminal, with a progress bar once reading has taken a second."""
     if not sys.stderr.isatty():
         yield from log.chunks()
         return
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     started = time.monotonic()
-    with Progress(console=Console(stderr=True), transient=True, disable=False) as bar:
-        task = bar.add_task("reading", total=1.0, visible=False)
+    columns = TextColumn("reading"), BarColumn(), TextColumn("{task.completed:,.0f} samples"), TimeElapsedColumn()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None, visible=False)
         for chunk in log.chunks():
-            bar.update(task, completed=log.fraction, visible=time.monotonic() - started > 1.0)
+            bar.update(task, advance=len(chunk.time), visible=time.monotonic() - started > 1.0)
             yield chunk
 
 

@@ -27,7 +27,7 @@ from tumble.match import Match
 from tumble.model import Block, SensorModel
 from tumble.programme import Programme
 from tumble.rotation import tangent_basis
-from tumble.segment import FileBlocks, GyroSamples, Reduction, RestSpan
+from tumble.segment import ChannelState, FileBlocks, GyroSamples, Reduction, RestSpan
 from tumble.session import Site
 from tumble.units import Array, IntArray
 
@@ -189,9 +189,9 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
     block_seconds = reduction.files[0].size / reduction.rate
     accel_mean = np.array([f.accel_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
     gyro_mean = np.array([f.gyro_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
-    accel_covariance = _accel_covariance(accel_series, accel)
+    accel_covariance = _accel_covariance(accel_series, accel) + _unresolved(reduction.accel_channels)
     gyro_fit = fit_coloured_noise(gyro_series) if gyro is not None else None
-    gyro_covariance = _gyro_covariance(gyro_series, gyro_fit)
+    gyro_covariance = _gyro_covariance(gyro_series, gyro_fit) + _unresolved(reduction.gyro_channels)
     temperatures = [
         f.temperature[s.first : s.last].mean() for f, s in zip(blocks, spans, strict=True) if f.temperature is not None
     ]
@@ -260,6 +260,11 @@ def _gyro_covariance(series: list[Array], fit: ColouredNoise | None) -> Array:
         return np.empty((len(series), 0, 0))
     floor = GYRO_FLOOR**2 * np.eye(series[0].shape[1])
     return np.array([fit.covariance_of_mean(len(s), i) for i, s in enumerate(series)]) + floor
+
+
+def _unresolved(channels: tuple[ChannelState, ...]) -> Array:
+    """Variance (n, n) of a mean from the resolution of its channel."""
+    return np.diag([channel.unresolved**2 for channel in channels])
 
 
 def _density(covariance: Array, seconds: Array) -> Array:

@@ -15,6 +15,8 @@ whole:
    The level follows slow drift: it is interpolated between the rests found, and the search repeated.
 3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
    shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two rests of a file is a turn.
+4. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
+   are those of the movement.
 
 Without gyros only the accelerometers decide: their scatter, and the step between the means of two neighbouring
 seconds, which shows a turn about a nearly vertical axis by the little it tilts.
@@ -36,7 +38,7 @@ from tumble import _kernels
 from tumble.earth import EARTH_RATE
 from tumble.log import Chunk, Log
 from tumble.model import Block
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import DEGREE, Array, BoolArray, IntArray
 
 BLOCK_SECONDS = 0.1
 WINDOW_SECONDS = 1.0
@@ -48,6 +50,7 @@ MIN_REST_SECONDS = 2.0
 DENSITY_POINTS = 1000
 MARGIN_FRACTION = 0.05
 MARGIN_SECONDS = (0.2, 1.0)
+TILT_LIMIT = 2.0 * DEGREE
 ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
 GYRO_ROUNDING = 1e-7  # rad/s
 IN_MEMORY_BYTES = 32 * 2**20
@@ -66,9 +69,18 @@ class ChannelState:
     """Longest row of equal samples, and where it ended (s, in its file)."""
     run_stop: float
     run_value: float
+    step: float
+    """Smallest step from one value to another: the resolution, where it is coarser than the noise."""
     extreme_run: int
     """Longest row of equal samples at the minimum or the maximum, and where it ended."""
     extreme_stop: float
+
+    @property
+    def unresolved(self) -> float:
+        """Standard uncertainty of a mean from the resolution: step/√12 where more than half of the samples repeat the
+        one before, so that noise does not average it out; else 0."""
+        coarse = 2 * self.repeats > self.samples and np.isfinite(self.step)
+        return self.step / np.sqrt(12.0) if coarse else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -214,6 +226,7 @@ def _channel_state(row: Array) -> ChannelState:
         run=int(row[6]),
         run_stop=float(row[7]),
         run_value=float(row[8]),
+        step=float(row[13]),
         extreme_run=int(extreme[0]),
         extreme_stop=float(extreme[1]),
     )
@@ -358,7 +371,7 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         step = [_moving_step(a, window) for a in specific_force]
         step_limit = FLOOR_FACTOR * _floor(np.concatenate(step)) + ACCEL_ROUNDING
         spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
-        return _assemble(reduction, specific_force, spans, window, scatter_limit, None, [])
+        return _assemble(reduction, specific_force, specific_force, spans, window, scatter_limit, None, [])
     gyro_to_body = np.linalg.pinv(gyro.axes).T
     rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
     quiet = [s < QUIET_FACTOR * floor + ACCEL_ROUNDING for s in scatter]
@@ -375,7 +388,7 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         for i, j in still
         if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
     ]
-    return _assemble(reduction, rates, spans, window, scatter_limit, rate_limit, restless)
+    return _assemble(reduction, rates, specific_force, spans, window, scatter_limit, rate_limit, restless)
 
 
 def _still_spans(
@@ -416,6 +429,7 @@ def _interpolated_level(rate: Array, spans: list[tuple[int, int]], default: Arra
 def _assemble(
     reduction: Reduction,
     signal: list[Array],
+    specific_force: list[Array],
     spans: list[list[tuple[int, int]]],
     window: int,
     scatter_limit: float,
@@ -425,7 +439,7 @@ def _assemble(
     """Extend the stretches found, take the margins off, and keep those that are long enough."""
     rests: list[RestSpan] = []
     rounding = ACCEL_ROUNDING if rate_limit is None else GYRO_ROUNDING
-    for f, values, found in zip(reduction.files, signal, spans, strict=True):
+    for f, values, force, found in zip(reduction.files, signal, specific_force, spans, strict=True):
         for first, last in _merged([_extended(values, i, j, window, rounding) for i, j in found]):
             duration = float(f.edges[last] - f.edges[first])
             margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
@@ -437,6 +451,13 @@ def _assemble(
                     rejected.append(
                         Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), reason=reason)
                     )
+                continue
+            tilt = _tilt(force[first:last], window)
+            if tilt > TILT_LIMIT:
+                reason = f"the vertical moves by {tilt / DEGREE:.0f}°, in a rest at most {TILT_LIMIT / DEGREE:g}°"
+                rejected.append(
+                    Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), reason=reason)
+                )
                 continue
             rests.append(_span(f, f.edges[first] + before, f.edges[last] - after))
     return Segmentation(
@@ -471,6 +492,12 @@ def _extended(values: Array, first: int, last: int, window: int, rounding: float
     start = first + half - (len(before) if before.all() else int(np.argmin(before)))
     stop = last - half + (len(after) if after.all() else int(np.argmin(after)))
     return start, stop
+
+
+def _tilt(force: Array, window: int) -> float:
+    """How far (rad) the one-second means of the specific force (K, 3) go from the mean of all."""
+    mean = force.mean(axis=0)
+    return float(np.linalg.norm(_moving_mean(force, window) - mean, axis=1).max() / np.linalg.norm(mean))
 
 
 def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
