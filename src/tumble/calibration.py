@@ -40,12 +40,14 @@ Progress = Callable[[Log], Iterable[Chunk]]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Parameter:
-    """A named quantity with its standard uncertainty (None where the method gives none), SI."""
+    """A named quantity with its standard uncertainty (None where the method gives none), SI; for the mean of several
+    launches with the standard deviation from launch to launch."""
 
     name: str
     value: float
     u: float | None
     unit: str
+    run_to_run: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,6 +59,16 @@ class RestResult:
     stop: float
     residual: float
     sigmas: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Launch:
+    """One of several sessions behind a calibration."""
+
+    session: str
+    parameters: tuple[Parameter, ...]
+    covariance: Array | None
+    log_sha256: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,6 +90,7 @@ class Calibration:
     turn_sigmas: tuple[float, ...] = ()
     fits: Mapping[str, Fit] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    launches: tuple[Launch, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Parameter:
@@ -113,7 +126,7 @@ class Calibration:
             "device": {"serial": self.serial, "model": self.model},
             "method": self.method,
             "frame": self.frame,
-            "parameters": [{"name": p.name, "value": p.value, "u": p.u, "unit": p.unit} for p in self.parameters],
+            "parameters": [_parameter_content(p) for p in self.parameters],
             "covariance": None if self.covariance is None else self.covariance.tolist(),
             "accel": _model_content(self.accel, "m/s^2"),
             "gyro": _model_content(self.gyro, "rad/s"),
@@ -141,8 +154,22 @@ class Calibration:
                 for name, f in self.fits.items()
             },
             "notes": list(self.notes),
+            "launches": [
+                {
+                    "session": launch.session,
+                    "parameters": [_parameter_content(p) for p in launch.parameters],
+                    "covariance": None if launch.covariance is None else launch.covariance.tolist(),
+                    "log_sha256": launch.log_sha256,
+                }
+                for launch in self.launches
+            ],
             "provenance": dict(self.provenance),
         }
+
+
+def _parameter_content(parameter: Parameter) -> dict[str, Any]:
+    content = {"name": parameter.name, "value": parameter.value, "u": parameter.u, "unit": parameter.unit}
+    return content if parameter.run_to_run is None else content | {"run_to_run": parameter.run_to_run}
 
 
 def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | None:
@@ -202,7 +229,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         method=content["method"],
         frame=content["frame"],
         parameters=tuple(Parameter(**p) for p in content["parameters"]),
-        covariance=None if content["covariance"] is None else np.array(content["covariance"], float),
+        covariance=_matrix(content["covariance"]),
         accel=model(content["accel"]),
         gyro=model(content["gyro"]),
         outcome=Outcome(reasons=tuple(outcome["reasons"]), unobservable=tuple(outcome["unobservable"])),
@@ -214,8 +241,21 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
             for name, f in content["fits"].items()
         },
         notes=tuple(content["notes"]),
+        launches=tuple(
+            Launch(
+                session=launch["session"],
+                parameters=tuple(Parameter(**p) for p in launch["parameters"]),
+                covariance=_matrix(launch["covariance"]),
+                log_sha256=launch["log_sha256"],
+            )
+            for launch in content["launches"]
+        ),
         provenance=content["provenance"],
     )
+
+
+def _matrix(rows: list[list[float]] | None) -> Array | None:
+    return None if rows is None else np.array(rows, dtype=float)
 
 
 # From a session to a calibration
@@ -251,7 +291,7 @@ def _estimated(
     if segmentation.rests:
         everything = Match(rests=segmentation.rests, programme=None, position=None)
         found = observe(reduction, everything, session.accel_block, session.gyro_block, session.site)
-        faults = sense_faults(found, session)
+        faults = sense_faults(found, session, reduction.rate)
         if faults:
             return Outcome(reasons=tuple(faults))
     match = match_rests(session, reduction, segmentation)

@@ -57,21 +57,32 @@ def _with_progress(log: Log) -> Iterator[Chunk]:
 
 
 @main.command()
-@click.argument("session", type=EXISTING_FOLDER)
+@click.argument("sessions", metavar="SESSION...", type=EXISTING_FOLDER, nargs=-1, required=True)
 @click.option("--method", type=click.Choice(["staged"]), default="staged", show_default=True, help="How to estimate.")
 @click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
 @click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
-def calibrate(session: Path, method: str, out: Path | None, force: bool, truth: Path | None) -> None:
-    """Calibrate the device of SESSION, a folder with session.toml and a log."""
+def calibrate(sessions: tuple[Path, ...], method: str, out: Path | None, force: bool, truth: Path | None) -> None:
+    """Calibrate the device of SESSION, a folder with session.toml and a log.
+
+    Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
+    launch to launch, and --out is required.
+    """
     from tumble.calibration import calibrate
+    from tumble.launches import Run, mean_of_launches
     from tumble.session import read_session
     from tumble.text import calibration_report, print_report
 
+    if len(sessions) > 1 and out is None:
+        raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     known = _read_truth(truth) if truth else None
-    described = read_session(session)
-    result = calibrate(described, method=method, progress=_with_progress)
-    target = out or described.folder / "calibration.json"
+    described = [read_session(session) for session in sessions]
+    runs = [
+        Run(session=session, calibration=calibrate(session, method=method, progress=_with_progress))
+        for session in described
+    ]
+    result = mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
+    target = out or described[0].folder / "calibration.json"
     result.write(target, force=force)
     print_report(calibration_report(result, known))
     click.echo(f"written to {target}", err=True)
@@ -104,7 +115,8 @@ def _read_truth(path: Path) -> dict[str, float]:
 @click.option("--noiseless", is_flag=True, help="No noise and no instability.")
 @click.option("--vibration", metavar="AMPLITUDE@HZ", help="Vibration throughout, m/s² at Hz, e.g. 0.05@30.")
 @click.option("--format", "log_format", type=click.Choice(["csv", "parquet"]), default="parquet", show_default=True)
-@click.option("--seed", type=int, default=0, show_default=True, help="The same seed gives the same session.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the device.")
+@click.option("--launch", type=click.IntRange(min=0), default=1, show_default=True, help="Launch of that device.")
 def simulate(
     folder: Path,
     programme: str,
@@ -120,6 +132,7 @@ def simulate(
     vibration: str | None,
     log_format: Literal["csv", "parquet"],
     seed: int,
+    launch: int,
 ) -> None:
     """Write a session with known truth (truth.json) into FOLDER."""
     from tumble.simulate import Request, Vibration, simulate_session, vibration_of
@@ -137,7 +150,8 @@ def simulate(
         noiseless=noiseless,
         vibration=vibration_of(vibration) if vibration else Vibration(),
     )
-    click.echo(f"written to {simulate_session(folder, request, seed=seed, log_format=log_format)}", err=True)
+    written = simulate_session(folder, request, seed=seed, launch=launch, log_format=log_format)
+    click.echo(f"written to {written}", err=True)
 
 
 @main.command()

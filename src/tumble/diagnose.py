@@ -6,24 +6,35 @@ the vertical from rest to rest, and `verdict` turns an estimate into an outcome.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import permutations, product
 
 import numpy as np
 
+from tumble.earth import EARTH_RATE
 from tumble.estimate import SEEN, Estimate, Outcome, spreads
 from tumble.model import SensorModel
 from tumble.observe import Observations
+from tumble.programme import from_attitudes, programme
 from tumble.rotation import skew, tangent_basis
 from tumble.segment import ChannelState, Reduction, Segmentation
 from tumble.session import Channels, Session
-from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array, Unit
 
 UNIT_TOLERANCE = 0.25
 """|a| at rest may differ from g by this part before the unit is doubted: bias and scale errors are less."""
 
 CARRIED = 0.25
-"""rad: a turn of nominal gyros misses the vertical by less, unless a unit, a sign or a column is wrong."""
+"""rad: the turns of nominal gyros miss the vertical by less at the mean, unless a unit, a sign or a column is wrong."""
+
+EVIDENT = 0.5
+"""rad: no turn of nominal gyros misses the vertical by as much: bias, scale and axis errors of 5 % leave less."""
+
+UPRIGHT = 20.0 * DEGREE
+"""How far a rest may be from its position of the programme to count as that position, or as it upside down."""
+
+REST_SHARE = 0.2
+"""At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
 
 FIT_SIGMAS = 5.0
 SCATTER_LIMIT = 1e-3 * G_STANDARD
@@ -34,33 +45,35 @@ CHANCE = 1e-9
 def recording_faults(reduction: Reduction, session: Session) -> list[str]:
     """Faults of single channels, exchanged sensors, and an accelerometer unit that cannot be right."""
     log = session.log
-    faults = [*_channel_faults(reduction.accel_channels, log.accel, reduction.rate)]
+    accel = np.concatenate([f.accel for f in reduction.files])
+    gyros = np.concatenate([f.gyro for f in reduction.files if f.gyro is not None] or [np.empty((0, 0))])
+    faults = [*_channel_faults(reduction.accel_channels, accel, log.accel, reduction.rate, "use a larger range")]
     if log.gyro is not None:
-        faults += _channel_faults(reduction.gyro_channels, log.gyro, reduction.rate)
+        advice = "use a larger range or turn more slowly"
+        faults += _channel_faults(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice)
     if faults:
         return faults
-    magnitude = float(np.median(np.concatenate([_magnitude(f.accel, log.accel.axes) for f in reduction.files])))
+    force = accel @ np.linalg.pinv(log.accel.axes).T
+    magnitude = float(np.median(np.linalg.norm(force, axis=1)))
     g = session.site.gravity
     if abs(magnitude / g - 1.0) < UNIT_TOLERANCE:
         return []
     if log.gyro is not None and magnitude < 0.5 * g:
-        gyros = np.concatenate([f.gyro for f in reduction.files if f.gyro is not None])
-        as_accel = _as_logged_by(gyros, log.gyro, log.accel)
-        exchanged = float(np.median(_magnitude(as_accel, log.accel.axes)))
-        units = _fitting_units(exchanged, log.accel, g)
+        exchanged = float(np.median(np.linalg.norm(_as_logged_by(gyros, log.gyro, log.accel), axis=1)))
+        units = _fitting_units(exchanged, log.accel, g, reduction.rate, ("rate",))
         if abs(exchanged / g - 1.0) < UNIT_TOLERANCE or units:
             return [
                 f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
                 f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"
             ]
-    return [_unit_fault(magnitude, log.accel, g)]
+    return [_unit_fault(force, magnitude, log.accel, g, reduction.rate)]
 
 
-def _unit_fault(magnitude: float, channels: Channels, g: float) -> str:
+def _unit_fault(force: Array, magnitude: float, channels: Channels, g: float, rate: float) -> str:
     found = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
     if _raw(channels):
-        return f"{found}: the nominal scale of [log.accel] is about {magnitude / g:.3g} times too small, or its offset is wrong"
-    units = _fitting_units(magnitude, channels, g)
+        return f"{found}: {_scale_or_offset(force, magnitude, channels, g)}"
+    units = _fitting_units(magnitude, channels, g, rate, ("rate", "increment") if _like_gravity(force) else ("rate",))
     if units:
         return f'{found}: the unit of [log.accel] is not "{channels.unit_name}"; {" or ".join(units)} would fit'
     if magnitude < UNIT_TOLERANCE * g:
@@ -68,107 +81,217 @@ def _unit_fault(magnitude: float, channels: Channels, g: float) -> str:
     return f'{found}: the unit "{channels.unit_name}" of [log.accel] is not right, and no other known unit fits'
 
 
-def _fitting_units(magnitude: float, channels: Channels, g: float) -> list[str]:
-    """Rate units of accelerometers in which a magnitude logged in the stated unit would be g."""
-    if _raw(channels) or channels.unit.kind != "rate":
+def _scale_or_offset(force: Array, magnitude: float, channels: Channels, g: float) -> str:
+    """What is wrong with raw accelerometers: the offset where gravity shows about the middle of the readings, else
+    the scale."""
+    middle = 0.5 * (force.min(axis=0) + force.max(axis=0))
+    about = float(np.median(np.linalg.norm(force - middle, axis=1)))
+    if np.linalg.norm(middle) > 2.0 * g and abs(about / g - 1.0) < 2.0 * UNIT_TOLERANCE:
+        raw = channels.offset + channels.scale * (channels.axes @ middle) / channels.unit.factor
+        return f"the offset of [log.accel] is wrong; about {', '.join(f'{v:.4g}' for v in raw)} would fit"
+    for name in ("m/s^2", "g"):
+        if abs(magnitude / channels.unit.factor * ACCEL_UNITS[name].factor / g - 1.0) < UNIT_TOLERANCE:
+            return f'the scale of [log.accel] would fit with scale_per = "{name}"'
+    return f"the nominal scale of [log.accel] is about {_times(magnitude / g)}, or its offset is wrong"
+
+
+def _times(ratio: float) -> str:
+    """How wrong a nominal scale is whose readings are `ratio` times what they should be."""
+    return f"{ratio:.3g} times too small" if ratio > 1.0 else f"{1.0 / ratio:.3g} times too large"
+
+
+def _fitting_units(magnitude: float, channels: Channels, g: float, rate: float, kinds: tuple[str, ...]) -> list[str]:
+    """Units of accelerometers of these kinds in which a magnitude logged in the stated unit would be g."""
+    if _raw(channels):
         return []
-    logged = magnitude / channels.unit.factor
     return [
         f'"{name}"'
         for name, unit in ACCEL_UNITS.items()
-        if unit.kind == "rate" and abs(logged * unit.factor / g - 1.0) < UNIT_TOLERANCE
+        if unit.kind in kinds
+        and abs(magnitude * _per_second(unit, rate) / _per_second(channels.unit, rate) / g - 1.0) < UNIT_TOLERANCE
     ]
+
+
+def _per_second(unit: Unit, rate: float) -> float:
+    """What a number in this unit is worth as a mean rate (m/s² or rad/s) over a sample."""
+    return unit.factor * (rate if unit.kind == "increment" else 1.0)
+
+
+def _like_gravity(force: Array) -> bool:
+    """Whether vectors (K, 3) have one length and many directions: not what is left where gravity was removed."""
+    length = np.linalg.norm(force, axis=1)
+    low, median, high = np.quantile(length, [0.25, 0.5, 0.75])
+    about = float(np.median(np.linalg.norm(force - np.median(force, axis=0), axis=1)))
+    return bool(high - low < UNIT_TOLERANCE * median and about > UNIT_TOLERANCE * median)
 
 
 def _raw(channels: Channels) -> bool:
     return channels.unit_name in ("count", "V")
 
 
-def _magnitude(readings: Array, axes: Array) -> Array:
-    """|specific force| of block means from nominal sensors."""
-    return np.asarray(np.linalg.norm(readings @ np.linalg.pinv(axes).T, axis=1))
-
-
 def _as_logged_by(readings: Array, written: Channels, meant: Channels) -> Array:
-    """Readings (SI) of one kind of channels, taken as if the columns had been those of another kind."""
+    """Readings (SI) of one kind of channels, taken as if the columns had been those of another kind, as vectors."""
     n = min(readings.shape[1], len(meant.columns))
     logged = readings[:, :n] / written.unit.factor * written.scale[:n] + written.offset[:n]
-    return np.asarray((logged - meant.offset[:n]) / meant.scale[:n] * meant.unit.factor)
+    meant_si = (logged - meant.offset[:n]) / meant.scale[:n] * meant.unit.factor
+    return np.asarray(meant_si @ np.linalg.pinv(meant.axes[:n]).T)
 
 
-def _channel_faults(states: tuple[ChannelState, ...], channels: Channels, rate: float) -> Iterator[str]:
-    for column, state in zip(channels.columns, states, strict=True):
+def _channel_faults(
+    states: tuple[ChannelState, ...], means: Array, channels: Channels, rate: float, advice: str
+) -> Iterator[str]:
+    """Dead, clipped and stuck channels; `means` (K, n) are those of blocks, in SI."""
+    for i, (column, state) in enumerate(zip(channels.columns, states, strict=True)):
         if state.minimum == state.maximum:
-            yield f"column {column!r} is dead: all {state.samples} samples are {state.minimum:.6g}"
+            value = _logged(state.minimum, channels, i, rate)
+            yield f"column {column!r} is dead: all {state.samples} samples are {value}"
             continue
+        at_end = np.isclose(means[:, [i]], [state.minimum, state.maximum], rtol=1e-12, atol=0.0).any(axis=1)
+        saturated = max(state.extreme_run, round(float(at_end.mean()) * state.samples))
         full_scale = channels.range
         if full_scale is not None and max(abs(state.minimum), abs(state.maximum)) >= 0.9999 * full_scale:
             yield (
-                f"column {column!r} is clipped: it reaches its range of {full_scale:.6g} "
-                f"(about {state.extreme_stop:.2f} s); use a larger range or turn more slowly"
+                f"column {column!r} is clipped: it reaches its range, {state.extreme_run or 1} samples in a row up to "
+                f"{state.extreme_stop:.2f} s; {advice}"
             )
-        repeats = state.repeats / state.samples
-        if repeats > 0.5:
-            continue  # a recording without noise, or of coarse resolution: equal samples mean nothing
-        if state.extreme_run >= 5 and _accident(repeats, state.extreme_run, state.samples):
+        elif state.extreme_run >= 5 and _no_accident(state, state.extreme_run, saturated):
             yield (
                 f"column {column!r} is clipped: {state.extreme_run} samples in a row at its extreme value, up to "
-                f"{state.extreme_stop:.2f} s; use a larger range or turn more slowly"
+                f"{state.extreme_stop:.2f} s; {advice}"
             )
-        elif state.run >= rate and _accident(repeats, state.run, state.samples):
+        elif state.run >= rate and _no_accident(state, state.run, state.run):
             yield (
-                f"column {column!r} is stuck: {state.run} samples in a row are {state.run_value:.6g}, up to "
-                f"{state.run_stop:.2f} s"
+                f"column {column!r} is stuck: {state.run} samples in a row are "
+                f"{_logged(state.run_value, channels, i, rate)}, up to {state.run_stop:.2f} s"
             )
 
 
-def _accident(repeats: float, run: int, samples: int) -> bool:
-    """Whether a row of `run` equal samples is beyond chance, given how often neighbours are equal."""
-    return float(samples * max(repeats, 1e-6) ** (run - 1)) < CHANCE
+def _logged(value: float, channels: Channels, sensor: int, rate: float) -> str:
+    """A reading (SI) as the log has it."""
+    number = value / _per_second(channels.unit, rate) * channels.scale[sensor] + channels.offset[sensor]
+    return f"{number:.6g} {channels.unit_name}"
 
 
-def sense_faults(observations: Observations, session: Session) -> list[str]:
-    """Whether nominal gyros carry the vertical from rest to rest, and if not, which unit, sign or exchange of
-    columns would make them."""
+def _no_accident(state: ChannelState, run: int, explained: int) -> bool:
+    """Whether a row of `run` equal samples is beyond chance, given how often neighbours are equal elsewhere than in
+    the `explained` samples; those may all be at rest, as they are where the resolution is coarse."""
+    elsewhere = max(state.repeats - explained, 0) / (REST_SHARE * state.samples)
+    return float(state.samples * min(max(elsewhere, 1e-6), 1.0) ** (run - 1)) < CHANCE
+
+
+def sense_faults(observations: Observations, session: Session, rate: float) -> list[str]:
+    """Whether nominal gyros carry the vertical from rest to rest, and if not, which unit, scale, sign or exchange of
+    columns would make them; and whether up is up. `rate`: samples per second."""
     turns, block, channels = observations.turns, observations.gyro_block, session.log.gyro
     if turns is None or block is None or channels is None or len(turns) == 0:
-        return []
+        return _upside_down(observations, session)
     bias = np.median(observations.rests.gyro, axis=0)
     nominal = block.nominal()
-    miss = _miss(observations, SensorModel(matrix=nominal.matrix, bias=bias))
-    if miss < CARRIED:
-        return []
-    said = f"the gyros do not carry the vertical from rest to rest: they miss it by {miss / DEGREE:.0f}° at the median"
-    for name, factor in _other_units(channels):
-        if _miss(observations, SensorModel(matrix=nominal.matrix / factor, bias=bias)) < 0.5 * min(miss, CARRIED):
-            return [f'{said}; the unit of [log.gyro] is not "{channels.unit_name}", "{name}" would fit']
-    best, found = 0.5 * min(miss, CARRIED), ""
-    for transform in _signed_permutations():
-        trial = _miss(observations, SensorModel(matrix=nominal.matrix @ transform, bias=bias))
-        if trial < best:
-            best, found = trial, _described(transform)
-    if found:
-        return [f"{said}; {found}"]
+    miss = _misses(observations, SensorModel(matrix=nominal.matrix, bias=bias))
+    if miss.max() < EVIDENT:
+        return _upside_down(observations, session)
+    said = (
+        "the gyros do not carry the vertical from rest to rest: they miss it by "
+        f"{miss.max() / DEGREE:.0f}° at the worst and by {np.median(miss) / DEGREE:.0f}° at the median of {len(miss)} turns"
+    )
+
+    def explains(matrix: Array) -> float:
+        """Mean miss of gyros with this matrix, infinite where it does not explain what is seen."""
+        trial = _misses(observations, SensorModel(matrix=matrix, bias=bias))
+        fits = trial.mean() < 0.5 * min(float(miss.mean()), CARRIED) and trial.max() < 0.5 * miss.max()
+        return float(trial.mean()) if fits else np.inf
+
+    for name, factor in _other_units(channels, rate):
+        if explains(nominal.matrix / factor) < np.inf:
+            return [f"{said}; {_unit_named(channels, name)} would fit"]
+    trials = [(t, explains(nominal.matrix @ t)) for t in _signed_permutations()]
+    best = min(trial for _, trial in trials)
+    if best < np.inf:
+        simplest = next(t for t, trial in trials if trial <= 1.5 * best + 0.1 * CARRIED)
+        return [f"{said}; {_described(simplest)}"]
+    scales = [(explains(nominal.matrix * ratio), float(ratio)) for ratio in np.geomspace(0.2, 5.0, 131)]
+    best, ratio = min(scales)
+    if best < np.inf:
+        return [f"{said}; the nominal scale of [log.gyro] is about {_times(ratio)}"]
+    if np.median(miss) < CARRIED:
+        return _upside_down(observations, session)  # single turns: the fit will name them
     return [
-        f"{said}, and no other unit, sign or order of columns explains it: check the columns, the unit and [log.gyro] axes"
+        f"{said}, and no other unit, scale, sign or order of columns explains it: check the columns, the unit and "
+        "[log.gyro] axes"
     ]
 
 
-def _miss(observations: Observations, gyro: SensorModel) -> float:
-    """Median angle, rad, between the vertical after a turn carried back by the gyros and the one before it."""
+def _misses(observations: Observations, gyro: SensorModel) -> Array:
+    """Angles (K,), rad, between the vertical after each turn carried back by the gyros and the one before it."""
     turns = observations.turns_about(gyro)
-    force = observations.accel_block.nominal().apply(observations.rests.accel)
-    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    vertical = _verticals(observations)
     back = np.einsum("kij,kj->ki", turns.C, vertical[turns.last])
     cosine = np.einsum("ki,ki->k", back, vertical[turns.first])
-    return float(np.median(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return np.asarray(np.arccos(np.clip(np.nan_to_num(cosine, nan=-1.0), -1.0, 1.0)))
 
 
-def _other_units(channels: Channels) -> Iterator[tuple[str, float]]:
-    """Other units of the same kind as the stated one, and how much larger they are."""
+def _verticals(observations: Observations) -> Array:
+    """Verticals (N, 3) in the body, from nominal accelerometers."""
+    force = observations.accel_block.nominal().apply(observations.rests.accel)
+    return np.asarray(force / np.linalg.norm(force, axis=1, keepdims=True))
+
+
+def _other_units(channels: Channels, rate: float) -> Iterator[tuple[str, float]]:
+    """Other units than the stated one (of raw channels: of the scale), and how much larger they are."""
     for name, unit in GYRO_UNITS.items():
-        if not _raw(channels) and unit.kind == channels.unit.kind and name != channels.unit_name:
-            yield name, unit.factor / channels.unit.factor
+        factor = _per_second(unit, rate) / _per_second(channels.unit, rate)
+        if unit.kind != "raw" and unit != channels.unit and not (_raw(channels) and unit.kind != channels.unit.kind):
+            yield name, factor
+
+
+def _unit_named(channels: Channels, name: str) -> str:
+    if _raw(channels):
+        return f'the scale of [log.gyro] is not per that unit; scale_per = "{name}"'
+    return f'the unit of [log.gyro] is not "{channels.unit_name}", "{name}"'
+
+
+def _upside_down(observations: Observations, session: Session) -> list[str]:
+    """Whether all accelerometers have the wrong sign, by the programme or the vertical part of the Earth's rate."""
+    vertical = _verticals(observations)
+    expected = _programmed(session, len(vertical))
+    if expected is not None and np.all(np.einsum("ij,ij->i", vertical, expected) < -np.cos(UPRIGHT)):
+        return [f"all accelerometers have the wrong sign: every rest is the programme's upside down; {_SIGN}"]
+    if _earth_reversed(observations, vertical):
+        return [
+            "the gyros see the vertical part of the Earth's rate with the wrong sign: all accelerometers have the "
+            f"wrong sign, or site.latitude_deg has; {_SIGN}, and latitudes are positive in the north"
+        ]
+    return []
+
+
+_SIGN = "an accelerometer at rest with its axis up must read +g"
+
+
+def _programmed(session: Session, rests: int) -> Array | None:
+    """Verticals (N, 3) of the session's programme, where it has an order and as many positions as there are rests."""
+    spec = session.programme
+    if spec is None:
+        return None
+    listed = programme(spec.name) if spec.name is not None else from_attitudes([p.attitude for p in spec.positions])
+    if not listed.ordered or len(listed.positions) != rests:
+        return None
+    return np.array([p.vertical_b for p in listed.positions])
+
+
+def _earth_reversed(observations: Observations, vertical: Array) -> bool:
+    """Whether ω = bias + s Ω sin B û at rest says s = −1 and nothing near +1. The horizontal part of the Earth's rate
+    and gyros of lesser grades are noise to it."""
+    block, latitude = observations.gyro_block, observations.site.latitude
+    if block is None or latitude is None or len(vertical) < 4:
+        return False
+    rate = block.nominal().apply(observations.rests.gyro)
+    rate, known = rate - rate.mean(axis=0), EARTH_RATE * np.sin(latitude) * (vertical - vertical.mean(axis=0))
+    square = float((known**2).sum())
+    if square == 0.0:
+        return False
+    slope = float((rate * known).sum()) / square
+    u = float(np.sqrt(((rate - slope * known) ** 2).sum() / (3 * len(rate) - 4) / square))
+    return slope + 6.0 * u < 0.0 and abs(slope + 1.0) < 3.0 * u + 0.1
 
 
 def _signed_permutations() -> list[Array]:
@@ -181,26 +304,41 @@ def _signed_permutations() -> list[Array]:
     return sorted(out, key=lambda m: _changes(m))
 
 
+def _readings_of(transform: Array) -> list[tuple[str, Array]]:
+    """What a signed permutation of the gyros may mean: that of the gyros, or, unless it is a mirror image, one of the
+    accelerometers, of which only the directions up to a common sign show in turns."""
+    out = [("gyro", transform)]
+    if np.linalg.det(transform) > 0.0:
+        out += [("accelerometer", transform.T), ("accelerometer", -transform.T)]
+    return out
+
+
+def _changed(matrix: Array) -> tuple[list[str], list[str]]:
+    """Axes whose columns are exchanged, and axes whose signs are wrong."""
+    moved = ["xyz"[p] for p in range(3) if matrix[p, p] == 0.0]
+    return moved, ["xyz"[p] for p in range(3) if matrix[p].sum() < 0.0]
+
+
 def _changes(transform: Array) -> int:
-    """Columns moved and signs changed, by the simpler of the two readings (gyros or accelerometers)."""
-    moved = int(np.sum(np.abs(np.diag(transform)) == 0.0))
-    return moved + min(int(np.sum(transform < 0.0)), int(np.sum(transform > 0.0)) + 1)
+    """Columns moved and signs changed, in the simplest reading of a signed permutation."""
+    return min(sum(map(len, _changed(matrix))) for _, matrix in _readings_of(transform))
 
 
 def _described(transform: Array) -> str:
-    """A signed permutation of the gyros in words: a mirror image of the accelerometers is the same thing with all
-    signs changed, so the shorter of the two is said first."""
+    """The simplest readings of a signed permutation of the gyros, in words."""
     said = []
-    for sign, sensors in ((1.0, "gyro"), (-1.0, "accelerometer")):
-        matrix = sign * transform
-        moved = ["xyz"[p] for p in range(3) if matrix[p, p] == 0.0]
-        negative = ["xyz"[p] for p in range(3) if matrix[p].sum() < 0.0]
-        parts = [f"the {sensors} columns {' and '.join(moved)} are exchanged"] if moved else []
+    for sensors, matrix in _readings_of(transform):
+        moved, negative = _changed(matrix)
+        if len(moved) + len(negative) > _changes(transform):
+            continue
+        parts = [f"the {sensors} columns {' and '.join(moved)} are exchanged"] if len(moved) == 2 else []
+        if len(moved) == 3:
+            order = ", ".join("xyz"[int(np.argmax(np.abs(row)))] for row in matrix)
+            parts = [f"the {sensors} columns are in the order {order}"]
         if negative:
-            parts.append(f"the sign of {sensors} {' and '.join(negative)} is wrong")
-        said.append((len(moved) + len(negative), " and ".join(parts)))
-    fewest = min(count for count, _ in said)
-    return " or ".join(text for count, text in said if count == fewest) + " (relative to the other sensors)"
+            parts.append(f"the sign of {sensors} {', '.join(negative)} is wrong")
+        said.append(" and ".join(parts))
+    return " or ".join(said) + " (relative to the other sensors)"
 
 
 def verdict(estimate: Estimate, observations: Observations) -> Outcome:
@@ -245,48 +383,61 @@ def _misfits(estimate: Estimate, observations: Observations) -> Iterator[str]:
 
 
 def _most_helpful(estimate: Estimate, observations: Observations) -> str:
-    """The rest, or the turn, that would say most about what the data do not determine."""
+    """The rests, or the turns, that together would say what the data do not determine, the most telling first."""
     m = len(observations.accel_block.names)
-    by_accel = np.abs(estimate.null[:, :m]).max(initial=0.0) > SEEN
-    if by_accel:
-        scores = {
-            _standing(u): float(np.linalg.norm(estimate.null[:, :m] @ _rest_row(observations, u)))
-            for u in _directions()
-        }
-        return f"the rest that would help most: {max(scores, key=lambda name: scores[name])}"
-    null = estimate.null[:, m:]
-    scores = {
-        f"a turn of 180° about body {'XYZ'[axis]} with body {'XYZ'[up]} up before it": float(
-            np.linalg.norm(null @ _turn_rows(observations, axis, up).T)
-        )
-        for axis in range(3)
+    null = estimate.null[:, :m]
+    if np.abs(null).max(initial=0.0) > SEEN:
+        rests = {_standing(u): _rest_rows(observations, u) for u in _directions()}
+        return f"rests that would help, the most helpful first: {', '.join(_telling(null, rests))}"
+    turns = {
+        f"180° about {'XYZ'[axis]} with {'XYZ'[up]} up": _turn_rows(observations, axis, up)
         for up in range(3)
+        for axis in range(3)
     }
-    return f"what would help most: {max(scores, key=lambda name: scores[name])}"
+    found = _telling(estimate.null[:, m:], turns)
+    return f"turns that would help, the most helpful first: {', '.join(found)} (as they stand before the turn)"
+
+
+def _telling(null: Array, candidates: Mapping[str, Array]) -> list[str]:
+    """Names of candidates whose rows (r, m) together see the combinations `null` (q, m): each time the one that sees
+    most of what is left."""
+    chosen: list[str] = []
+    left = null[np.linalg.norm(null, axis=1) > SEEN]
+    while len(left):
+        name = max(candidates, key=lambda name: float(np.linalg.norm(left @ candidates[name].T)))
+        U, s, _ = np.linalg.svd(left @ candidates[name].T)
+        seen = int(np.sum(s > SEEN * np.linalg.norm(candidates[name])))
+        if seen == 0:
+            break
+        chosen.append(name)
+        left = U[:, seen:].T @ left
+    return chosen
 
 
 def _directions() -> list[Array]:
-    """Verticals of faces, edges and vertices of a cube."""
-    return [np.array(s) / np.linalg.norm(s) for s in product((1.0, 0.0, -1.0), repeat=3) if any(s)]
+    """Verticals of the faces and edges of a cube."""
+    return [np.array(s) / np.linalg.norm(s) for s in product((1.0, 0.0, -1.0), repeat=3) if any(s) and not all(s)]
 
 
 def _standing(vertical: Array) -> str:
     """Which body axes point up and down, in words."""
     parts = [f"{'XYZ'[p]} {'up' if vertical[p] > 0 else 'down'}" for p in range(3) if abs(vertical[p]) > 1e-9]
-    tilt = {1: "", 2: " (45° each)", 3: " (35° each)"}[len(parts)]
-    return f"body {', '.join(parts)}{tilt}"
+    return parts[0] if len(parts) == 1 else f"{' and '.join(parts)} (45° each)"
 
 
-def _rest_row(observations: Observations, vertical: Array) -> Array:
-    """What |a| at one more rest would say about the accelerometer parameters, in units of their spreads."""
+def _rest_rows(observations: Observations, vertical: Array) -> Array:
+    """What one more rest would say about the accelerometer parameters, whatever the exact vertical, in units of their
+    spreads: (n − 2, m), m/s²."""
     block, g = observations.accel_block, observations.site.gravity
     derivative = block.jacobian(np.zeros(len(block.names)))
-    along = vertical @ np.linalg.pinv(block.axes)
-    return np.asarray(np.einsum("p,pqm,q->m", along, derivative, np.append(g * vertical, 1.0)) * spreads(block))
+    basis, _ = np.linalg.qr(block.axes @ tangent_basis(vertical).T, mode="complete")
+    rows = np.einsum("pr,pqm,q->rm", basis[:, 2:], derivative, np.append(g * vertical, 1.0))
+    return np.asarray(rows * spreads(block))
 
 
 def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
-    """What one more turn by 180° about a body axis would say about the gyro parameters, in units of their spreads."""
+    """What one more turn by 180° about a body axis would say about the gyro parameters, in units of their spreads:
+    (2, m), rad."""
     block = observations.gyro_block
     assert block is not None
     n = np.eye(3)[axis]

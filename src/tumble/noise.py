@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,9 @@ from tumble import _kernels
 from tumble.errors import InputError, MissingExtraError
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, engineering, rounded
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 SIZES_PER_OCTAVE = 4
 MIN_SAMPLES = 32
 MIN_CLUSTERS = 4
@@ -46,7 +50,7 @@ SLOPE_ERROR = 0.03
 """How far real sensors follow (1), as a part of σ²: filters and vibration bend it at short τ, where the
 statistical error is far smaller."""
 SIGNIFICANCE = 4.0
-"""A term is reported when its coefficient in (1) is so many of its standard uncertainties."""
+"""A term is reported when its square is so many of the standard uncertainties it would have if it were absent."""
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
 
@@ -161,9 +165,7 @@ def _degrees(points: int, sizes: IntArray, exponents: IntArray) -> Array:
     Source: Riley, Handbook of Frequency Stability Analysis (NIST SP 1065), table 5."""
     n, m = float(points), sizes.astype(float)
     white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
-    flicker = np.where(
-        m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 5.0 * n**2 / (4.0 * m * (n + 3.0 * m))
-    )
+    flicker = np.where(m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 5.0 * n**2 / (4.0 * m * (n + 3.0 * m)))
     walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / (n - 3.0) ** 2
     return np.asarray(np.select([exponents == 0, exponents == -1], [white, flicker], walk))
 
@@ -258,7 +260,9 @@ def _identify(fit: _Fit) -> NoiseParameters:
     active = list(range(len(_TERMS))) if fit.variance.all() else []
     while True:
         squares, u = _estimates(fit, active)
-        significance = [_significance(fit, active, j) for j in active]
+        significance = [
+            _significance(fit, active, j) if squares[j] > w else 0.0 for j, w in zip(active, u, strict=True)
+        ]
         if min(significance, default=np.inf) >= SIGNIFICANCE:
             break
         del active[int(np.argmin(significance))]
@@ -290,3 +294,102 @@ def _significance(fit: _Fit, active: Sequence[int], term: int) -> float:
     _, _, misfit = fit.about(fit.squares(active), active)
     at = list(active).index(term)
     return float(squares[at] / (u[at] * np.sqrt(max(1.0, misfit))))
+
+
+# Figures and a picture --------------------------------------------------------------------------------------
+
+_SHOWN = {
+    # name: symbol, then for "rad/s" and for "m/s^2" one of the shown unit in SI, and its name
+    "quantisation": ("Q", (ARCSEC, '"'), (1e-3, "mm/s")),
+    "white_noise": ("N", (DEGREE / 60.0, "°/√h"), (1e-6 * G_STANDARD, "µg/√Hz")),
+    "bias_instability": ("B", (DEGREE_PER_HOUR, "°/h"), (1e-6 * G_STANDARD, "µg")),
+    "rate_random_walk": ("K", (DEGREE_PER_HOUR / 60.0, "°/h/√h"), (1e-6 * G_STANDARD / 60.0, "µg/√h")),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Shown:
+    """A noise coefficient as it is shown: "N", "white noise", "0.0030", "0.0002", "°/√h"."""
+
+    symbol: str
+    name: str
+    value: str
+    u: str
+    unit: str
+
+
+def shown(parameters: NoiseParameters, unit: str) -> tuple[Shown, ...]:
+    """The coefficients a channel shows, rounded by their uncertainties, in the units of data sheets; `unit` is
+    that of the samples, "rad/s" or "m/s^2"."""
+    out = []
+    for name, (symbol, gyro, accel) in _SHOWN.items():
+        coefficient = getattr(parameters, name)
+        if coefficient is not None:
+            size, unit_name = gyro if unit == "rad/s" else accel
+            value, u = rounded(coefficient.value / size, coefficient.u / size)
+            out.append(Shown(symbol=symbol, name=name.replace("_", " "), value=value, u=u, unit=unit_name))
+    return tuple(out)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Panel:
+    """What one panel of the picture shows: the sensors `channels` (c,) of one kind, in "rad/s" or "m/s^2"."""
+
+    title: str
+    unit: str
+    channels: tuple[str, ...]
+    deviation: AllanDeviation
+    parameters: tuple[NoiseParameters, ...]
+
+
+def plot(panels: Sequence[Panel], path: Path) -> None:
+    """Write the Allan deviations with 68 % bands, the fit and its terms, a panel for each kind of sensor, as svg,
+    png or pdf by the ending of the file. Needs matplotlib.
+
+    Raises MissingExtraError without matplotlib, InputError for another ending."""
+    if path.suffix.lower() not in (".svg", ".png", ".pdf"):
+        raise InputError(f"{path}: expected a file that ends in .svg, .png or .pdf, found {path.suffix!r}")
+    try:
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            "a plot of the Allan deviation needs matplotlib; install it with: pip install 'tumble[report]'"
+        ) from error
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 9.0}):
+        figure = Figure(figsize=(6.2 * len(panels), 5.0), layout="constrained")
+        for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+            _draw(axes, panel)
+        undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+        figure.savefig(path, dpi=150, metadata=undated.get(path.suffix.lower()))
+
+
+def _draw(axes: Axes, panel: Panel) -> None:
+    """One panel: band and line of every channel, its fit dashed, the terms of the fit dotted where they matter."""
+    tau = panel.deviation.tau
+    size, unit_name = engineering(panel.unit, float(np.median(panel.deviation.deviation)))
+    for i, (channel, parameters) in enumerate(zip(panel.channels, panel.parameters, strict=True)):
+        colour = f"C{i}"
+        low, middle, high = (
+            band[:, i] / size for band in (panel.deviation.low, panel.deviation.deviation, panel.deviation.high)
+        )
+        axes.fill_between(tau, low, high, color=colour, alpha=0.2, linewidth=0.0)
+        axes.plot(tau, middle, color=colour, linewidth=1.5, label=_label(channel, parameters, panel.unit))
+        terms = parameters.variances(tau)
+        if terms:
+            total = np.sum(list(terms.values()), axis=0)
+            axes.plot(tau, np.sqrt(total) / size, color=colour, linewidth=0.9, linestyle="--")
+            for term in terms.values():
+                part = np.where(term > 0.05 * total, np.sqrt(term) / size, np.nan)
+                axes.plot(tau, part, color=colour, linewidth=0.8, linestyle=":")
+    axes.set(xscale="log", yscale="log", xlabel="averaging time τ, s", ylabel=f"Allan deviation, {unit_name}")
+    axes.set_title(panel.title)
+    axes.grid(which="major", alpha=0.5, linewidth=0.6)
+    axes.grid(which="minor", alpha=0.2, linewidth=0.4)
+    axes.legend(fontsize=8.0, title="68 % band, fit dashed, its terms dotted", title_fontsize=8.0)
+
+
+def _label(channel: str, parameters: NoiseParameters, unit: str) -> str:
+    """A line of the legend: "x: N = 0.0030 ± 0.0002 °/√h, …"."""
+    terms = ", ".join(f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in shown(parameters, unit))
+    return f"{channel}: {terms}" if terms else channel

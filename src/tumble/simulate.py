@@ -506,12 +506,15 @@ class Request:
     vibration: Vibration = Vibration()
 
 
-def simulate_session(folder: Path, request: Request, *, seed: int, log_format: LogFormat = "parquet") -> Path:
+def simulate_session(
+    folder: Path, request: Request, *, seed: int, launch: int = 1, log_format: LogFormat = "parquet"
+) -> Path:
     """Write a simulated session, session.toml, log and truth.json, into a new folder, and return the folder.
 
-    The same request and seed give the same numbers. Raises InputError, one line, for a request that cannot be
+    The same request, seed and launch give the same numbers; another launch of a seed is the same device, put on the
+    table and turned anew. Raises InputError, one line, for a request that cannot be
     met, and for a folder that holds a session already."""
-    truth, course = np.random.default_rng(seed).spawn(2)
+    truth, course = np.random.default_rng(seed), np.random.default_rng([seed, launch])
     scenario = typical_scenario(request, truth, serial=f"{request.grade}-{seed}")
     return write_simulation(folder, scenario, course, log_format=log_format)
 

@@ -23,7 +23,8 @@ def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None 
     in units of u."""
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
-    for heading in ("value", "u (k=1)"):
+    several = bool(calibration.launches)
+    for heading in ("mean" if several else "value", "u (k=1)", *(["run to run"] if several else [])):
         table.add_column(heading, justify="right")
     table.add_column("unit")
     if truth is not None:
@@ -34,6 +35,8 @@ def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None 
         size, unit = units[_group(parameter)]
         value, u = rounded(parameter.value / size, (parameter.u or 0.0) / size)
         row = [parameter.name, value, u, unit]
+        if several:
+            row.insert(3, rounded((parameter.run_to_run or 0.0) / size, (parameter.u or 0.0) / size)[0])
         if truth is not None:
             row += _against(parameter, truth, size)
         table.add_row(*row)
@@ -56,6 +59,24 @@ def _group_unit(parameters: tuple[Parameter, ...], group: str) -> tuple[float, s
     """One unit for all parameters of a kind, by their root mean square."""
     values = [p for p in parameters if _group(p) == group]
     return engineering(values[0].unit, math.sqrt(sum(p.value**2 for p in values) / len(values)))
+
+
+def launch_table(calibration: Calibration) -> Table:
+    """The value of every parameter in every launch."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter")
+    for launch in calibration.launches:
+        table.add_column(launch.session, justify="right")
+    table.add_column("unit")
+    units = {group: _group_unit(calibration.parameters, group) for group in map(_group, calibration.parameters)}
+    for parameter in calibration.parameters:
+        size, unit = units[_group(parameter)]
+        row = [parameter.name]
+        for launch in calibration.launches:
+            own = next(p for p in launch.parameters if p.name == parameter.name)
+            row.append(rounded(own.value / size, (own.u or 0.0) / size)[0])
+        table.add_row(*row, unit)
+    return table
 
 
 def rest_table(calibration: Calibration) -> Table:
@@ -81,6 +102,8 @@ def calibration_report(calibration: Calibration, truth: Mapping[str, float] | No
     parts.append(Text(f"device {device} · method {calibration.method} · frame {calibration.frame}"))
     if calibration.parameters:
         parts += [Text(""), parameter_table(calibration, truth)]
+    if calibration.launches:
+        parts += [Text(""), launch_table(calibration)]
     if calibration.rests:
         parts += [Text(""), rest_table(calibration)]
     if calibration.fits:

@@ -1,0 +1,132 @@
+"""Several launches (power-ons) of one device: their mean, and how much it changes from launch to launch.
+
+The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
+their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
+uncertainty of gravity is common to all launches of a site and does not average out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+
+import numpy as np
+
+from tumble.calibration import Calibration, Launch, Parameter
+from tumble.errors import InputError
+from tumble.estimate import Outcome
+from tumble.model import Block, SensorModel
+from tumble.session import Session
+from tumble.units import Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Run:
+    """A session and its calibration."""
+
+    session: Session
+    calibration: Calibration
+
+
+def mean_of_launches(runs: Sequence[Run]) -> Calibration:
+    """One calibration from several sessions of one device by the same method: means with uncertainties, standard
+    deviations from launch to launch, mean increments of each iteration, and every launch."""
+    first = runs[0].calibration
+    _check_alike(runs)
+    reasons = tuple(f"{_name(run)}: {reason}" for run in runs for reason in run.calibration.outcome.reasons)
+    missing = tuple(dict.fromkeys(name for run in runs for name in run.calibration.outcome.unobservable))
+    common = [p.name for p in first.parameters if all(p.name in _named(run) for run in runs)]
+    values = np.array([[_named(run)[name].value for name in common] for run in runs])
+    covariance = _covariance(runs, common, values)
+    parameters = tuple(
+        Parameter(name=name, value=float(value), u=float(u), unit=_named(runs[0])[name].unit, run_to_run=float(spread))
+        for name, value, u, spread in zip(
+            common, values.mean(axis=0), np.sqrt(np.diag(covariance)), values.std(axis=0, ddof=1), strict=True
+        )
+    )
+    digests = [run.calibration.provenance["log_sha256"] for run in runs]
+    means = dict(zip(common, values.mean(axis=0).tolist(), strict=True))
+    return replace(
+        first,
+        parameters=parameters,
+        covariance=covariance,
+        accel=_mean_model(runs[0].session.accel_block, means),
+        gyro=_mean_model(runs[0].session.gyro_block, means),
+        outcome=Outcome(reasons=reasons, unobservable=missing),
+        iterations=_mean_increments(runs, common),
+        rests=(),
+        turn_sigmas=(),
+        fits={},
+        notes=tuple(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
+        launches=tuple(
+            Launch(
+                session=_name(run),
+                parameters=run.calibration.parameters,
+                covariance=run.calibration.covariance,
+                log_sha256=digest,
+            )
+            for run, digest in zip(runs, digests, strict=True)
+        ),
+        provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
+    )
+
+
+def _name(run: Run) -> str:
+    return run.session.folder.name or str(run.session.folder)
+
+
+def _named(run: Run) -> Mapping[str, Parameter]:
+    return {p.name: p for p in run.calibration.parameters}
+
+
+def _check_alike(runs: Sequence[Run]) -> None:
+    first = runs[0]
+    for run in runs[1:]:
+        if run.calibration.serial != first.calibration.serial:
+            raise InputError(
+                f"{run.session.folder}: expected a launch of device {first.calibration.serial!r} like the first session, "
+                f"found {run.calibration.serial!r}; calibrate each device by itself"
+            )
+    seen: dict[str, Run] = {}
+    for run in runs:
+        twin = seen.setdefault(run.calibration.provenance["log_sha256"], run)
+        if twin is not run:
+            raise InputError(f"{run.session.folder}: holds the same log as {twin.session.folder}; name every launch once")
+
+
+def _covariance(runs: Sequence[Run], names: list[str], values: Array) -> Array:
+    """Covariance of the mean (module docstring)."""
+    count = len(runs)
+    own = np.zeros((len(names), len(names)))
+    for run in runs:
+        if run.calibration.covariance is not None:
+            order = [p.name for p in run.calibration.parameters]
+            chosen = [order.index(name) for name in names]
+            own += run.calibration.covariance[np.ix_(chosen, chosen)] / count**2
+    between = values.var(axis=0, ddof=1) / count
+    by_gravity = np.mean([_by_gravity(run, names) for run in runs], axis=0)
+    excess = np.maximum(between - np.diag(own), 0.0)
+    return np.asarray(own + np.diag(excess) + (1.0 - 1.0 / count) * np.outer(by_gravity, by_gravity))
+
+
+def _by_gravity(run: Run, names: list[str]) -> Array:
+    """Change of the parameters with one standard uncertainty of g: only accelerometer scale factors, −(1 + k) δg/g."""
+    site, found = run.session.site, _named(run)
+    return np.array(
+        [-(1.0 + found[n].value) * site.gravity_u / site.gravity if n.startswith("accel.scale") else 0.0 for n in names]
+    )
+
+
+def _mean_model(block: Block | None, values: Mapping[str, float]) -> SensorModel | None:
+    """The sensor model of the mean parameters; None where a launch lacks one of them."""
+    if block is None or not set(block.names) <= set(values):
+        return None
+    return block.model(np.array([values[name] for name in block.names]))
+
+
+def _mean_increments(runs: Sequence[Run], names: list[str]) -> tuple[Mapping[str, float], ...]:
+    """Mean increment of each parameter in each iteration; a launch that needed fewer has none in the last ones."""
+    steps = zip_longest(*(run.calibration.iterations for run in runs), fillvalue={})
+    return tuple({name: sum(step.get(name, 0.0) for step in at) / len(runs) for name in names} for at in steps)
