@@ -31,3 +31,8 @@ def _turn(angle: Array, dt: Array, start: int, stop: int) -> tuple[Array, Array,
         B += middle * dt[k]
         C = C * Rotation.from_rotvec(phi)
     return C.as_matrix(), M, B
+
+
+def allan_sums(phase: Array, sizes: IntArray) -> Array:
+    """Sums of the squared second differences of `phase` over each size: see `tumble._kernels.allan_sums`."""
+    return np.array([np.sum((phase[2 * m :] - 2 * phase[m:-m] + phase[: -2 * m]) ** 2) for m in sizes])

@@ -46,14 +46,12 @@ def observations(
     *,
     degrees: float = 1.0,
     noise: float = 0.0,
-    axes: Array = np.eye(3),
     stated: float = 1.0,
 ) -> Observations:
-    """What is left of a log of one launch with these parameters (21,). `noise` times the noise of §8 is in the readings,
-    `stated` times in the covariances; sensors along `axes`."""
+    """What is left of a log of one launch with these parameters (21,). The noise of §8 is in the readings times `noise`,
+    in the covariances times `stated`."""
     found = launches(values[None], rough_attitudes(1, rng, mounting_deg=degrees, position_deg=degrees))
     n, dt = len(PROGRAMME.positions), TURN_SECONDS / STEPS
-    accel, gyro = (Block(kind=kind, axes=axes) for kind in ("accel", "gyro"))
     samples = GyroSamples()
     increments = found.increments[0]
     for k in range(len(increments)):
@@ -64,18 +62,18 @@ def observations(
     turns = found.turns(triad_model(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 6))))
     no = np.zeros((n, 3))
     return Observations(
-        accel_block=accel,
-        gyro_block=gyro,
+        accel_block=Block(kind="accel", axes=np.eye(3)),
+        gyro_block=Block(kind="gyro", axes=np.eye(3)),
         site=Site(latitude=LATITUDE, height=250.0, gravity=GRAVITY, gravity_u=1e-12),
         rests=Rests(
             file=np.zeros(n, dtype=np.int64),
             start=140.0 * np.arange(n),
             stop=140.0 * np.arange(n) + 120.0,
-            accel=(found.force[0] + noise * ACCEL_NOISE * rng.standard_normal((n, 3))) @ axes.T,
+            accel=found.force[0] + noise * ACCEL_NOISE * rng.standard_normal((n, 3)),
             accel_covariance=np.tile((stated * ACCEL_NOISE) ** 2 * np.eye(3), (n, 1, 1)),
             accel_drift=no,
             accel_noise=no,
-            gyro=(found.rate[0] + noise * GYRO_NOISE * rng.standard_normal((n, 3))) @ axes.T,
+            gyro=found.rate[0] + noise * GYRO_NOISE * rng.standard_normal((n, 3)),
             gyro_covariance=np.tile((stated * GYRO_NOISE) ** 2 * np.eye(3), (n, 1, 1)),
             gyro_drift=no,
             gyro_noise=no,
@@ -132,7 +130,7 @@ def test_noiseless_parameters_are_recovered(pipeline: Pipeline) -> None:
     rng = np.random.default_rng(1)
     values = drawn_values(1, rng)[0]
     estimate = pipeline(observations(values, rng, degrees=1.5), iterations=7)
-    assert np.abs((estimate.values - values) / SIZES).max() < 1e-6
+    assert np.abs((estimate.values - values) / SIZES).max() < 5e-6  # preintegration at 0.9° a sample
     assert estimate.converged
     assert max(estimate.rest_sigmas.max(), estimate.turn_sigmas.max()) < 0.01
 
@@ -157,7 +155,7 @@ def test_increments_add_up_to_the_values_and_measure_the_error_of_the_pass_befor
     np.testing.assert_allclose(sum(two.increments), two.values, rtol=1e-13)
     np.testing.assert_array_equal(two.increments[0], one.values)
     error = np.abs(values - one.values) / SIZES
-    assert np.abs(two.increments[1] / SIZES - (values - one.values) / SIZES).max() < 0.1 * error.max()
+    assert np.abs(two.increments[1] / SIZES - (values - one.values) / SIZES).max() < 0.15 * error.max()
 
 
 @PIPELINES
@@ -192,3 +190,67 @@ def test_a_recording_without_gyros_gives_the_accelerometers(pipeline: Pipeline) 
     assert alone.names == both.names[:9]
     np.testing.assert_array_equal(alone.values, both.values[:9])
     np.testing.assert_allclose(alone.covariance, both.covariance[:9, :9], rtol=1e-6)
+
+
+# Covariance
+
+
+def only(seen: Observations, what: str, index: int, σ: float) -> Observations:
+    """The same observations with noise in one quantity: rest or turn `index`, second axis, or gravity."""
+    if what == "gravity":
+        return replace(seen, site=replace(seen.site, gravity_u=σ))
+    part = seen.turns if what == "turns" else seen.rests
+    name = {"accel": "accel_covariance", "gyro": "gyro_covariance", "turns": "covariance"}[what]
+    covariance = getattr(part, name).copy()
+    covariance[index, 1, 1] = σ**2
+    changed = replace(part, **{name: covariance})
+    return replace(seen, **{"turns" if what == "turns" else "rests": changed})
+
+
+def shifted(seen: Observations, what: str, index: int, σ: float) -> Observations:
+    """The same observations with that quantity changed by σ; a turn by a rotation after its first sample."""
+    if what == "gravity":
+        return replace(seen, site=replace(seen.site, gravity=seen.site.gravity + σ))
+    if what == "turns":
+        assert seen.turn_samples is not None
+        old, new = seen.turn_samples.samples, GyroSamples()
+        increments, dt = old.read(0, old.count)
+        increments = increments.copy()
+        first = int(seen.turn_samples.start[index])
+        increments[[first - 1, first], 1] += σ
+        new.append(increments / dt[:, None], dt)
+        return replace(seen, turn_samples=replace(seen.turn_samples, samples=new))
+    values = getattr(seen.rests, what).copy()
+    values[index, 1] += σ
+    return replace(seen, rests=replace(seen.rests, **{what: values}))
+
+
+@PIPELINES
+@pytest.mark.parametrize(
+    ("what", "index", "σ"),
+    [
+        ("accel", 1, 1e-5),
+        ("accel", 12, 1e-5),
+        ("gyro", 4, 1e-9),
+        ("gyro", 9, 1e-9),
+        ("turns", 1, 1e-6),
+        ("turns", 8, 1e-6),
+        ("gravity", 0, 1e-5),
+    ],
+)
+def test_covariance_is_what_a_change_of_the_data_does(pipeline: Pipeline, what: str, index: int, σ: float) -> None:
+    """With noise in one quantity, the uncertainty is the change of the values when it changes by one sigma, through
+    all passes."""
+    rng = np.random.default_rng(6)
+    values = drawn_values(1, rng)[0]
+    seen = observations(values, rng, stated=1e-4)
+    found = pipeline(only(seen, what, index, σ), iterations=6)
+    high, low = (pipeline(shifted(seen, what, index, s * σ), iterations=6).values for s in (1, -1))
+    change = (high - low) / 2
+    expected = np.outer(change, change)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)).max())
+    assert np.abs(change / SIZES).max() > 1e-6
+    np.testing.assert_allclose(
+        found.u / SIZES, np.abs(change) / SIZES, rtol=2e-3, atol=1e-3 * np.abs(change / SIZES).max()
+    )
+    assert scale > 0

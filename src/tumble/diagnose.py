@@ -449,10 +449,8 @@ def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
 
 def no_rests(segmentation: Segmentation) -> Outcome:
     """The outcome of a log in which nothing rests."""
-    longest = max((r.stop - r.start for r in segmentation.rejected), default=0.0)
-    return Outcome(
-        reasons=(
-            f"no rest found: expected the device to lie still for at least 3 s in each position, the longest quiet stretch "
-            f"is {longest:.1f} s; `tumble inspect` shows what was rejected",
-        )
-    )
+    reason = "no rest found: expected the device to lie still for at least 3 s in each position"
+    if segmentation.rejected:
+        longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)
+        reason += f"; the longest quiet stretch, {longest.start:.1f}–{longest.stop:.1f} s, is none: {longest.reason}"
+    return Outcome(reasons=(f"{reason}; `tumble inspect` shows what was rejected",))

@@ -91,9 +91,12 @@ def _check_alike(runs: Sequence[Run]) -> None:
             )
     seen: dict[str, Run] = {}
     for run in runs:
-        twin = seen.setdefault(run.calibration.provenance["log_sha256"], run)
-        if twin is not run:
-            raise InputError(f"{run.session.folder}: holds the same log as {twin.session.folder}; name every launch once")
+        digest = run.calibration.provenance["log_sha256"]
+        if digest in seen:
+            raise InputError(
+                f"{run.session.folder}: holds the same log as {seen[digest].session.folder}; name every launch once"
+            )
+        seen[digest] = run
 
 
 def _covariance(runs: Sequence[Run], names: list[str], values: Array) -> Array:

@@ -138,7 +138,7 @@ def _cluster_sizes(count: int) -> IntArray:
 def _integral(column: Array) -> Array:
     """Running sum (m + 1,) of the samples less their mean, from 0."""
     out = np.zeros(len(column) + 1)
-    np.subtract(column, column.mean(), out=out[1:])
+    np.subtract(column, column.mean(dtype=np.float64), out=out[1:])
     np.cumsum(out[1:], out=out[1:])
     if not np.isfinite(out[-1]):
         raise InputError("Allan deviation: expected finite samples, found NaN or infinity; repair or cut the log")
@@ -357,7 +357,7 @@ def plot(panels: Sequence[Panel], path: Path) -> None:
             "a plot of the Allan deviation needs matplotlib; install it with: pip install 'tumble[report]'"
         ) from error
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 9.0}):
-        figure = Figure(figsize=(6.2 * len(panels), 5.0), layout="constrained")
+        figure = Figure(figsize=(6.2 * len(panels), 5.6), layout="constrained")
         for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
             _draw(axes, panel)
         undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
@@ -386,7 +386,15 @@ def _draw(axes: Axes, panel: Panel) -> None:
     axes.set_title(panel.title)
     axes.grid(which="major", alpha=0.5, linewidth=0.6)
     axes.grid(which="minor", alpha=0.2, linewidth=0.4)
-    axes.legend(fontsize=8.0, title="68 % band, fit dashed, its terms dotted", title_fontsize=8.0)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+    axes.legend(
+        fontsize=8.0,
+        title="68 % band, fit dashed, its terms dotted",
+        title_fontsize=8.0,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.11),
+    )
 
 
 def _label(channel: str, parameters: NoiseParameters, unit: str) -> str:
