@@ -43,6 +43,9 @@ STEPS = 12
 ALLOWANCE = 0.05
 """How far a prediction of first order in table errors of some degrees may be off for the answer to be yes."""
 
+CURVATURE = 0.1
+"""The same for the errors of single estimates, where bias times bias has not averaged out."""
+
 SIGMAS = 5.0
 
 NOTHING = 1e-4
@@ -396,7 +399,7 @@ def rms_by_group(errors: Array) -> dict[str, tuple[float, float]]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Single:
-    """One formula against the simulation: errors of the estimates, and what the formula says of them, the same shape."""
+    """One formula against the simulation: errors of estimates and what the formula says of them, of one shape."""
 
     name: str
     unit: str
@@ -423,7 +426,7 @@ def single_formulas(setup: Setup, draws: int, rng: np.random.Generator) -> list[
         Single(name="(7a) k", unit="1", simulated=found[:, 3:6], formula=np.stack([k for k, _ in pairs], 1)),
         Single(name="(7a) δw", unit="m/s^2", simulated=found[:, :3], formula=g * np.stack([w for _, w in pairs], 1)),
     ]
-    S_a, b_a, S_g, b_g = matrices(X)
+    S_a, b_a = matrices(X)[:2]
     oblique = rotation_matrix(2.0 * DEGREE * rng.uniform(-1.0, 1.0, (draws, 3, 3))) @ launches.nominal[6:]
     w = g * oblique[:, :, 1] @ S_a.swapaxes(1, 2) + b_a[:, None]
     lean = [angle_sums(γ, p, q, 3 - p - q) for p, q in PAIRS]
@@ -541,7 +544,7 @@ def main(arguments: list[str]) -> int:
     off += compare("Jacobian from the logged rate", setup, launches // 4, 4, ("staged",))
     off += required(setup, launches)
     furthest = math.exp(max(off)) - 1.0
-    answer = "yes" if furthest < ALLOWANCE and unexplained < ALLOWANCE else "no"
+    answer = "yes" if furthest < ALLOWANCE and unexplained < CURVATURE else "no"
     print(
         f"\nDo the formulas predict the simulation? {answer}: single errors to {100 * unexplained:.1f} %, rms errors "
         f"beyond {SIGMAS:g} standard errors of the simulation to {100 * furthest:.1f} %."

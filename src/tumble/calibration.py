@@ -40,13 +40,15 @@ Progress = Callable[[Log], Iterable[Chunk]]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Parameter:
-    """A named quantity with its standard uncertainty (None where the method gives none), SI; for the mean of several
-    launches with the standard deviation from launch to launch."""
+    """A named quantity with its standard uncertainty (None where the method gives none), SI; where the session names a
+    systematic (passport) calibration, with the deviation from it; for the mean of several launches with the standard
+    deviation from launch to launch."""
 
     name: str
     value: float
     u: float | None
     unit: str
+    deviation: float | None = None
     run_to_run: float | None = None
 
 
@@ -169,7 +171,8 @@ class Calibration:
 
 def _parameter_content(parameter: Parameter) -> dict[str, Any]:
     content = {"name": parameter.name, "value": parameter.value, "u": parameter.u, "unit": parameter.unit}
-    return content if parameter.run_to_run is None else content | {"run_to_run": parameter.run_to_run}
+    more = {"deviation": parameter.deviation, "run_to_run": parameter.run_to_run}
+    return content | {key: value for key, value in more.items() if value is not None}
 
 
 def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | None:
@@ -268,18 +271,36 @@ def calibrate(session: Session | Path, *, method: str = "staged", progress: Prog
         session = read_session(session)
     if method not in METHODS:
         raise InputError(f"method {method!r} is not known; expected one of {', '.join(METHODS)}")
+    systematic = _systematic(session)
     log = open_log(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         digest = beside.submit(log.sha256)
-        found = _estimated(session, log, METHODS[method], progress)
+        found = _estimated(session, log, METHODS[method], systematic, progress)
         provenance = _provenance(digest.result())
     if isinstance(found, Outcome):
         return _without_result(session, log, method, found, provenance)
-    return _result(session, log, *found, provenance)
+    return _result(session, log, *found, systematic, provenance)
+
+
+def _systematic(session: Session) -> Mapping[str, float]:
+    """Values of the systematic (passport) calibration a session names, by parameter name."""
+    if session.device.systematic is None:
+        return {}
+    passport = read_calibration(session.device.systematic)
+    if passport.frame != "accelerometer":
+        raise CalibrationError(
+            f"{session.device.systematic}: expected a calibration in the frame 'accelerometer', found {passport.frame!r}; "
+            "calibrate without --frame to get one"
+        )
+    return {p.name: p.value for p in passport.parameters}
 
 
 def _estimated(
-    session: Session, log: Log, method: Callable[[Observations], Estimate], progress: Progress
+    session: Session,
+    log: Log,
+    method: Callable[[Observations], Estimate],
+    start: Mapping[str, float],
+    progress: Progress,
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
     reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
@@ -301,6 +322,7 @@ def _estimated(
         observations = replace(found, programme=match.programme, position=match.position)
     else:
         observations = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    observations = replace(observations, start=start)
     return method(observations), observations
 
 
@@ -347,7 +369,12 @@ def _without_result(
 
 
 def _result(
-    session: Session, log: Log, estimate: Estimate, observations: Observations, provenance: Mapping[str, str]
+    session: Session,
+    log: Log,
+    estimate: Estimate,
+    observations: Observations,
+    systematic: Mapping[str, float],
+    provenance: Mapping[str, str],
 ) -> Calibration:
     seen = np.flatnonzero(estimate.observable)
     parameters = tuple(
@@ -356,6 +383,9 @@ def _result(
             value=float(estimate.values[i]),
             u=float(estimate.u[i]),
             unit=estimate.units[i],
+            deviation=float(estimate.values[i]) - systematic[estimate.names[i]]
+            if estimate.names[i] in systematic
+            else None,
         )
         for i in seen
     )

@@ -192,7 +192,7 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
         return _upside_down(observations, session)
     said = (
         "the gyros do not carry the vertical from rest to rest: they miss it by "
-        f"{miss.max() / DEGREE:.0f}° at the worst and by {np.median(miss) / DEGREE:.0f}° at the median of {len(miss)} turns"
+        f"{miss.max() / DEGREE:.0f}° at worst and by {np.median(miss) / DEGREE:.0f}° at the median of {len(miss)} turns"
     )
 
     def explains(matrix: Array) -> float:
@@ -354,8 +354,8 @@ def verdict(estimate: Estimate, observations: Observations) -> Outcome:
     for name, fit in estimate.fits.items():
         if name == "accelerometers" and fit.scatter > SCATTER_LIMIT:
             reasons.append(
-                f"the rests scatter by {fit.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at rest, or "
-                "the accelerometers do not follow the model"
+                f"the rests scatter by {fit.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
+                "rest, or the accelerometers do not follow the model"
             )
     reasons += _misfits(estimate, observations)
     return Outcome(reasons=tuple(reasons), unobservable=missing)
@@ -366,8 +366,8 @@ def _misfits(estimate: Estimate, observations: Observations) -> Iterator[str]:
     rests = observations.rests
     for i in np.flatnonzero(estimate.rest_sigmas > FIT_SIGMAS):
         yield (
-            f"rest {i + 1} ({rests.start[i]:.1f}–{rests.stop[i]:.1f} s) does not fit: {estimate.rest_sigmas[i]:.1f} sigma, "
-            f"residual {estimate.rest_residual[i]:.2g} m/s^2"
+            f"rest {i + 1} ({rests.start[i]:.1f}–{rests.stop[i]:.1f} s) does not fit: {estimate.rest_sigmas[i]:.1f} "
+            f"sigma, residual {estimate.rest_residual[i]:.2g} m/s^2"
         )
     if observations.turns is None:
         return

@@ -41,7 +41,14 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     values = np.array([[_named(run)[name].value for name in common] for run in runs])
     covariance = _covariance(runs, common, values)
     parameters = tuple(
-        Parameter(name=name, value=float(value), u=float(u), unit=_named(runs[0])[name].unit, run_to_run=float(spread))
+        Parameter(
+            name=name,
+            value=float(value),
+            u=float(u),
+            unit=_named(runs[0])[name].unit,
+            deviation=_mean_deviation(runs, name),
+            run_to_run=float(spread),
+        )
         for name, value, u, spread in zip(
             common, values.mean(axis=0), np.sqrt(np.diag(covariance)), values.std(axis=0, ddof=1), strict=True
         )
@@ -97,6 +104,12 @@ def _check_alike(runs: Sequence[Run]) -> None:
                 f"{run.session.folder}: holds the same log as {seen[digest].session.folder}; name every launch once"
             )
         seen[digest] = run
+
+
+def _mean_deviation(runs: Sequence[Run], name: str) -> float | None:
+    """Mean deviation from the systematic calibration, where every session names one."""
+    deviations = [d for run in runs if (d := _named(run)[name].deviation) is not None]
+    return sum(deviations) / len(runs) if len(deviations) == len(runs) else None
 
 
 def _covariance(runs: Sequence[Run], names: list[str], values: Array) -> Array:

@@ -16,7 +16,7 @@ Forster et al. 2017) with body-frame sensors and the two-sample coning term.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -139,6 +139,12 @@ class Observations:
     turn_samples: TurnSamples | None
     programme: Programme | None
     position: IntArray | None
+    start: Mapping[str, float] = field(default_factory=dict)
+    """Parameter values to start from, by name; zero where there is none."""
+
+    def start_values(self, block: Block) -> Array:
+        """Start values of a block's parameters, in their order."""
+        return np.array([self.start.get(name, 0.0) for name in block.names])
 
     def turns_about(self, gyro: SensorModel) -> Turns:
         """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the

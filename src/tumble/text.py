@@ -19,36 +19,39 @@ UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
 
 def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None = None) -> Table:
-    """Parameters with uncertainties in engineering units; with `truth`, also true values and the distance from them
-    in units of u."""
+    """Parameters with uncertainties in engineering units; where there are any, with deviations from the systematic
+    values and from launch to launch; with `truth`, also true values and the distance from them in units of u."""
+    several = bool(calibration.launches)
+    passport = any(p.deviation is not None for p in calibration.parameters)
+    headings = ["mean" if several else "value", "u (k=1)"]
+    headings += (["run to run"] if several else []) + (["deviation"] if passport else [])
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
-    several = bool(calibration.launches)
-    for heading in ("mean" if several else "value", "u (k=1)", *(["run to run"] if several else [])):
+    for heading in headings:
         table.add_column(heading, justify="right")
     table.add_column("unit")
-    if truth is not None:
-        table.add_column("truth", justify="right")
-        table.add_column("(value − truth)/u", justify="right")
+    for heading in () if truth is None else ("truth", "(value − truth)/u"):
+        table.add_column(heading, justify="right")
     units = {group: _group_unit(calibration.parameters, group) for group in map(_group, calibration.parameters)}
-    for parameter in calibration.parameters:
-        size, unit = units[_group(parameter)]
-        value, u = rounded(parameter.value / size, (parameter.u or 0.0) / size)
-        row = [parameter.name, value, u, unit]
-        if several:
-            row.insert(3, rounded((parameter.run_to_run or 0.0) / size, (parameter.u or 0.0) / size)[0])
-        if truth is not None:
-            row += _against(parameter, truth, size)
-        table.add_row(*row)
+    for p in calibration.parameters:
+        size, unit = units[_group(p)]
+        numbers = [p.value, *([p.run_to_run] if several else []), *([p.deviation] if passport else [])]
+        row = [_shown(number, p.u, size) for number in numbers]
+        row.insert(1, rounded(p.value / size, (p.u or 0.0) / size)[1])
+        table.add_row(p.name, *row, unit, *(_against(p, truth, size) if truth is not None else []))
     return table
+
+
+def _shown(value: float | None, u: float | None, size: float) -> str:
+    """A number of a parameter to the digits of its uncertainty; nothing where there is none."""
+    return "" if value is None else rounded(value / size, (u or 0.0) / size)[0]
 
 
 def _against(parameter: Parameter, truth: Mapping[str, float], size: float) -> list[str]:
     if parameter.name not in truth or not parameter.u:
         return ["", ""]
     true = truth[parameter.name]
-    shown, _ = rounded(true / size, parameter.u / size)
-    return [shown, f"{(parameter.value - true) / parameter.u:+.2f}"]
+    return [_shown(true, parameter.u, size), f"{(parameter.value - true) / parameter.u:+.2f}"]
 
 
 def _group(parameter: Parameter) -> str:
@@ -74,7 +77,7 @@ def launch_table(calibration: Calibration) -> Table:
         row = [parameter.name]
         for launch in calibration.launches:
             own = next(p for p in launch.parameters if p.name == parameter.name)
-            row.append(rounded(own.value / size, (own.u or 0.0) / size)[0])
+            row.append(_shown(own.value, own.u, size))
         table.add_row(*row, unit)
     return table
 

@@ -80,7 +80,7 @@ def staged(observations: Observations) -> Estimate:
 
 
 def _accelerometers(observations: Observations) -> _Accelerometers:
-    values = np.zeros(len(observations.accel_block.names))
+    values = observations.start_values(observations.accel_block)
     scatter = 0.0
     values, system, increments = _accelerometers_at(observations, values, scatter)
     degrees = system.residual.size - (len(values) - len(system.solution().null))
@@ -251,7 +251,7 @@ class _Rows:
 def _gyros(observations: Observations, accel: _Accelerometers) -> _Gyros:
     block = observations.gyro_block
     assert block is not None
-    values, scatter = np.zeros(len(block.names)), _Scatter()
+    values, scatter = observations.start_values(block), _Scatter()
     values[: block.size] = np.median(observations.rests.gyro, axis=0)
     start = values
     values, turns, increments = _gyros_at(observations, accel, values, scatter)
