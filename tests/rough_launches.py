@@ -179,7 +179,7 @@ def passes(
         if accel is None:
             before = accelerometer_pass(method, COURSE, found.force, np.array(GRAVITY), before)
         force = compensated(before, found.force)
-        gyro = gyro_bias_pass(method, COURSE, found.rate, force, gyro)
+        gyro = gyro_bias_pass(COURSE, found.rate, force, gyro)
         gyro = gyro_matrix_pass(COURSE, found.rate, force, found.turns(gyro).C, gyro)
         out.append((before, gyro))
     return out

@@ -11,6 +11,7 @@ import math
 import sys
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
@@ -91,7 +92,8 @@ def study() -> ModuleType:
     """The study's simulation, as a module."""
     path = Path(__file__).parents[1] / "studies" / "formulas_against_simulation.py"
     spec = importlib.util.spec_from_file_location("formulas_against_simulation", path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
@@ -136,10 +138,10 @@ def test_levelling_errors_are_the_derivatives_of_the_estimates(
         c = np.cos(at)
         return np.array([(w[0] - w[1]) / (GRAVITY * (c[0] - c[1])) - 1.0, (w[0] * c[1] - w[1] * c[0]) / (c[1] - c[0])])
 
-    errors = np.array([3e-4, -5e-4])
+    errors = np.array([3e-6, -5e-6])
     numeric = 0.5 * (estimates(angles + errors) - estimates(angles - errors))
     found = [levelling_scale_error(w, angles, errors, GRAVITY), levelling_bias_error(w, angles, errors)]
-    np.testing.assert_allclose(found, numeric, rtol=2e-6, atol=1e-13)
+    np.testing.assert_allclose(found, numeric, rtol=1e-6, atol=1e-12)
 
 
 def test_a_tilted_axis_taken_for_vertical_errs_by_the_squares() -> None:
@@ -156,21 +158,20 @@ def test_a_tilted_axis_taken_for_vertical_errs_by_the_squares() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_levelled_up_and_down_errs_by_parameters_times_tilts(axis: int, rng: np.random.Generator) -> None:
-    """(7a) against (4) with TRIAD's cosines, tilts up to 1.5°: three digits while the parameters are small, 4 % where
-    their squares count as well (the reference numbers have 1.6 %)."""
-    for size, tolerance in ((1e-3, 1e-3), (1.0, 0.04)):
-        for _ in range(20):
-            b, k, γ = (size * s * rng.standard_normal(3) for s in (BIAS, SCALE, AXIS))
-            L = rotation_matrix(1.5 * DEGREE * rng.uniform(-1, 1, (2, 3))) @ NINE[2 * axis : 2 * axis + 2]
-            u = L[:, 1]
-            w = GRAVITY * (u @ accel_matrix(k, γ).T + b)
-            c = (w / np.linalg.norm(w, axis=1, keepdims=True))[:, axis]
-            k_found = (w[0, axis] - w[1, axis]) / (GRAVITY * (c[0] - c[1])) - 1.0
-            b_found = (w[0, axis] * c[1] - w[1, axis] * c[0]) / (c[1] - c[0]) / GRAVITY
-            found = np.array([k_found - k[axis], b_found - b[axis]])
-            formula = np.array(up_down_errors(axis, u[0], u[1], b, γ))
-            typical = size * 0.01 * math.hypot(BIAS, AXIS)
-            np.testing.assert_allclose(found, formula, rtol=tolerance, atol=tolerance * typical)
+    """(7a) against (4) with TRIAD's cosines: three digits of the typical error while parameters and tilts are small.
+    How it does at 1.5° is in `test_single_errors_are_explained_by_their_formulas`."""
+    size, tilt = 1e-4, 0.03 * DEGREE
+    for _ in range(20):
+        b, k, γ = (size * s * rng.standard_normal(3) for s in (BIAS, SCALE, AXIS))
+        L = rotation_matrix(tilt * rng.uniform(-1, 1, (2, 3))) @ NINE[2 * axis : 2 * axis + 2]
+        u = L[:, 1]
+        w = GRAVITY * (u @ accel_matrix(k, γ).T + b)
+        c = (w / np.linalg.norm(w, axis=1, keepdims=True))[:, axis]
+        k_found = (w[0, axis] - w[1, axis]) / (GRAVITY * (c[0] - c[1])) - 1.0
+        b_found = (w[0, axis] * c[1] - w[1, axis] * c[0]) / (c[1] - c[0]) / GRAVITY
+        formula = np.array(up_down_errors(axis, u[0], u[1], b, γ))
+        found = np.array([k_found - k[axis], b_found - b[axis]])
+        np.testing.assert_allclose(found, formula, rtol=0.0, atol=3e-3 * size * tilt * math.hypot(BIAS, AXIS))
 
 
 @pytest.mark.parametrize("correlation", [-1.0, -0.4, 0.0, 1.0])
@@ -228,7 +229,8 @@ def test_best_elevations_have_the_least_variance(angle_deg: int) -> None:
     first = np.linspace(-math.pi, math.pi, 20_001)
     with np.errstate(divide="ignore"):
         grid = angle_variance(first, first + angle, SCALE**2, BIAS**2)
-    best = angle_variance(*map(np.array, best_elevations(angle)), SCALE**2, BIAS**2)
+    α, β = best_elevations(angle)
+    best = float(angle_variance(np.array(α), np.array(β), SCALE**2, BIAS**2))
     assert best == pytest.approx(float(np.min(grid)), rel=1e-6)
     if angle_deg == 90:
         assert best == pytest.approx(2.0 * SCALE**2 + 4.0 * BIAS**2, rel=1e-12)
@@ -267,7 +269,6 @@ def test_nine_positions_have_the_published_condition() -> None:
     assert np.linalg.cond(H) == pytest.approx(6.48, abs=0.005)
     gains = np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
     np.testing.assert_allclose(gains, np.repeat([0.707, 0.707, 2.646], 3), atol=5e-4)
-    assert np.linalg.cond(scalar_matrix(np.abs(NINE[:, 1]) * ([1, 1, 1],) * (NINE[:, 1].sum(1) > -0.5)[:, None])) > 6
     up = NINE[:, 1].copy()
     up[6:] = np.abs(up[6:])
     assert np.linalg.cond(scalar_matrix(up)) == pytest.approx(7.29, abs=0.005)
@@ -276,9 +277,7 @@ def test_nine_positions_have_the_published_condition() -> None:
     H = scalar_matrix(eighteen)
     assert H.shape == (18, 9)
     assert np.linalg.cond(H) == pytest.approx(2.45, abs=0.005)
-    assert math.sqrt(np.diag(np.linalg.inv(H.T @ H))[8] * 18 / 9) == pytest.approx(
-        2.0 / math.sqrt(2.0) * math.sqrt(2.0), rel=0.5
-    )
+    assert math.sqrt(np.diag(np.linalg.inv(H.T @ H))[8] * 18 / 9) == pytest.approx(1.41, abs=0.005)
 
 
 def test_coefficient_error_is_that_of_the_nominal_matrix(rng: np.random.Generator) -> None:
@@ -359,7 +358,8 @@ POLAR = np.array(
 
 @pytest.mark.parametrize("case", ["polar", "vertical"])
 def test_deviations_make_the_reference_rate_err(case: str, rng: np.random.Generator) -> None:
-    """(17) and (18) against TRIAD at deviations of 0.01°, small sensor errors: four digits."""
+    """(17) and (18) against TRIAD at deviations of 0.01°, small sensor errors: three digits of the
+    products of the two."""
     nominal = POLAR if case == "polar" else attitude("UEN")
     function = polar_axis_error if case == "polar" else vertical_axis_error
     for _ in range(10):
@@ -367,9 +367,8 @@ def test_deviations_make_the_reference_rate_err(case: str, rng: np.random.Genera
         L = rotation_matrix(θ) @ nominal
         a, d = 1e-8 * rng.standard_normal(3), 1e-12 * rng.standard_normal(3)
         found = (triad(L.T @ [0.0, 1.0, 0.0] + a, L.T @ EARTH + d).T @ EARTH - L.T @ EARTH)[0]
-        formula = function(θ, (nominal @ a)[0], (nominal @ d)[2], LATITUDE)
-        scale = 0.0 if case == "polar" else EARTH[0] * 1e-8
-        assert abs(found - formula) < 1e-3 * (0.01 * DEGREE * 1e-12 + scale)
+        formula = function(θ, (L @ a)[0], (L @ d)[2], LATITUDE)
+        assert abs(found - formula) < 3e-3 * 0.01 * DEGREE * (1e-12 + EARTH_RATE * 1e-8)
 
 
 def test_polar_axis_errs_by_a_few_per_cent_and_vertical_by_one() -> None:
@@ -473,23 +472,21 @@ def integrated_error(
 ) -> Array:
     """Attitude error over a turn in N, U, E by fine midpoint steps of the body's rotation, true and measured; the rate
     may be far from constant."""
-    steps = 4000
+    steps = 1500
     edges = np.linspace(0.0, 1.0, steps + 1)
     θ = angle * (edges + 0.1 * np.sin(6 * math.pi * edges) if bumpy else edges)
     h = duration / steps
-    true = L
     error = np.zeros(3)
-    for first, last in zip(θ[:-1], θ[1:], strict=True):
+    for first, last in pairwise(θ):
         middle = rotation_matrix(0.5 * (first + last) * axis) @ L
         rate = axis * (last - first) / h + earth
         error = error + h * (middle @ (E @ middle.T @ rate + bias)) - h * np.cross(earth, error)
-        true = middle
     return error
 
 
 @pytest.mark.parametrize("angle", [math.pi, -math.pi, 1.0])
 def test_turn_errors_are_those_of_the_integrated_turn(angle: float, rng: np.random.Generator) -> None:
-    """(6.2) for any rate profile; bias, Earth's rate and the two together at constant rate. Steps of 1/4000."""
+    """(6.2) for any rate profile; bias, Earth's rate and the two together at constant rate. Steps of 1/1500."""
     L, axis = rotation_matrix(rng.standard_normal(3)), np.array([0.6, 0.0, 0.8])
     E, bias, T, none = rng.standard_normal((3, 3)), rng.standard_normal(3), 20.0, np.zeros(3)
     of_matrix = integrated_error(L, axis, angle, T, E, none, none, bumpy=True)
@@ -558,40 +555,41 @@ def test_accelerometers_leak_into_the_gyro_angles_as_published() -> None:
     """§6.3: the coefficients; none into the scale factors."""
     leakage = accelerometer_leakage(programme("rough-table"))
     published = np.zeros((9, 9))
-    published[3, 0] = published[6, 1] = published[7, 2] = -1.0  # xy ← b_x, yz ← b_y, zx ← b_z
-    published[7, 7] = 1.0
-    published[4, [0, 7]] = -1.0 / 3.0, -2.0 / 3.0  # xz
+    published[3, 0] = published[6, 1] = published[7, 2] = 1.0  # xy ← b_x, yz ← b_y, zx ← b_z − γ_zx
+    published[7, 7] = -1.0
+    published[4, [0, 7]] = 1.0 / 3.0, 2.0 / 3.0  # xz
     published[5, [1, 6]] = 1.0 / 3.0, -1.0 / 3.0  # yx
     published[8, [2, 8]] = 1.0 / 3.0, -1.0 / 3.0  # zy
-    np.testing.assert_allclose(np.abs(leakage), np.abs(published), atol=1e-12)
-    np.testing.assert_allclose(leakage[:3], 0.0, atol=1e-12)
+    np.testing.assert_allclose(leakage, published, atol=1e-12)
 
 
-def turns_programme(*turns: tuple[str, int]) -> Programme:
-    """Three series like those of rough-table with other turns in each."""
+def turns_programme(turns: str) -> Programme:
+    """Three series like those of rough-table, with other turns by 180° in each, such as "N+ U+ N-"."""
     axes = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0])}
-    codes, moves = [], []
+    codes: list[str] = []
+    moves: list[Move] = []
+    done = [f"{turn}180" for turn in turns.split()]
     for start in ("NUE", "ENU", "UEN"):
-        done = [f"{axis}{'+' if sign > 0 else '-'}180" for axis, sign in turns]
         codes += [" ".join((start, *done[:n])) for n in range(len(done) + 1)]
-        moves += [Move(axis=axes[axis], angle=sign * math.pi) for axis, sign in turns] + [ANY_MOVE]
+        moves += [Move(axis=axes[turn[0]], angle=math.pi * float(turn[1] + "1")) for turn in turns.split()]
+        moves.append(ANY_MOVE)
     positions = tuple(replace(programme("nine").positions[0], attitude=c, matrix=attitude(c)) for c in codes)
     return Programme(name="other turns", positions=positions, moves=tuple(moves[:-1]), ordered=True)
 
 
-@pytest.mark.parametrize("turns", [(("N", 1), ("U", 1), ("N", 1)), (("N", 1), ("N", -1), ("U", 1)), (("U", 1), ("N", 1), ("N", -1))])  # fmt: skip
-def test_other_senses_of_rotation_let_biases_into_the_scale_factors(turns: tuple[tuple[str, int], ...]) -> None:
+@pytest.mark.parametrize("turns", ["N+ U+ N+", "N+ N- U+", "U+ N+ N-"])
+def test_other_senses_of_rotation_let_biases_into_the_scale_factors(turns: str) -> None:
     """§6.3: 2/π of a bias, and with free accelerometer errors the gyros' rank drops from 9 to 6."""
-    p = turns_programme(*turns)
+    p = turns_programme(turns)
     assert np.max(np.abs(accelerometer_leakage(p)[:3, :3])) == pytest.approx(2.0 / math.pi)
     H_A = indirect_accelerometer_matrix(p)
     free = np.linalg.matrix_rank(np.hstack([indirect_matrix(p), H_A]), tol=1e-9) - np.linalg.matrix_rank(H_A, tol=1e-9)
     assert free == 6
 
 
-@pytest.mark.parametrize("turns", [(("N", 1), ("U", 1), ("N", -1)), (("N", 1), ("N", 1), ("U", 1)), (("U", 1), ("N", 1), ("N", 1))])  # fmt: skip
-def test_good_senses_of_rotation_keep_them_out(turns: tuple[tuple[str, int], ...]) -> None:
-    np.testing.assert_allclose(accelerometer_leakage(turns_programme(*turns))[:3], 0.0, atol=1e-12)
+@pytest.mark.parametrize("turns", ["N+ U+ N-", "N+ N+ U+", "U+ N+ N+"])
+def test_good_senses_of_rotation_keep_them_out(turns: str) -> None:
+    np.testing.assert_allclose(accelerometer_leakage(turns_programme(turns))[:3], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", ["N", "U"])
@@ -752,7 +750,8 @@ def test_a_programme_without_turns_gives_no_gyro_scale_factors() -> None:
 def test_remarks_say_where_the_formulas_end() -> None:
     assert budget(SETUP).remarks == ()
     rough = budget(replace(SETUP, table_error=7.0 * DEGREE), ("staged",)).remarks
-    assert len(rough) == 1 and "7°" in rough[0]
+    assert len(rough) == 1
+    assert "7°" in rough[0]
     noisy = replace(SETUP, gyro=Spread(bias=5.0 * DEGREE_PER_HOUR, scale=1e-3, axis=1e-3))
     assert len(budget(noisy, ("scalar",)).remarks) == 1
     assert budget(noisy, ("staged",)).remarks == ()
@@ -780,7 +779,7 @@ def test_accelerometer_tolerances_are_those_of_the_reference(group: str, percent
     """§7, by (7b) and (11), rms deviation per axis, independent in the nine positions."""
     spread = {"accel.scale": SCALE, "accel.bias": 2e-3, "accel.axis": AXIS}[group]
     (row,) = require({group: percent / 100.0 * spread}, NINE_ONLY).rows
-    assert row.feasible and row.limited and row.rest == 0.0
+    assert (row.feasible, row.limited, row.rest) == (True, True, 0.0)
     assert row.tilt / DEGREE == pytest.approx(tilt_deg, rel=0.01)
     assert row.table_error == pytest.approx(math.sqrt(3.0) * row.tilt)
     assert row.mounting_error == 0.0
@@ -806,7 +805,8 @@ def test_one_per_cent_along_the_earths_axis_is_infeasible_with_any_table() -> No
     (row,) = require({"gyro.bias": 0.01 * GYRO_BIAS}, NINE_ONLY, gyro_bias="polar").rows
     assert not row.feasible
     assert (row.table_error, row.mounting_error, row.rest) == (0.0, 0.0, math.inf)
-    assert "TRIAD" in row.reason and "(18)" in row.reason and "\n" not in row.reason
+    assert {"TRIAD", "(18)"} <= set(row.reason.replace(",", "").split())
+    assert "\n" not in row.reason
     found = float(row.reason.split("at least ")[1].split(" ")[0])
     assert 100.0 * found / GYRO_BIAS == pytest.approx(1.73, abs=0.01)
     assert require({"gyro.bias": 0.03 * GYRO_BIAS}, NINE_ONLY, gyro_bias="polar").feasible
@@ -824,7 +824,7 @@ def test_indirect_tolerances_follow_the_coefficients() -> None:
         assert found.table_error == found.mounting_error
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     group=st.sampled_from(GROUPS),
     part=st.floats(0.005, 0.2),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import allantools
@@ -38,20 +39,23 @@ def record(
     rng: np.random.Generator, samples: int, *, Q: float = 0.0, N: float = 0.0, B: float = 0.0, K: float = 0.0
 ) -> Array:
     """Samples at RATE of a sensor with these noise terms, (1) of `tumble.noise`."""
-    out = N * np.sqrt(RATE) * rng.standard_normal(samples)
+    out: Array = N * np.sqrt(RATE) * rng.standard_normal(samples)
     out += Q * RATE * np.diff(rng.standard_normal(samples + 1))
     out += K / np.sqrt(RATE) * np.cumsum(rng.standard_normal(samples))
-    return out + B * flicker(rng, samples)
+    if B > 0.0:
+        out += B * flicker(rng, samples)
+    return out
 
 
 def flicker(rng: np.random.Generator, samples: int) -> Array:
-    """Noise of two-sided density 1/(2πf): a quarter of a period of shaped white noise."""
-    length = 4 * samples
-    f = np.fft.rfftfreq(length, 1.0 / RATE)[1:]
+    """Noise of two-sided density 1/(2πf): a quarter of a period of shaped white noise, at four times the rate and
+    averaged, as samples are means."""
+    length, rate = 16 * samples, 4.0 * RATE
+    f = np.fft.rfftfreq(length, 1.0 / rate)[1:]
     both = rng.standard_normal((2, len(f)))
-    amplitude = np.sqrt(RATE * length / (2.0 * np.pi * f) / 2.0)
+    amplitude = np.sqrt(rate * length / (2.0 * np.pi * f) / 2.0)
     spectrum = np.concatenate([[0.0], amplitude * (both[0] + 1j * both[1])])
-    return np.asarray(np.fft.irfft(spectrum, length)[:samples])
+    return np.asarray(np.fft.irfft(spectrum, length)[: 4 * samples].reshape(samples, 4).mean(axis=1))
 
 
 def found(samples: Array) -> NoiseParameters:
@@ -105,20 +109,23 @@ def test_one_column_is_one_channel() -> None:
     ],
     ids=["white", "flicker", "walk"],
 )
-def test_variance_degrees_and_intervals_are_those_of_theory(terms: dict[str, float], variance) -> None:  # type: ignore[no-untyped-def]
-    """400 records of 4096 samples. σ² has the slope of (1); its scatter is that of χ² with the stated degrees of
-    freedom (to 25 %: the published formulas are good to 10 %, and 400 records give 2ν/Var to 7 % a sigma); the
-    interval holds the truth in 68 % of records (to 8 %: four binomial sigmas would be 9 %)."""
+def test_variance_degrees_and_intervals_are_those_of_theory(
+    terms: dict[str, float], variance: Callable[[Array], Array]
+) -> None:
+    """400 records of 4096 samples, at τ from 4 samples on (below, samples of one instant are not means). σ² is (1)
+    within 5.5 of its standard errors and 3 %; its scatter is that of χ² with the stated degrees of freedom to
+    30 % (400 records give it to 7 %, the published formulas are good to 10 %); the interval holds the truth in
+    0.683 ± 0.15 of the records at each τ (a binomial sigma is 0.023) and ± 0.04 over all."""
     runs, rng = 400, np.random.default_rng(4)
     records = np.column_stack([record(rng, 4096, **terms) for _ in range(runs)])
     adev = allan_deviation(records, RATE)
-    near = adev.tau >= 4.0 / RATE  # samples of one instant are not means
+    near = adev.tau > 3.5 / RATE
     truth = np.sqrt(variance(adev.tau[near]))
     squares = adev.deviation[near] ** 2
     u = squares.std(axis=1) / np.sqrt(runs)
     assert np.all(np.abs(squares.mean(axis=1) - truth**2) < NO_FALSE_ALARM * u + 0.03 * truth**2)
     degrees = 2.0 * squares.mean(axis=1) ** 2 / squares.var(axis=1)
-    np.testing.assert_allclose(adev.degrees[near].mean(axis=1), degrees, rtol=0.25)
+    np.testing.assert_allclose(adev.degrees[near].mean(axis=1), degrees, rtol=0.3)
     inside = (adev.low[near] <= truth[:, None]) & (truth[:, None] <= adev.high[near])
     assert abs(inside.mean() - 0.6827) < 0.04
     assert np.all(np.abs(inside.mean(axis=1) - 0.6827) < 0.15)
@@ -134,9 +141,8 @@ def test_variance_degrees_and_intervals_are_those_of_theory(terms: dict[str, flo
     ],
 )
 def test_a_term_is_recovered_within_its_uncertainty(term: str, name: str, others: dict[str, float]) -> None:
-    """40 records of 328 s with the term at 1: every estimate within 5.5 of its u (which real noise would miss in
-    fewer than 1e-5 of such tests), the u not too small (rms of error/u within what 40 records scatter) and small
-    enough to be of use."""
+    """40 records of 328 s with the term at 1: every estimate within 5.5 of its u (missed by chance once in 10⁶),
+    the u neither too small (rms of error/u, with what 40 records scatter) nor three times too large."""
     runs, rng = 40, np.random.default_rng(5)
     records = np.column_stack([record(rng, 2**15, **{term: 1.0}, **others) for _ in range(runs)])
     coefficients = [getattr(p, name) for p in identify(allan_deviation(records, RATE))]
@@ -173,9 +179,9 @@ def test_terms_of_the_fit_are_its_variance() -> None:
 
 
 def test_white_noise_alone_shows_nothing_else() -> None:
-    """300 records of 82 s. A second term in more than 3 % of them would have p < 1e-6 at a true rate of 0.5 %."""
-    runs, limit = 300, 9
-    assert binom.sf(limit, runs, 0.005) < 1e-4
+    """300 records of 82 s: a second term in 0.5 % of them at most, less what chance adds but once in 10⁶."""
+    runs, limit = 300, 12
+    assert binom.sf(limit, runs, 0.005) < 1e-6
     rng = np.random.default_rng(7)
     records = np.column_stack([record(rng, 2**13, N=1.0) for _ in range(runs)])
     results = identify(allan_deviation(records, RATE))
@@ -206,6 +212,12 @@ def test_a_constant_channel_has_no_noise() -> None:
     still, live = identify(allan_deviation(samples, RATE))
     assert still == NoiseParameters(quantisation=None, white_noise=None, bias_instability=None, rate_random_walk=None)
     assert live.white_noise is not None
+
+
+def test_a_panel_of_constant_channels_is_drawn(tmp_path: Path) -> None:
+    adev = allan_deviation(np.full((100, 3), 0.1), RATE)
+    assert not adev.deviation.any()
+    plot([_panel("gyros", "rad/s", ("gx", "gy", "gz"), adev)], tmp_path / "still.svg")
 
 
 def test_channels_are_worked_on_one_at_a_time() -> None:

@@ -247,7 +247,8 @@ def polar_axis_error(deviation: Array, accel_north: Array, gyro_east: Array, lat
     """Error (...), rad/s, of the Earth's rate along a gyro set along the Earth's axis. Eq. (17).
 
     `deviation` (..., 3): rotation of the body from there about N, U, E, rad; `accel_north` (...): accelerometer error
-    to the north over g; `gyro_east` (...): gyro error to the east, rad/s. `azimuth_nonlinearity` comes on top."""
+    to the north over g; `gyro_east` (...): gyro error to the east, rad/s, both of the body as it stands.
+    `azimuth_nonlinearity` comes on top."""
     north, azimuth, east = np.moveaxis(np.asarray(deviation), -1, 0)
     across = north * math.sin(latitude) - azimuth * math.cos(latitude)
     return np.asarray(-east * EARTH_RATE * accel_north + gyro_east * across)
@@ -463,7 +464,7 @@ class Setup:
     about each axis, as in `tumble simulate`. `rest`: duration of a rest, s; `turn_rate`, rad/s. `accel_white`,
     m/s²/√Hz, `gyro_white`, rad/s/√Hz: densities of the white noise; `accel_instability`, m/s², `gyro_instability`,
     rad/s: rms of what a bias changes by from rest to rest. `accel`, `gyro`: spreads before calibration. `latitude`,
-    rad; `gravity`, m/s²."""
+    rad; `gravity`, m/s², and its standard uncertainty `gravity_u` (`earth.NORMAL_GRAVITY_U` where it is not measured)."""
 
     table_error: float = DEGREE
     mounting_error: float = DEGREE
@@ -477,6 +478,7 @@ class Setup:
     gyro: Spread = Spread(bias=0.3 * DEGREE_PER_HOUR, scale=1e-4, axis=10.0 * ARCSEC)
     latitude: float
     gravity: float
+    gravity_u: float = 0.0
     programme: Programme = field(default_factory=lambda: built_in("rough-table"))
 
 
@@ -988,6 +990,8 @@ def _noise(setup: Setup, plan: _Plan, method: Method) -> dict[str, Array]:
         "gyro noise in turns": seconds @ by_turn**2 * setup.gyro_white**2,
         "accelerometer instability": (by_accel**2).sum(axis=0) * (setup.accel_instability / setup.gravity) ** 2,
         "gyro instability": (by_change**2).sum(axis=0) * setup.gyro_instability**2,
+        "uncertainty of gravity": np.isin(np.arange(len(NAMES)), _members("accel.scale"))
+        * (setup.gravity_u / setup.gravity) ** 2,
     }
 
 
@@ -1268,6 +1272,7 @@ _REMEDY: Mapping[str, str] = MappingProxyType(
         "gyro noise in turns": "turn faster, or average launches",
         "accelerometer instability": "average launches",
         "gyro instability": "average launches",
+        "uncertainty of gravity": "measure gravity",
         "second order in the parameters": "take another pass",
         "azimuth error of TRIAD, δω²/2Ω": "take vertical axes, Eq. (18), or another pass",
     }
@@ -1301,11 +1306,22 @@ def _check(setup: Setup, iterations: int) -> None:
         raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
     for name in ("rest", "turn_rate", "gravity"):
         _expect(name, getattr(setup, name), least="more than 0")
-    for name in ("table_error", "mounting_error", "accel_white", "gyro_white", "accel_instability", "gyro_instability"):
+    for name in _MAY_BE_ZERO:
         _expect(name, getattr(setup, name), least="0 or more")
     for kind in ("accel", "gyro"):
         for what in ("bias", "scale", "axis"):
             _expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
+
+
+_MAY_BE_ZERO = (
+    "table_error",
+    "mounting_error",
+    "accel_white",
+    "gyro_white",
+    "accel_instability",
+    "gyro_instability",
+    "gravity_u",
+)
 
 
 def _expect(name: str, value: float, *, least: str) -> None:

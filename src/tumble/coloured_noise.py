@@ -86,14 +86,15 @@ def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
     raw = np.zeros(order_limit + 1)
     for x in series:
         for lag in range(order_limit + 1):
-            raw[lag] += x[: len(x) - lag] @ x[lag:] / total
+            raw[lag] += x[: len(x) - lag] @ x[lag:]
+    raw /= total - len(series) * np.arange(order_limit + 1)  # the number of pairs: any other divisor shortens the memory
     if raw[0] <= 0.0:
         return np.array([1.0]), np.zeros(longest)
     lost = 0.0
     for _ in range(50):
-        corrected = raw + lost * (total - len(series) * np.arange(order_limit + 1)) / total
+        corrected = raw + lost
         filters, powers = _levinson(corrected)
-        best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(order_limit + 1)))
+        best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
         autocovariance = _continued(corrected, filters[best], longest)
         now = float(sum(len(x) * _variance_of_mean(autocovariance, len(x)) for x in series) / total)
         if abs(now - lost) <= 1e-4 * now:
@@ -103,14 +104,17 @@ def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
 
 
 def _levinson(autocovariance: Array) -> tuple[list[Array], Array]:
-    """Prediction-error filters and innovation variances of every order from 0 (Levinson's recursion)."""
+    """Prediction-error filters and innovation variances of every order from 0 (Levinson's recursion), up to where the
+    estimated autocovariances stop being those of a process."""
     filters, powers = [np.array([1.0])], [autocovariance[0]]
     for order in range(1, len(autocovariance)):
         previous = filters[-1]
         reflection = -(previous @ autocovariance[order:0:-1]) / powers[-1]
+        if reflection**2 > 1.0 - 1e-9:
+            break
         padded = np.append(previous, 0.0)
         filters.append(padded + reflection * padded[::-1])
-        powers.append(max(powers[-1] * (1.0 - reflection**2), 1e-12 * autocovariance[0]))
+        powers.append(powers[-1] * (1.0 - reflection**2))
     return filters, np.array(powers)
 
 

@@ -19,7 +19,7 @@ from tumble.programme import from_attitudes, programme
 from tumble.rotation import skew, tangent_basis
 from tumble.segment import ChannelState, Reduction, Segmentation
 from tumble.session import Channels, Session
-from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array, Unit
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TIME_UNITS, Array, Unit
 
 UNIT_TOLERANCE = 0.25
 """|a| at rest may differ from g by this part before the unit is doubted: bias and scale errors are less."""
@@ -30,6 +30,9 @@ CARRIED = 0.25
 EVIDENT = 0.5
 """rad: no turn of nominal gyros misses the vertical by as much: bias, scale and axis errors of 5 % leave less."""
 
+SMALL_SCALE_ERROR = 0.1
+"""Scale-factor errors that a calibration is for."""
+
 UPRIGHT = 20.0 * DEGREE
 """How far a rest may be from its position of the programme to count as that position, or as it upside down."""
 
@@ -38,6 +41,10 @@ REST_SHARE = 0.2
 
 FIT_SIGMAS = 5.0
 SCATTER_LIMIT = 1e-3 * G_STANDARD
+TURN_SCATTER_LIMIT = 1.0 * DEGREE
+IMPOSSIBLE = 1e10
+"""SI: no sensor reads as much, in whatever unit its log is taken to be."""
+
 CHANCE = 1e-9
 """Probability below which a row of equal samples is no accident."""
 
@@ -142,6 +149,13 @@ def _channel_faults(
 ) -> Iterator[str]:
     """Dead, clipped and stuck channels; `means` (K, n) are those of blocks, in SI."""
     for i, (column, state) in enumerate(zip(channels.columns, states, strict=True)):
+        extreme = max(state.minimum, state.maximum, key=abs)
+        if abs(extreme) > IMPOSSIBLE:
+            yield (
+                f"column {column!r} is damaged: it reads {_logged(extreme, channels, i, rate)}, which no sensor does; "
+                "remove such rows or write nan in them"
+            )
+            continue
         if state.minimum == state.maximum:
             value = _logged(state.minimum, channels, i, rate)
             yield f"column {column!r} is dead: all {state.samples} samples are {value}"
@@ -149,7 +163,7 @@ def _channel_faults(
         at_end = np.isclose(means[:, [i]], [state.minimum, state.maximum], rtol=1e-12, atol=0.0).any(axis=1)
         saturated = max(state.extreme_run, round(float(at_end.mean()) * state.samples))
         full_scale = channels.range
-        if full_scale is not None and max(abs(state.minimum), abs(state.maximum)) >= 0.9999 * full_scale:
+        if full_scale is not None and abs(extreme) >= 0.9999 * full_scale:
             yield (
                 f"column {column!r} is clipped: it reaches its range, {state.extreme_run or 1} samples in a row up to "
                 f"{state.extreme_stop:.2f} s; {advice}"
@@ -204,6 +218,9 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
     for name, factor in _other_units(channels, rate):
         if explains(nominal.matrix / factor) < np.inf:
             return [f"{said}; {_unit_named(channels, name)} would fit"]
+    for name, factor in TIME_UNITS.items():
+        if session.log.time is not None and explains(nominal.matrix * session.log.time_factor / factor) < np.inf:
+            return [f'{said}; log.time_unit = "{name}" would fit']
     trials = [(t, explains(nominal.matrix @ t)) for t in _signed_permutations()]
     best = min(trial for _, trial in trials)
     if best < np.inf:
@@ -212,18 +229,31 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
     scales = [(explains(nominal.matrix * ratio), float(ratio)) for ratio in np.geomspace(0.2, 5.0, 131)]
     best, ratio = min(scales)
     if best < np.inf:
-        return [f"{said}; the nominal scale of [log.gyro] is about {_times(ratio)}"]
+        if abs(np.log(ratio)) < SMALL_SCALE_ERROR:
+            return _upside_down(observations, session)  # many revolutions
+        clock = f", or log.rate_hz {_times(1.0 / ratio)}" if session.log.rate is not None else ""
+        return [f"{said}; the nominal scale of [log.gyro] is about {_times(ratio)}{clock}"]
     if np.median(miss) < CARRIED:
-        return _upside_down(observations, session)  # single turns: the fit will name them
+        return [*_lost_in(observations, miss)]
     return [
         f"{said}, and no other unit, scale, sign or order of columns explains it: check the columns, the unit and "
         "[log.gyro] axes"
     ]
 
 
+def _lost_in(observations: Observations, miss: Array) -> Iterator[str]:
+    """The turns in which nominal gyros lose the vertical."""
+    for k in np.flatnonzero(miss >= EVIDENT):
+        yield (
+            f"the gyros lose the vertical in {_turn_named(observations, int(k))}: they miss it by "
+            f"{miss[k] / DEGREE:.0f}°; look there for damaged or lost samples"
+        )
+
+
 def _misses(observations: Observations, gyro: SensorModel) -> Array:
     """Angles (K,), rad, between the vertical after each turn carried back by the gyros and the one before it."""
-    turns = observations.turns_about(gyro)
+    with np.errstate(invalid="ignore", over="ignore"):  # a wrong unit may make it thousands of radians a sample
+        turns = observations.turns_about(gyro)
     vertical = _verticals(observations)
     back = np.einsum("kij,kj->ki", turns.C, vertical[turns.last])
     cosine = np.einsum("ki,ki->k", back, vertical[turns.first])
@@ -357,6 +387,13 @@ def verdict(estimate: Estimate, observations: Observations) -> Outcome:
                 f"the rests scatter by {fit.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
                 "rest, or the accelerometers do not follow the model"
             )
+    turns = estimate.fits.get("gyro turns")
+    if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
+        worst = _turn_named(observations, int(np.argmax(estimate.turn_sigmas)))
+        reasons.append(
+            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look for "
+            f"damaged or lost samples of the gyros, first in {worst}"
+        )
     reasons += _misfits(estimate, observations)
     return Outcome(reasons=tuple(reasons), unobservable=missing)
 
@@ -366,17 +403,21 @@ def _misfits(estimate: Estimate, observations: Observations) -> Iterator[str]:
     rests = observations.rests
     for i in np.flatnonzero(estimate.rest_sigmas > FIT_SIGMAS):
         yield (
-            f"rest {i + 1} ({rests.start[i]:.1f}–{rests.stop[i]:.1f} s) does not fit: {estimate.rest_sigmas[i]:.1f} "
+            f"rest {i + 1} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) does not fit: {estimate.rest_sigmas[i]:.1f} "
             f"sigma, residual {estimate.rest_residual[i]:.2g} m/s^2"
         )
     if observations.turns is None:
         return
     for k in np.flatnonzero(estimate.turn_sigmas > FIT_SIGMAS):
-        a, b = observations.turns.first[k], observations.turns.last[k]
-        yield (
-            f"the turn from rest {a + 1} to rest {b + 1} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s) does not fit: "
-            f"{estimate.turn_sigmas[k]:.1f} sigma"
-        )
+        yield f"{_turn_named(observations, int(k))} does not fit: {estimate.turn_sigmas[k]:.1f} sigma"
+
+
+def _turn_named(observations: Observations, k: int) -> str:
+    """Turn k by the rests at its ends and its times."""
+    turns, rests = observations.turns, observations.rests
+    assert turns is not None
+    a, b = turns.first[k], turns.last[k]
+    return f"the turn from rest {a + 1} to rest {b + 1} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
 
 
 # What is missing

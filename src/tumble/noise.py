@@ -138,7 +138,8 @@ def _cluster_sizes(count: int) -> IntArray:
 def _integral(column: Array) -> Array:
     """Running sum (m + 1,) of the samples less their mean, from 0."""
     out = np.zeros(len(column) + 1)
-    np.subtract(column, column.mean(dtype=np.float64), out=out[1:])
+    np.subtract(column, column[0], out=out[1:])  # a constant becomes exactly zero
+    out[1:] -= out[1:].mean()
     np.cumsum(out[1:], out=out[1:])
     if not np.isfinite(out[-1]):
         raise InputError("Allan deviation: expected finite samples, found NaN or infinity; repair or cut the log")
@@ -196,7 +197,7 @@ class _Transfer:
     def of(cls, interval: float, tau: Array) -> _Transfer:
         """For averaging times `tau` that are multiples of the interval of the samples."""
         lowest, highest = 0.01 / tau[-1], 0.5 / interval
-        edges = np.geomspace(lowest, highest, int(128 * np.log2(highest / lowest)))
+        edges = np.geomspace(lowest, highest, int(64 * np.log2(highest / lowest)))
         f = np.sqrt(edges[1:] * edges[:-1])
         sine = np.sin(np.pi * f * interval)
         W = np.sin(np.pi * np.outer(tau, f)) ** 4 / np.outer(tau / interval, sine) ** 2
@@ -207,7 +208,7 @@ class _Transfer:
     def correlation(self, squares: Array) -> Array:
         """Correlation matrix (k, k) of the estimates of σ² for the squares (4,) of the coefficients."""
         power = (self.spectra @ squares) ** 2 * self.widths
-        covariance = (self.W * power) @ self.W.T
+        covariance = np.einsum("if,jf->ij", self.W * power, self.W)
         scale = np.sqrt(np.diag(covariance))
         return np.asarray(covariance / np.outer(scale, scale)) if scale.all() else np.eye(len(scale))
 
@@ -259,9 +260,9 @@ def _identify(fit: _Fit) -> NoiseParameters:
     """The terms of one channel: the least significant are left out one by one."""
     active = list(range(len(_TERMS))) if fit.variance.all() else []
     while True:
-        squares, u = _estimates(fit, active)
+        squares, u, excess = _estimates(fit, active)
         significance = [
-            _significance(fit, active, j) if squares[j] > w else 0.0 for j, w in zip(active, u, strict=True)
+            _significance(fit, active, j) / excess if squares[j] > w else 0.0 for j, w in zip(active, u, strict=True)
         ]
         if min(significance, default=np.inf) >= SIGNIFICANCE:
             break
@@ -274,14 +275,15 @@ def _identify(fit: _Fit) -> NoiseParameters:
     return NoiseParameters(**{name: found.get(name) for name in _TERMS})
 
 
-def _estimates(fit: _Fit, active: Sequence[int]) -> tuple[Array, Array]:
-    """Squares (4,) of the coefficients and standard uncertainties of the active ones, enlarged by √χ² where it
-    is larger than it should be."""
+def _estimates(fit: _Fit, active: Sequence[int]) -> tuple[Array, Array, float]:
+    """Squares (4,) of the coefficients, standard uncertainties of the active ones, and by how much these were
+    enlarged: √χ² where it is larger than it should be."""
     if not active:
-        return np.zeros(len(_TERMS)), np.zeros(0)
+        return np.zeros(len(_TERMS)), np.zeros(0), 1.0
     squares = fit.squares(active)
     _, u, misfit = fit.about(squares, active)
-    return squares, u * np.sqrt(max(1.0, misfit))
+    excess = np.sqrt(max(1.0, misfit))
+    return squares, u * excess, float(excess)
 
 
 def _significance(fit: _Fit, active: Sequence[int], term: int) -> float:
@@ -291,9 +293,8 @@ def _significance(fit: _Fit, active: Sequence[int], term: int) -> float:
     if not others:
         return np.inf
     squares, u, _ = fit.about(fit.squares(others), active)
-    _, _, misfit = fit.about(fit.squares(active), active)
     at = list(active).index(term)
-    return float(squares[at] / (u[at] * np.sqrt(max(1.0, misfit))))
+    return float(squares[at] / u[at])
 
 
 # Figures and a picture --------------------------------------------------------------------------------------
@@ -382,8 +383,8 @@ def _draw(axes: Axes, panel: Panel) -> None:
             for term in terms.values():
                 part = np.where(term > 0.05 * total, np.sqrt(term) / size, np.nan)
                 axes.plot(tau, part, color=colour, linewidth=0.8, linestyle=":")
-    axes.set(xscale="log", yscale="log", xlabel="averaging time τ, s", ylabel=f"Allan deviation, {unit_name}")
-    axes.set_title(panel.title)
+    axes.set(title=panel.title, xlabel="averaging time τ, s", ylabel=f"Allan deviation, {unit_name}")
+    axes.set(xscale="log", yscale="log" if panel.deviation.deviation.any() else "linear")
     axes.grid(which="major", alpha=0.5, linewidth=0.6)
     axes.grid(which="minor", alpha=0.2, linewidth=0.4)
     for axis in (axes.xaxis, axes.yaxis):

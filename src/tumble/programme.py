@@ -129,6 +129,29 @@ def from_attitudes(codes: Sequence[str]) -> Programme:
     return _listed("listed", codes)
 
 
+def timetable(programme: Programme, *, rest: float, rate: float, move: float) -> Array:
+    """Start and stop of every rest (N, 2), s, from the start of the first: rests of `rest` s, programmed turns at
+    `rate` rad/s, and `move` s for each other move.
+
+    Raises ProgrammeError unless rest and rate are positive and move is not negative."""
+    _expect("rest", rest, "a positive number of s", 0.0 < rest < math.inf)
+    _expect("rate", rate / DEGREE, "a positive number of deg/s", 0.0 < rate < math.inf)
+    _expect("move", move, "a number of s, not negative", 0.0 <= move < math.inf)
+    moved = [move if m.angle is None else abs(m.angle) / rate for m in programme.moves]
+    starts = np.concatenate([[0.0], np.cumsum(np.array(moved) + rest)])
+    return np.column_stack([starts, starts + rest])
+
+
+def duration(programme: Programme, *, rest: float, rate: float, move: float) -> float:
+    """How long a programme takes, s: to the end of its last rest, see `timetable`."""
+    return float(timetable(programme, rest=rest, rate=rate, move=move)[-1, 1])
+
+
+def _expect(what: str, found: float, expected: str, good: bool) -> None:
+    if not good:
+        raise ProgrammeError(f"{what}: expected {expected}, found {found:g}")
+
+
 def _listed(name: str, codes: Sequence[str], *, ordered: bool = True) -> Programme:
     return Programme(
         name=name,
@@ -210,5 +233,6 @@ BUILT_IN: Mapping[str, Callable[[], Programme]] = MappingProxyType(
         "cube-14": lambda: _cube("cube-14", 1, 3),
         "cube-26": lambda: _cube("cube-26", 1, 2, 3),
         "cube-12": lambda: _cube("cube-12", 2),
+        "faces-edges-18": lambda: _cube("faces-edges-18", 1, 2),
     }
 )

@@ -28,10 +28,10 @@ def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None 
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
     for heading in headings:
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("unit")
     for heading in () if truth is None else ("truth", "(value − truth)/u"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     units = {group: _group_unit(calibration.parameters, group) for group in map(_group, calibration.parameters)}
     for p in calibration.parameters:
         size, unit = units[_group(p)]
@@ -86,12 +86,12 @@ def rest_table(calibration: Calibration) -> Table:
     """Residual of every rest."""
     table = Table(box=None, pad_edge=False)
     for heading in ("rest", "start s", "stop s", "residual µg", "sigmas"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for i, rest in enumerate(calibration.rests, 1):
         table.add_row(
             str(i),
-            f"{rest.start:.1f}",
-            f"{rest.stop:.1f}",
+            f"{rest.start:z.1f}",
+            f"{rest.stop:z.1f}",
             f"{rest.residual / G_STANDARD * 1e6:+.1f}",
             f"{rest.sigmas:.1f}",
         )
@@ -156,10 +156,10 @@ def inspection_report(segmentation: Segmentation, observations: Observations | N
     if segmentation.rejected:
         table = Table(box=None, pad_edge=False)
         for heading in ("rejected from s", "to s"):
-            table.add_column(heading, justify="right")
+            table.add_column(heading, justify="right", no_wrap=True)
         table.add_column("because")
         for r in segmentation.rejected:
-            table.add_row(f"{r.start:.1f}", f"{r.stop:.1f}", r.reason)
+            table.add_row(f"{r.start:z.1f}", f"{r.stop:z.1f}", r.reason)
         parts += [Text(""), table]
     return Group(*parts)
 
@@ -183,13 +183,13 @@ def _rests_found(observations: Observations) -> Table:
     headings += ["u of gyro °/h", "drift °/h"] if gyros else []
     headings += ["T °C"] if rests.temperature is not None else []
     for heading in headings:
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for i in range(len(rests)):
         row = [
             str(i + 1),
             *([str(rests.file[i] + 1)] if files else []),
-            f"{rests.start[i]:.1f}",
-            f"{rests.stop[i]:.1f}",
+            f"{rests.start[i]:z.1f}",
+            f"{rests.stop[i]:z.1f}",
         ]
         row.append(" ".join(f"{v:+.3f}" for v in vertical[i]))
         row += _noise_columns(rests.accel_covariance[i], rests.accel_drift[i], G_STANDARD * 1e-6)
@@ -213,7 +213,7 @@ def _turns_found(observations: Observations) -> RenderableType:
         return Text("no turns between rests")
     table = Table(box=None, pad_edge=False)
     for heading in ("turn", "from rest", "to rest", "duration s", "angle °", "axis in the body"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for k in range(len(turns)):
         C = turns.C[k]
         axis = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])

@@ -2,12 +2,14 @@
 
     1  biases and scale factors of the accelerometers     from rests
     2  angles between the axes of the accelerometers      from rests (the scalar method does 1 and 2 at once)
-    3  biases of the gyros                                from rests
+    3  biases of the gyros                                from rests in which each is vertical, Eq. (18)
     4  scale factors and axis angles of the gyros         from turns, by the indirect method
 
-All stages together are a pass. It starts from the models of the pass before (perfect sensors at first), looks at
+All stages together are a pass. It starts from the models of the pass before (at first from nominal sensors), looks at
 readings compensated by them, and composes what it finds with them, exactly (`compensation`). `iterations` repeats it.
-Stage 4 uses the programme matrix of §6.3 and plain least squares, as the paper has it.
+Stage 3 is the one of the paper's ways that needs neither more positions nor an azimuth: it holds for any bias, where
+the polar axis (17) and the scalar method want one far below the Earth's rate. Stage 4 uses the programme matrix of
+§6.3 and plain least squares, as the paper has it.
 
 The stages take any leading axes. Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 """
@@ -23,6 +25,7 @@ import numpy as np
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.methods.compensation import compensated, composed, triad_model
+from tumble.methods.gyro_bias import STANDING, vertical_bias
 from tumble.methods.indirect import (
     RecordedTurn,
     Series,
@@ -40,13 +43,11 @@ from tumble.units import Array
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Method:
-    """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2,
-    `gyro_bias(rate, force, earth_rate, nominal)` stage 3, and `check(nominal)` raises ProgrammeError where the rests,
-    with nominal verticals (N, 3), are not enough."""
+    """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2, and
+    `check(nominal)` raises ProgrammeError where the rests, with nominal verticals (N, 3), are not enough."""
 
     name: str
     accelerometers: Callable[[Array, Array, Array], SensorModel]
-    gyro_bias: Callable[[Array, Array, Array, Array], Array]
     check: Callable[[Array], None]
 
 
@@ -73,9 +74,9 @@ def accelerometer_pass(
     return composed(before, found)
 
 
-def gyro_bias_pass(method: Method, course: Course, rates: Array, force: Array, before: SensorModel) -> SensorModel:
+def gyro_bias_pass(course: Course, rates: Array, force: Array, before: SensorModel) -> SensorModel:
     """Stage 3: the gyro model with the biases of this pass, from rates (..., N, 3) and calibrated specific forces."""
-    bias = method.gyro_bias(compensated(before, rates), force, course.earth_rate, course.nominal)
+    bias = vertical_bias(compensated(before, rates), force, course.earth_rate, course.nominal)
     return composed(before, SensorModel(matrix=np.eye(3), bias=bias))
 
 
@@ -117,6 +118,11 @@ def course_of(observations: Observations, method: Method) -> Course:
         raise SessionError(
             f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
             "give it or take the method staged"
+        )
+    if not np.all(np.any(np.abs(nominal) > 1.0 - STANDING, axis=0)):
+        raise ProgrammeError(
+            f"method {method.name}: expected rests in which X, Y and Z each are vertical, found others in the "
+            f"programme {programme.name}; take the programme rough-table or the method staged"
         )
     check_directions(programme)
     return Course(

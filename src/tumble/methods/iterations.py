@@ -7,7 +7,8 @@ the noise, which is common to all.
 Uncertainty is propagated through the passes as they are: the derivative of each pass with respect to every mean
 reading, turn, gravity and the values it starts from, by central differences, chained. Noise within rests and turns
 comes with the observations; where the residuals need more, scatter between rests and of turns is estimated from them
-and included. What a pass leaves of its own methodical error counts as scatter, too.
+and included. What the last pass errs by its own method is included, too: it is judged by the passes that would follow,
+as the paper judges an iteration by the next; so are the residuals, which speak of the data alone.
 """
 
 from __future__ import annotations
@@ -43,13 +44,18 @@ from tumble.observe import Observations, Turns
 from tumble.rotation import rotation_matrix
 from tumble.units import Array
 
+MAX_PASSES = 30
+NEGLIGIBLE = 1e-3
+"""Of the uncertainties, or of the steps of the differences: increments that mean nothing."""
+
 
 def iterated(observations: Observations, method: Method, iterations: int) -> Estimate:
-    """The estimate after so many iterations, at least one, with covariance. Raises InputError."""
+    """The estimate after so many iterations, at least one, with covariance. The first starts from what is known of the
+    sensors (`Observations.start`). Raises InputError."""
     if iterations < 1:
         raise InputError(f"iterations: expected at least 1, found {iterations}")
     launch = _Launch.of(observations, method)
-    values = np.zeros(len(launch.names))
+    values = np.concatenate([observations.start_values(block) for block in launch.blocks])
     derivative = np.zeros((len(values), len(launch.data)))
     increments = []
     for _ in range(iterations):
@@ -153,7 +159,7 @@ class _Launch:
         accel, gyro = self.models(values)
         accel = accelerometer_pass(self.method, self.course, force, gravity, accel)
         if len(self.blocks) == 2:
-            gyro = gyro_bias_pass(self.method, self.course, rate, compensated(accel, force), gyro)
+            gyro = gyro_bias_pass(self.course, rate, compensated(accel, force), gyro)
         return self.values(accel, gyro)
 
     def after_pass(self, data: Array, values: Array, turned: _Turned | None) -> Array:
@@ -163,7 +169,7 @@ class _Launch:
         accel = accelerometer_pass(self.method, self.course, force, gravity, accel)
         if turned is not None:
             corrected = compensated(accel, force)
-            gyro = gyro_bias_pass(self.method, self.course, rate, corrected, gyro)
+            gyro = gyro_bias_pass(self.course, rate, corrected, gyro)
             C = rotation_matrix(turning) @ turned.rotations(gyro)
             gyro = gyro_matrix_pass(self.course, rate, corrected, C, gyro)
         return self.values(accel, gyro)
@@ -320,27 +326,40 @@ class _Left:
 def _estimate(launch: _Launch, values: Array, derivative: Array, increments: tuple[Array, ...]) -> Estimate:
     """The estimate of values (m,) with their derivative (m, d) with respect to the data."""
     turned = launch.turned(values)
-    direct, by_values = launch.derivatives(launch.residuals, values, turned)
-    residual = launch.residuals(launch.data, values, turned)
+    u = np.sqrt(np.diag(derivative @ launch.covariance(_Scatter()) @ derivative.T))
+    limit, converged = _limit(launch, values, turned, u)
+    direct, by_values = launch.derivatives(launch.residuals, limit, turned)
+    residual = launch.residuals(launch.data, limit, turned)
     left = _Left(launch=launch, residual=residual, direct=direct, total=direct + by_values @ derivative)
     scatter = left.found_scatter()
-    covariance = derivative @ launch.covariance(scatter) @ derivative.T
-    step = launch.after_pass(launch.data, values, turned) - values
+    noise = derivative @ launch.covariance(scatter) @ derivative.T
     accel, *gyro = launch.blocks
     return Estimate(
         method=launch.method.name,
         names=launch.names,
         units=tuple(unit for block in launch.blocks for unit in block.units),
         values=values,
-        covariance=covariance,
+        covariance=noise + np.outer(limit - values, limit - values),
         observable=np.ones(len(values), dtype=bool),
         null=np.empty((0, len(values))),
         accel=accel.model(values[:9]),
         gyro=gyro[0].model(values[9:]) if gyro else None,
-        rest_residual=residual[left.rows("accelerometers")],
+        rest_residual=launch.residuals(launch.data, values, turned)[left.rows("accelerometers")],
         rest_sigmas=left.rest_sigmas(scatter),
         turn_sigmas=left.turn_sigmas(scatter),
         increments=increments,
         fits=left.fits(scatter),
-        converged=bool(np.all(np.abs(step) <= np.sqrt(np.diag(covariance)))),
+        converged=converged,
     )
+
+
+def _limit(launch: _Launch, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:
+    """Where the passes lead from values (m,) of uncertainty u, with the turns to first order, and whether they get
+    there."""
+    negligible = NEGLIGIBLE * np.maximum(u, launch.steps[len(launch.data) :])
+    for _ in range(MAX_PASSES):
+        after = launch.after_pass(launch.data, values, turned)
+        if np.all(np.abs(after - values) <= negligible):
+            return after, True
+        values = after
+    return values, False

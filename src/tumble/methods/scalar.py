@@ -18,7 +18,6 @@ from tumble.errors import ProgrammeError
 from tumble.estimate import Estimate
 from tumble.methods.compensation import triad_model
 from tumble.methods.four_stages import Method
-from tumble.methods.gyro_bias import scalar_bias
 from tumble.methods.iterations import iterated
 from tumble.methods.levelling import vertical
 from tumble.model import SensorModel
@@ -30,10 +29,10 @@ Form = Literal["quadratic", "norm"]
 
 def scalar(observations: Observations, iterations: int = 2) -> Estimate:
     """The paper's method with the scalar method for the accelerometers, with the estimated orientation and on all
-    rests of the programme, and for the gyro biases.
+    rests of the programme.
 
     Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
-    method = Method(name="scalar", accelerometers=accelerometers, gyro_bias=_gyro_bias, check=check_positions)
+    method = Method(name="scalar", accelerometers=accelerometers, check=check_positions)
     return iterated(observations, method, iterations)
 
 
@@ -64,12 +63,6 @@ def accelerometers(readings: Array, nominal: Array, gravity: Array) -> SensorMod
     """Stages 1 and 2 at once, with the estimated orientation: the programme's `nominal` is not used."""
     del nominal
     return scalar_fit(readings, vertical(readings), gravity)
-
-
-def _gyro_bias(rate: Array, force: Array, earth_rate: Array, nominal: Array) -> Array:
-    """Stage 3 by the scalar method: the programme's `nominal` is not used."""
-    del nominal
-    return scalar_bias(rate, force, earth_rate)
 
 
 def check_positions(nominal: Array) -> None:

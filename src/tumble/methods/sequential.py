@@ -3,8 +3,7 @@
 Stage 1 takes the bias and the scale-factor error of one accelerometer from rests in which its axis is up and down,
 Eqs. (3), (4); stage 2 the angle between two from a rest in which one is 45° above and the other 45° below the
 horizon, Eqs. (8), (10), and the axis angles γ from it by (2). Nothing is solved for jointly, so the functions serve
-redundant blocks with axes of any directions as well. Stages 3 and 4 are those of `four_stages`, with the biases of
-the gyros from the rests in which each is vertical, Eq. (18).
+redundant blocks with axes of any directions as well. Stages 3 and 4 are those of `four_stages`.
 
 All functions take any leading axes. Source: §2, §3 of the turntable method (Vodicheva & Parysheva 2019).
 """
@@ -17,7 +16,6 @@ from tumble.errors import ProgrammeError
 from tumble.estimate import Estimate
 from tumble.methods.compensation import triad_model
 from tumble.methods.four_stages import Method
-from tumble.methods.gyro_bias import vertical_bias
 from tumble.methods.iterations import iterated
 from tumble.methods.levelling import vertical
 from tumble.model import SensorModel
@@ -34,7 +32,7 @@ def sequential(observations: Observations, iterations: int = 2) -> Estimate:
     """The paper's method with the sequential vector method for the accelerometers.
 
     Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
-    method = Method(name="sequential", accelerometers=accelerometers, gyro_bias=vertical_bias, check=check_positions)
+    method = Method(name="sequential", accelerometers=accelerometers, check=check_positions)
     return iterated(observations, method, iterations)
 
 

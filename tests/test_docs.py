@@ -1,0 +1,260 @@
+"""The documentation says what is true: commands run, outputs are those of the program, links lead somewhere.
+
+A page of `RUN` is executed from top to bottom in an empty folder: files (```toml after `<!-- file: NAME -->`) are
+written, the commands of ```console blocks run and their output compared, ```python blocks with >>> run as doctests.
+A line `...` in an output stands for lines that are left out. Numbers may differ by one in their last digit.
+
+    python tests/test_docs.py        puts the outputs of today into the pages, to be read before they are committed
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import hashlib
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from tumble.cli import main
+
+ROOT = Path(__file__).parents[1]
+RUN = ("README.md", "docs/tutorial.md", "docs/conventions.md", "docs/xsens.md")
+RECORDINGS = {"docs/xsens.md": "xsens-mti"}
+"""Pages that need a recording: the folder of the shared data that is copied into the empty one."""
+
+BLOCK = re.compile(r"(?:^<!-- file: (?P<file>\S+) -->\n+)?^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.M | re.S)
+COMMAND = re.compile(r"^\$ (.*)\n", re.M)
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+LINK = re.compile(r"(?<!`)!?\[[^\]]*\]\(([^)\s]+)\)")
+
+
+# -------------------- pages that are run --------------------
+
+
+@dataclass(kw_only=True)
+class Reader:
+    """Someone who does what a page says, in a folder of their own."""
+
+    folder: Path
+    status: int = 0
+    names: dict[str, object] = field(default_factory=dict)
+
+    def run(self, command: str) -> str:
+        """What a command prints on both streams."""
+        words = shlex.split(command)
+        with contextlib.chdir(self.folder):
+            if words[0] == "tumble":
+                result = CliRunner().invoke(main, words[1:], prog_name="tumble")
+                if result.exception is not None and not isinstance(result.exception, SystemExit):
+                    raise result.exception
+                self.status = result.exit_code
+                return result.output
+            shell = ["sh", "-c", command.replace("$?", str(self.status))]
+            done = subprocess.run(shell, capture_output=True, text=True, check=False)
+            self.status = done.returncode
+            return done.stdout + done.stderr
+
+    def doctest(self, text: str, name: str) -> str:
+        """Run the examples of a Python block; the result is the report of failures."""
+        said: list[str] = []
+        test = doctest.DocTestParser().get_doctest(text, self.names, name, name, 0)
+        with contextlib.chdir(self.folder):
+            doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(
+                test, out=said.append, clear_globs=False
+            )
+        self.names = test.globs
+        return "".join(said)
+
+
+def lines_of(text: str) -> list[str]:
+    """Lines without blanks at their ends and without empty lines at the end."""
+    return [line.rstrip() for line in text.rstrip().splitlines()]
+
+
+def same_line(expected: str, found: str) -> bool:
+    """Whether two lines have the same words, and the same numbers to one in the last digit that is shown."""
+    if NUMBER.sub("#", expected).split() != NUMBER.sub("#", found).split():
+        return False
+    return all(
+        abs(float(a) - float(b)) <= 1.01 * _last_digit(a)
+        for a, b in zip(NUMBER.findall(expected), NUMBER.findall(found), strict=True)
+    )
+
+
+def _last_digit(number: str) -> float:
+    mantissa, _, exponent = number.partition("e")
+    return float(10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])))
+
+
+def same_output(expected: list[str], found: list[str]) -> bool:
+    """Whether an output is the expected one, `...` standing for any lines."""
+    if not expected:
+        return not found
+    if expected[0].strip() == "...":
+        return any(same_output(expected[1:], found[i:]) for i in range(len(found) + 1))
+    return bool(found) and same_line(expected[0], found[0]) and same_output(expected[1:], found[1:])
+
+
+def outputs_of(block: str) -> Iterator[tuple[str, str]]:
+    """The commands of a console block, each with the output under it."""
+    parts = COMMAND.split(block)
+    assert parts[0] == "", f"a console block begins with a command, found {parts[0]!r}"
+    yield from zip(parts[1::2], parts[2::2], strict=True)
+
+
+@pytest.fixture(params=RUN)
+def page(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A page that is run, its recording copied to tmp_path."""
+    name: str = request.param
+    if name in RECORDINGS:
+        recordings: Path = request.getfixturevalue("data")
+        shutil.copytree(recordings / RECORDINGS[name], tmp_path / RECORDINGS[name])
+    return ROOT / name
+
+
+def test_every_pasted_output_is_that_of_the_program(page: Path, tmp_path: Path) -> None:
+    reader = Reader(folder=tmp_path)
+    checked = 0
+    for block in BLOCK.finditer(page.read_text(encoding="utf-8")):
+        text = block["text"]
+        if block["file"]:
+            (tmp_path / block["file"]).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / block["file"]).write_text(text, encoding="utf-8")
+        elif block["language"] == "console":
+            for command, expected in outputs_of(text):
+                found = reader.run(command)
+                assert same_output(lines_of(expected), lines_of(found)), f"$ {command}\n{found}"
+                checked += 1
+        elif block["language"] == "python" and ">>>" in text:
+            failures = reader.doctest(text, page.name)
+            assert not failures, failures
+            checked += 1
+    assert checked > 0, f"{page} has nothing to run"
+
+
+# -------------------- commands, links, licence --------------------
+
+
+def commands(group: click.Group = main, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    """All commands of the command line with the words that call them."""
+    for name, command in group.commands.items():
+        yield (*path, name), command
+        if isinstance(command, click.Group):
+            yield from commands(command, (*path, name))
+
+
+def section(text: str, heading: str) -> str:
+    """The part of a page under a heading, without its subsections of the same level."""
+    found = re.search(rf"^## {re.escape(heading)}$(.*?)(?=^## |\Z)", text, re.M | re.S)
+    assert found is not None, f"docs/commands.md has no section '## {heading}'"
+    return found[1]
+
+
+@pytest.mark.parametrize(("words", "command"), [pytest.param(w, c, id="-".join(w)) for w, c in commands()])
+def test_every_command_and_option_is_documented(words: tuple[str, ...], command: click.Command) -> None:
+    text = section((ROOT / "docs/commands.md").read_text(encoding="utf-8"), "tumble " + " ".join(words))
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            for spelling in parameter.opts:
+                assert f"`{spelling}" in text, f"tumble {' '.join(words)}: option {spelling} is not in docs/commands.md"
+        else:
+            assert str(parameter.make_metavar(click.Context(command))).strip("[].") in text
+
+
+def test_no_option_is_documented_that_does_not_exist() -> None:
+    text = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
+    for words, command in commands():
+        known = {spelling for p in command.params if isinstance(p, click.Option) for spelling in p.opts} | {"--help"}
+        named = set(re.findall(r"^\| `(--[a-z-]+)", section(text, "tumble " + " ".join(words)), re.M))
+        assert named <= known, f"tumble {' '.join(words)}: {', '.join(sorted(named - known))} does not exist"
+
+
+def pages() -> list[Path]:
+    """Every page of the documentation."""
+    return sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+
+
+@pytest.mark.parametrize("path", pages(), ids=lambda path: path.name)
+def test_links_lead_to_files_and_headings_that_exist(path: Path) -> None:
+    for target in LINK.findall(BLOCK.sub("", path.read_text(encoding="utf-8"))):
+        if re.match(r"[a-z]+:", target):
+            continue
+        file, _, heading = target.partition("#")
+        linked = (path.parent / file).resolve() if file else path
+        assert linked.exists(), f"{path.relative_to(ROOT)}: no file {file}"
+        assert not heading or heading in anchors(linked), f"{path.relative_to(ROOT)}: no heading #{heading} in {file}"
+
+
+def anchors(path: Path) -> set[str]:
+    """The headings of a page as they are linked to."""
+    headings = re.findall(r"^#+ (.+)$", BLOCK.sub("", path.read_text(encoding="utf-8")), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_page_is_reached_from_the_index() -> None:
+    index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
+    missing = [path.name for path in ROOT.glob("docs/*.md") if path.name != "index.md" and f"({path.name}" not in index]
+    assert missing == []
+
+
+def test_the_licence_is_the_unmodified_text_of_apache_2_0() -> None:
+    digest = hashlib.sha256((ROOT / "LICENSE").read_bytes()).hexdigest()
+    assert digest == "c71d239df91726fc519c6eb72d318ec65820627232b2f796219e87dcf35d0ab4"
+
+
+# -------------------- today's outputs --------------------
+
+
+def renewed(expected: str, found: str) -> str:
+    """An output of today, shortened as the expected one was: as many lines before the first `...` and after the last,
+    and between two of them from the line that begins with the same word."""
+    old, new = lines_of(expected), lines_of(found)
+    if "..." not in old:
+        return "".join(line + "\n" for line in new)
+    segments: list[list[str]] = [[]]
+    for line in old:
+        segments.append([]) if line == "..." else segments[-1].append(line)
+    out = new[: len(segments[0])]
+    for middle in segments[1:-1]:
+        first = next(i for i, line in enumerate(new) if line.split()[:1] == middle[0].split()[:1])
+        out += ["...", *new[first : first + len(middle)]]
+    out += ["...", *new[len(new) - len(segments[-1]) :]]
+    return "".join(line + "\n" for line in out)
+
+
+def renew(path: Path, folder: Path) -> None:
+    """Put the outputs of today into a page."""
+    reader, text, at, out = Reader(folder=folder), path.read_text(encoding="utf-8"), 0, []
+    for block in BLOCK.finditer(text):
+        if block["file"]:
+            (folder / block["file"]).parent.mkdir(parents=True, exist_ok=True)
+            (folder / block["file"]).write_text(block["text"], encoding="utf-8")
+        elif block["language"] == "console":
+            out.append(text[at : block.start("text")])
+            for command, expected in outputs_of(block["text"]):
+                out.append(f"$ {command}\n{renewed(expected, reader.run(command))}")
+            at = block.end("text")
+        elif block["language"] == "python" and ">>>" in block["text"]:
+            sys.stdout.write(reader.doctest(block["text"], path.name))
+    path.write_text("".join(out) + text[at:], encoding="utf-8")
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or RUN:
+        with tempfile.TemporaryDirectory() as temporary:
+            if name in RECORDINGS:
+                shared = Path(os.environ.get("TUMBLE_DATA") or ROOT.parent / "shared" / "data")
+                shutil.copytree(shared / RECORDINGS[name], Path(temporary) / RECORDINGS[name])
+            renew(ROOT / name, Path(temporary))
