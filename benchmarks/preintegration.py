@@ -1,8 +1,9 @@
 """How fast are turns preintegrated, and what does cutting them into lanes bring?
 
 Compares `tumble._kernels.preintegrate` with the same recursion written as one plain loop over the samples of
-a turn, unrolled, with sine and cosine from the mathematical library. One core; a figure is the median of
-several runs, which alternate so that both see the same machine. The answer is printed last.
+a turn, unrolled, with sine and cosine from the mathematical library. A figure is the median of several runs,
+which alternate so that all see the same machine; one core, except where two threads take half of the turns each.
+The answer is printed last.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import platform
 import statistics
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from math import cos, sin, sqrt
 from pathlib import Path
 
@@ -123,24 +125,32 @@ def compare(name: str, length: int) -> tuple[float, float]:
     def by_kernel() -> tuple[Array, Array, Array]:
         return preintegrate(increment, dt, starts, stops, transform, offset)
 
+    def half(turns: slice) -> tuple[Array, Array, Array]:
+        return preintegrate(increment, dt, starts[turns], stops[turns], transform, offset)
+
+    def by_threads() -> None:
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(half, (slice(0, k // 2), slice(k // 2, k))))
+
     by_plain()
     by_hand = (C, M, B)
     for ours, theirs in zip(by_kernel(), by_hand, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-11, atol=1e-11 * np.abs(theirs).max())
-    times = np.array([(seconds(by_plain), seconds(by_kernel)) for _ in range(RUNS)])
-    slow, fast = (1e9 * statistics.median(column) / SAMPLES for column in times.T)
-    print(f"{name:24s} plain loop {slow:6.1f}   kernel {fast:6.1f} ns a sample   ratio {fast / slow:.2f}")
+    times = np.array([(seconds(by_plain), seconds(by_kernel), seconds(by_threads)) for _ in range(RUNS)])
+    slow, fast, both = (1e9 * statistics.median(column) / SAMPLES for column in times.T)
+    print(
+        f"{name:24s} plain loop {slow:6.1f}   kernel {fast:6.1f} ns a sample   ratio {fast / slow:.2f}"
+        + (f"   two threads {both:6.1f}" if k > 1 else "")
+    )
     return slow, fast
 
 
 def main() -> None:
     print(machine())
-    print(f"{SAMPLES} samples, medians of {RUNS} runs, one core")
+    print(f"{SAMPLES} samples, medians of {RUNS} runs")
     results = [compare(name, length) for name, length in TURN_LENGTHS.items()]
     slow, fast = (statistics.median(column) for column in zip(*results, strict=True))
-    print(
-        f"preintegration: {fast:.1f} ns a sample, {fast / slow:.2f} of the plain loop with libm ({slow:.1f})"
-    )
+    print(f"preintegration: {fast:.1f} ns a sample, {fast / slow:.2f} of the plain loop with libm ({slow:.1f})")
 
 
 if __name__ == "__main__":

@@ -6,8 +6,10 @@ turns; it uses nothing of `tumble.budget`.
 
 from __future__ import annotations
 
+import doctest
 import importlib.util
 import math
+import re
 import sys
 from dataclasses import replace
 from functools import cache
@@ -470,7 +472,7 @@ def test_gyro_matrix_passes_for_bias_at_rest(rng: np.random.Generator) -> None:
 def integrated_error(
     L: Array, axis: Array, angle: float, duration: float, E: Array, bias: Array, earth: Array, bumpy: bool
 ) -> Array:
-    """Attitude error over a turn in N, U, E by fine midpoint steps of the body's rotation, true and measured; the rate
+    """Attitude error over a turn in N, U, E by fine midpoint steps, but for its precession with the Earth; the rate
     may be far from constant."""
     steps = 1500
     edges = np.linspace(0.0, 1.0, steps + 1)
@@ -480,7 +482,7 @@ def integrated_error(
     for first, last in pairwise(θ):
         middle = rotation_matrix(0.5 * (first + last) * axis) @ L
         rate = axis * (last - first) / h + earth
-        error = error + h * (middle @ (E @ middle.T @ rate + bias)) - h * np.cross(earth, error)
+        error = error + h * (middle @ (E @ middle.T @ rate + bias))
     return error
 
 
@@ -496,8 +498,7 @@ def test_turn_errors_are_those_of_the_integrated_turn(angle: float, rng: np.rand
     both = integrated_error(L, axis, angle, T, E, none, EARTH, bumpy=False)
     alone = integrated_error(L, axis, angle, T, E, none, none, bumpy=False)
     of_earth = turn_earth_error(L, axis, np.array(angle), np.array(T), E, LATITUDE)
-    moved = 0.5 * T * np.linalg.norm(EARTH) * np.linalg.norm(alone)  # the start's error precesses: counted apart
-    assert np.linalg.norm(both - alone - of_earth) < moved
+    np.testing.assert_allclose(of_earth, both - alone, atol=1e-8)
     assert np.linalg.norm(of_earth) > 1e-4
 
 
@@ -739,6 +740,24 @@ def test_rests_help_as_their_root() -> None:
     assert rows[0].error / rows[1].error == pytest.approx(2.0, rel=1e-6)
 
 
+def test_uncertain_gravity_is_in_every_accelerometer_scale_factor_and_nowhere_else() -> None:
+    """Against the nonlinear methods: readings of perfect sensors in gravity that is 3e-4 m/s² larger than stated."""
+    simulation = study()
+    real = replace(SILENT, gravity=GRAVITY + 3e-4)
+    launches = simulation.readings(real, np.zeros((1, 21)), ROUGH_TABLE[None], np.random.default_rng(0))
+    uncertain = replace(SILENT, gravity_u=3e-4)
+    for method in METHODS:
+        (error,) = simulation.calibrate(replace(launches, setup=SILENT), method, 1)[0]
+        before, after = (budget(setup, (method,), 1) for setup in (SILENT, uncertain))
+        for group in GROUPS:
+            more = after.row(method, group, 1).error ** 2 - before.row(method, group, 1).error ** 2
+            rms = math.sqrt(np.mean(error[[name.startswith(group) for name in NAMES]] ** 2))
+            assert rms == pytest.approx(math.sqrt(max(more, 0.0)), rel=1e-3, abs=1e-8), (method, group)
+
+
+ROUGH_TABLE = np.array([position.matrix for position in programme("rough-table").positions])
+
+
 def test_a_programme_without_turns_gives_no_gyro_scale_factors() -> None:
     for name, methods in (("nine", METHODS), ("cube-26", ("scalar", "staged"))):
         found = budget(replace(SETUP, programme=programme(name)), methods, 1)
@@ -755,6 +774,18 @@ def test_remarks_say_where_the_formulas_end() -> None:
     noisy = replace(SETUP, gyro=Spread(bias=5.0 * DEGREE_PER_HOUR, scale=1e-3, axis=1e-3))
     assert len(budget(noisy, ("scalar",)).remarks) == 1
     assert budget(noisy, ("staged",)).remarks == ()
+
+
+def test_the_guide_shows_what_the_code_gives() -> None:
+    """Every `pycon` block of docs/budget.md, in one session, by doctest."""
+    guide = Path(__file__).parents[1] / "docs" / "budget.md"
+    blocks = re.findall(r"```pycon\n(.*?)```", guide.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert len(blocks) >= 5
+    examples = doctest.DocTestParser().get_doctest("\n".join(blocks), {}, "budget.md", str(guide), 0)
+    said: list[str] = []
+    failed, tried = doctest.DocTestRunner(verbose=False).run(examples, out=said.append)
+    assert tried > 10
+    assert failed == 0, "".join(said)
 
 
 # -------------------- requirements --------------------

@@ -318,6 +318,17 @@ def test_matplotlib_is_imported_by_plot_alone() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
+def test_the_example_of_the_guide_prints_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    guide = (Path(__file__).parents[1] / "docs" / "noise.md").read_text(encoding="utf-8")
+    _, code, _, expected = (block.strip("\n") for block in guide.split("```")[2:6])
+    monkeypatch.chdir(tmp_path)
+    exec(code.removeprefix("python\n"), {})
+    assert capsys.readouterr().out.strip() == expected
+    assert (tmp_path / "allan-deviation.svg").exists()
+
+
 def test_intervals_are_the_normal_68_percent() -> None:
     """With many degrees of freedom χ² is normal: σ(1 ± 1/√(2ν))."""
     adev = allan_deviation(np.random.default_rng(13).standard_normal(200_000), RATE)

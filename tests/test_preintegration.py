@@ -27,9 +27,7 @@ Result = tuple[Array, Array, Array]
 IntArray = npt.NDArray[np.int64]
 
 
-def motion(
-    rng: np.random.Generator, samples: int, largest: float = 0.02
-) -> tuple[Array, Array, Array, Array]:
+def motion(rng: np.random.Generator, samples: int, largest: float = 0.02) -> tuple[Array, Array, Array, Array]:
     """Increments up to `largest` rad that wander smoothly, uneven intervals, a compensation."""
     steps = np.cumsum(rng.standard_normal((samples, 3)), axis=0) / np.sqrt(samples + 1.0)
     increment = largest * np.tanh(steps + 0.3 * rng.standard_normal((samples, 3))) / np.sqrt(3.0)

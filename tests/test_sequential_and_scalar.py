@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,15 +25,17 @@ from rough_launches import (
 
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.estimate import Estimate
+from tumble.log import open_log
+from tumble.match import match_rests
 from tumble.methods.compensation import compensated, composed, triad_model, triad_parameters
 from tumble.methods.scalar import scalar
 from tumble.methods.sequential import sequential
 from tumble.model import Block
-from tumble.observe import Observations, Rests, TurnSamples
+from tumble.observe import Observations, Rests, TurnSamples, observe
 from tumble.programme import programme
 from tumble.rotation import axes_matrix
-from tumble.segment import GyroSamples
-from tumble.session import Site
+from tumble.segment import GyroSamples, find_rests, reduce_log
+from tumble.session import Site, read_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 Pipeline = Callable[..., Estimate]
@@ -288,6 +292,38 @@ def test_uncertainties_of_the_sequential_method_are_those_of_section_8() -> None
         0.406 * ARCSEC * 1.14,
     ]
     np.testing.assert_allclose(rms, expected, rtol=0.05)
+
+
+@PIPELINES
+def test_what_a_pass_errs_by_its_own_method_is_in_the_uncertainty_and_not_in_the_residuals(pipeline: Pipeline) -> None:
+    rng = np.random.default_rng(14)
+    values = drawn_values(1, rng)[0]
+    seen = observations(values, rng, stated=1e-3)
+    for iterations in (1, 2):
+        found = pipeline(seen, iterations=iterations)
+        error = np.abs(found.values - values)
+        assert (error / SIZES).max() > 1e-3
+        assert np.all(error < 1.01 * found.u + 1e-4 * SIZES)
+        assert np.all(found.u < 1.01 * error + 1e-2 * SIZES)
+        assert max(found.rest_sigmas.max(), found.turn_sigmas.max()) < 1.0
+
+
+@pytest.mark.data
+@PIPELINES
+def test_the_turntable_recording_is_recovered(data: Path, pipeline: Pipeline) -> None:
+    """The recording simulated independently of the project: every parameter within 4 u, the mean square within
+    chance of 1 for ten independent ones."""
+    folder = data / "truth-turntable"
+    session = read_session(folder)
+    log = open_log(session)
+    reduction = reduce_log(log, session.accel_block, session.gyro_block, log.chunks())
+    match = match_rests(session, reduction, find_rests(reduction, session.accel_block, session.gyro_block))
+    found = pipeline(observe(reduction, match, session.accel_block, session.gyro_block, session.site))
+    truth = json.loads((folder / "truth.json").read_text())
+    z = (found.values - [truth[name] for name in found.names]) / found.u
+    assert np.abs(z).max() < 4.0
+    assert np.mean(z**2) == pytest.approx(1.0, abs=4 * np.sqrt(2 / 10))
+    assert max(found.rest_sigmas.max(), found.turn_sigmas.max()) < 4.0
 
 
 def test_scatter_between_rests_is_found_and_counted() -> None:

@@ -464,7 +464,7 @@ class Setup:
     about each axis, as in `tumble simulate`. `rest`: duration of a rest, s; `turn_rate`, rad/s. `accel_white`,
     m/s²/√Hz, `gyro_white`, rad/s/√Hz: densities of the white noise; `accel_instability`, m/s², `gyro_instability`,
     rad/s: rms of what a bias changes by from rest to rest. `accel`, `gyro`: spreads before calibration. `latitude`,
-    rad; `gravity`, m/s², and its standard uncertainty `gravity_u` (`earth.NORMAL_GRAVITY_U` where it is not measured)."""
+    rad; `gravity`, m/s², with its standard uncertainty `gravity_u` (`earth.NORMAL_GRAVITY_U` if it is not measured)."""
 
     table_error: float = DEGREE
     mounting_error: float = DEGREE
@@ -1248,7 +1248,7 @@ def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Req
         cause = max(demand.fixed, key=lambda name: demand.fixed[name])
         floor = math.sqrt(sum(demand.fixed.values()))
         reason = (
-            f"{group}: expected at least {floor:.3g} {gives} to be wanted, which an exact table and endless rests "
+            f"{group}: expected an accuracy of at least {floor:.3g} {gives}, which an exact table and endless rests "
             f"leave (mostly {cause}), found {wanted:.3g}; {_REMEDY.get(cause, 'take another pass or method')}"
         )
         return Requirement(

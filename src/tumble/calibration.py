@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from tumble.errors import CalibrationError, InputError
 from tumble.estimate import Estimate, Fit, Outcome
 from tumble.log import Chunk, Log, open_log
 from tumble.match import Match, match_rests
+from tumble.methods.scalar import scalar
+from tumble.methods.sequential import sequential
 from tumble.methods.staged import staged
 from tumble.model import SensorModel
 from tumble.observe import Observations, observe
@@ -33,8 +35,10 @@ from tumble.session import Session, read_session
 from tumble.units import Array
 
 FORMAT = 1
-Method = Literal["staged"]
+DEFAULT_METHOD = "staged"
 METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"staged": staged}
+ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequential": sequential, "scalar": scalar}
+"""The pipelines of the paper, which take a number of iterations."""
 Progress = Callable[[Log], Iterable[Chunk]]
 
 
@@ -105,15 +109,18 @@ class Calibration:
     def write(self, path: Path, *, force: bool = False) -> None:
         """Write the calibration file, whole or not at all. An existing file is replaced only if it came from the
         same log by the same method, or with `force`."""
-        if path.exists() and not force:
-            self._check_replaceable(path)
+        if path.exists():
+            if not os.access(path, os.W_OK):
+                raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
+            if not force:
+                self._check_replaceable(path)
         text = json.dumps(self._content(), indent=1, ensure_ascii=False, allow_nan=False)
         _write_whole(path, text + "\n")
 
     def _check_replaceable(self, path: Path) -> None:
         advice = "give --force to replace it, or --out for another file"
         try:
-            old = json.loads(path.read_text())
+            old = json.loads(path.read_text(encoding="utf-8"))
             same = old["method"] == self.method and old["provenance"]["log_sha256"] == self.provenance["log_sha256"]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise CalibrationError(
@@ -184,17 +191,18 @@ def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | Non
 def _write_whole(path: Path, text: str) -> None:
     """Write a file so that a reader sees the old one or the new one."""
     try:
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            temporary = Path(file.name)
-            try:
+        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        temporary = Path(name)
+        try:
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
                 file.write(text)
                 file.flush()
                 os.fsync(file.fileno())
-            except BaseException:
-                temporary.unlink()
-                raise
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(path)
+            temporary.chmod(0o666 & ~_umask())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink()
+            raise
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 
@@ -208,18 +216,24 @@ def _umask() -> int:
 def read_calibration(path: Path) -> Calibration:
     """A calibration file as written by `Calibration.write`."""
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_not_a_number)
         if content["format"] != FORMAT:
             raise CalibrationError(f"{path}: expected format {FORMAT}, found {content['format']!r}")
         return _from_content(content)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         said = f"no key {error}" if isinstance(error, KeyError) else str(error)
         raise CalibrationError(f"{path}: expected a calibration file of tumble, found {said}") from error
 
 
+def _not_a_number(name: str) -> float:
+    raise ValueError(f"{name} in place of a number")
+
+
 def _from_content(content: Mapping[str, Any]) -> Calibration:
+    """A calibration from what the contract promises of a file; further keys may be there or not."""
+
     def model(part: Mapping[str, Any] | None) -> SensorModel | None:
         if part is None:
             return None
@@ -231,29 +245,52 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         model=content["device"]["model"],
         method=content["method"],
         frame=content["frame"],
-        parameters=tuple(Parameter(**p) for p in content["parameters"]),
+        parameters=tuple(map(_parameter, content["parameters"])),
         covariance=_matrix(content["covariance"]),
         accel=model(content["accel"]),
         gyro=model(content["gyro"]),
-        outcome=Outcome(reasons=tuple(outcome["reasons"]), unobservable=tuple(outcome["unobservable"])),
+        outcome=Outcome(reasons=tuple(outcome["reasons"]), unobservable=tuple(outcome.get("unobservable", ()))),
         iterations=tuple({p["name"]: p["increment"] for p in i["parameters"]} for i in content["iterations"]),
-        rests=tuple(RestResult(**r) for r in content["rests"]),
-        turn_sigmas=tuple(t["sigmas"] for t in content["turns"]),
+        rests=tuple(
+            RestResult(
+                file=r.get("file", 0),
+                start=r["start"],
+                stop=r["stop"],
+                residual=r["residual"],
+                sigmas=r.get("sigmas", 0.0),
+            )
+            for r in content["rests"]
+        ),
+        turn_sigmas=tuple(t["sigmas"] for t in content.get("turns", ())),
         fits={
             name: Fit(chi_square=f["chi_square"], degrees=f["degrees"], scatter=f["scatter"], scatter_unit=f["unit"])
-            for name, f in content["fits"].items()
+            for name, f in content.get("fits", {}).items()
         },
-        notes=tuple(content["notes"]),
+        notes=tuple(content.get("notes", ())),
         launches=tuple(
             Launch(
                 session=launch["session"],
-                parameters=tuple(Parameter(**p) for p in launch["parameters"]),
+                parameters=tuple(map(_parameter, launch["parameters"])),
                 covariance=_matrix(launch["covariance"]),
-                log_sha256=launch["log_sha256"],
+                log_sha256=launch.get("log_sha256", ""),
             )
-            for launch in content["launches"]
+            for launch in content.get("launches", ())
         ),
         provenance=content["provenance"],
+    )
+
+
+def _parameter(content: Mapping[str, Any]) -> Parameter:
+    def number(key: str) -> float | None:
+        return None if content.get(key) is None else float(content[key])
+
+    return Parameter(
+        name=content["name"],
+        value=float(content["value"]),
+        u=number("u"),
+        unit=content["unit"],
+        deviation=number("deviation"),
+        run_to_run=number("run_to_run"),
     )
 
 
@@ -264,22 +301,44 @@ def _matrix(rows: list[list[float]] | None) -> Array | None:
 # From a session to a calibration
 
 
-def calibrate(session: Session | Path, *, method: str = "staged", progress: Progress = Log.chunks) -> Calibration:
-    """Calibrate the device of a session (a `Session` or the path of its folder). A recording that cannot be
-    calibrated comes back with the reasons in its outcome; unusable input raises an `InputError`."""
+def calibrate(
+    session: Session | Path,
+    *,
+    method: str = DEFAULT_METHOD,
+    iterations: int | None = None,
+    progress: Progress = Log.chunks,
+) -> Calibration:
+    """Calibrate the device of a session (a `Session` or the path of its folder). `iterations` is for the methods that
+    iterate as the paper does (default 2). A recording that cannot be calibrated comes back with the reasons in its
+    outcome; unusable input raises an `InputError`."""
     if isinstance(session, Path):
         session = read_session(session)
-    if method not in METHODS:
-        raise InputError(f"method {method!r} is not known; expected one of {', '.join(METHODS)}")
+    estimator = _estimator(method, iterations)
     systematic = _systematic(session)
     log = open_log(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         digest = beside.submit(log.sha256)
-        found = _estimated(session, log, METHODS[method], systematic, progress)
+        found = _estimated(session, log, estimator, systematic, progress)
         provenance = _provenance(digest.result())
     if isinstance(found, Outcome):
         return _without_result(session, log, method, found, provenance)
     return _result(session, log, *found, systematic, provenance)
+
+
+def _estimator(method: str, iterations: int | None) -> Callable[[Observations], Estimate]:
+    """The function of a method's name."""
+    if method in ITERATED_METHODS:
+        iterated = ITERATED_METHODS[method]
+        return lambda observations: iterated(observations, 2 if iterations is None else iterations)
+    if method not in METHODS:
+        known = ", ".join([*METHODS, *ITERATED_METHODS])
+        raise InputError(f"method: expected one of {known}, found {method!r}")
+    if iterations is not None:
+        raise InputError(
+            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
+            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
+        )
+    return METHODS[method]
 
 
 def _systematic(session: Session) -> Mapping[str, float]:
@@ -311,7 +370,8 @@ def _estimated(
     found = None
     if segmentation.rests:
         everything = Match(rests=segmentation.rests, programme=None, position=None)
-        found = observe(reduction, everything, session.accel_block, session.gyro_block, session.site)
+        with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit
+            found = observe(reduction, everything, session.accel_block, session.gyro_block, session.site)
         faults = sense_faults(found, session, reduction.rate)
         if faults:
             return Outcome(reasons=tuple(faults))
@@ -330,11 +390,12 @@ def inspect_session(session: Session, *, progress: Progress = Log.chunks) -> tup
     """The rests and turns of a session as `tumble inspect` shows them, without matching them to a programme."""
     log = open_log(session)
     reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
-    segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
-    if not segmentation.rests:
-        return segmentation, None
-    match = Match(rests=segmentation.rests, programme=None, position=None)
-    return segmentation, observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
+        segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+        if not segmentation.rests:
+            return segmentation, None
+        match = Match(rests=segmentation.rests, programme=None, position=None)
+        return segmentation, observe(reduction, match, session.accel_block, session.gyro_block, session.site)
 
 
 def _provenance(log_sha256: str) -> dict[str, str]:

@@ -3,10 +3,13 @@ error. Exit status 0 accepted, 1 not accepted (reasons on standard error), 2 unu
 
 from __future__ import annotations
 
+import errno
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,19 +21,58 @@ from tumble.errors import InputError, TumbleError
 if TYPE_CHECKING:
     from tumble.log import Chunk, Log
 
-EXISTING_FOLDER = click.Path(path_type=Path)
-FILE = click.Path(path_type=Path, dir_okay=False)
+
+class _NamedPath(click.Path):
+    """A path that is not empty: an empty one, as of a variable that is not set, would be the working folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("expected a path, found an empty one", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+EXISTING_FOLDER = _NamedPath(path_type=Path)
+FILE = _NamedPath(path_type=Path, dir_okay=False)
+METHODS = ["staged", "sequential", "scalar"]
+
+
+class _Refused(click.ClickException):
+    """One line on standard error and exit status 2."""
+
+    exit_code = 2
+
+    def show(self, file: Any = None) -> None:
+        click.echo(f"tumble: {' '.join(self.message.split())}", file=file, err=True)
+
+
+@contextmanager
+def _in_one_line() -> Iterator[None]:
+    """Errors of tumble, of arguments and of files, in one line."""
+    try:
+        yield
+    except TumbleError as error:
+        raise _Refused(str(error)) from error
+    except click.UsageError as error:
+        if "\n" in error.message:
+            raise  # no arguments: the help
+        command = error.ctx.command_path if error.ctx else "tumble"
+        raise _Refused(f"{error.format_message().rstrip('.')}; see `{command} --help`") from None
+    except OSError as error:
+        if error.errno == errno.EPIPE:
+            raise
+        raise _Refused(f"{error.filename or 'standard output'}: {error.strerror or error}") from error
 
 
 class _Commands(click.Group):
-    """Errors of tumble become one line on standard error and exit status 2."""
+    """Commands whose errors are one line on standard error, with exit status 2."""
+
+    def make_context(self, *args: Any, **extra: Any) -> click.Context:
+        with _in_one_line():
+            return super().make_context(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
-        try:
+        with _in_one_line():
             return super().invoke(ctx)
-        except TumbleError as error:
-            click.echo(f"tumble: {' '.join(str(error).split())}", err=True)
-            ctx.exit(2)
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -58,11 +100,14 @@ def _with_progress(log: Log) -> Iterator[Chunk]:
 
 @main.command()
 @click.argument("sessions", metavar="SESSION...", type=EXISTING_FOLDER, nargs=-1, required=True)
-@click.option("--method", type=click.Choice(["staged"]), default="staged", show_default=True, help="How to estimate.")
+@click.option("--method", type=click.Choice(METHODS), default=METHODS[0], show_default=True, help="How to estimate.")
+@click.option("--iterations", type=click.IntRange(min=1), help="Passes of sequential and scalar; default 2.")
 @click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
 @click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
-def calibrate(sessions: tuple[Path, ...], method: str, out: Path | None, force: bool, truth: Path | None) -> None:
+def calibrate(
+    sessions: tuple[Path, ...], method: str, iterations: int | None, out: Path | None, force: bool, truth: Path | None
+) -> None:
     """Calibrate the device of SESSION, a folder with session.toml and a log.
 
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
@@ -78,7 +123,7 @@ def calibrate(sessions: tuple[Path, ...], method: str, out: Path | None, force: 
     known = _read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
     runs = [
-        Run(session=session, calibration=calibrate(session, method=method, progress=_with_progress))
+        Run(session=session, calibration=calibrate(session, method=method, iterations=iterations, progress=_with_progress))
         for session in described
     ]
     result = mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
@@ -93,12 +138,18 @@ def calibrate(sessions: tuple[Path, ...], method: str, out: Path | None, force: 
 
 def _read_truth(path: Path) -> dict[str, float]:
     try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error.strerror}") from error
+    except ValueError as error:
         raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error}") from error
-    if not isinstance(content, dict) or not all(isinstance(v, float | int) for v in content.values()):
+    if not isinstance(content, dict) or not all(map(_finite, content.values())):
         raise InputError(f"{path}: expected an object of parameter names and numbers, found something else")
     return content
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @main.command()

@@ -49,14 +49,14 @@ class ColouredNoise:
 
 
 def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
-    """The noise of the block means of several rests, each (K, c) with K ≥ 8."""
+    """The noise of the block means of several rests, each (K, c), half of them with K ≥ 8."""
     batch = max(1, round(float(np.median([len(rest) for rest in rests])) / BATCHES))
     batched = [rest[: len(rest) // batch * batch].reshape(-1, batch, rest.shape[1]).mean(axis=1) for rest in rests]
-    centred = [rest - rest.mean(axis=0) for rest in batched]
+    centred = [rest - rest.sum(axis=0) / max(1, len(rest)) for rest in batched]
     longest, channels = max(len(c) for c in centred), centred[0].shape[1]
     level = np.ones((len(centred), channels))
     autocovariance = np.zeros((channels, longest))
-    innovations: list[Array] = []
+    innovations: list[list[Array]] = []
     for c in range(channels):
         series = [x[:, c] for x in centred]
         for _ in range(5):  # rests at their levels, until no other rest stands out
@@ -66,7 +66,7 @@ def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
             if np.array_equal(levels == 1.0, level[:, c] == 1.0):
                 break
             level[:, c] = levels
-        innovations.append(np.concatenate([np.convolve(x, coefficients, mode="valid") for x in scaled]))
+        innovations.append([_filtered(x, coefficients) for x in scaled])
     return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=_correlation(innovations), level=level)
 
 
@@ -80,14 +80,13 @@ def _variance_of_mean(autocovariance: Array, batches: float) -> Array:
 
 def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
     """Prediction-error filter (1, −a₁, … −a_p) and autocovariance (longest,) of one channel."""
-    shortest = min(len(x) for x in series)
-    order_limit = min(MAX_ORDER, shortest // 4)
-    total = sum(len(x) for x in series)
+    lengths = [len(x) for x in series]
+    order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), sum(lengths)
     raw = np.zeros(order_limit + 1)
-    for x in series:
-        for lag in range(order_limit + 1):
-            raw[lag] += x[: len(x) - lag] @ x[lag:]
-    raw /= total - len(series) * np.arange(order_limit + 1)  # the number of pairs: any other divisor shortens the memory
+    for lag in range(order_limit + 1):
+        long = [x for x in series if len(x) > lag]
+        raw[lag] = sum(x[: len(x) - lag] @ x[lag:] for x in long)
+        raw[lag] /= sum(len(x) - lag for x in long)  # pairs: another divisor would shorten the memory
     if raw[0] <= 0.0:
         return np.array([1.0]), np.zeros(longest)
     lost = 0.0
@@ -96,7 +95,7 @@ def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
         filters, powers = _levinson(corrected)
         best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
         autocovariance = _continued(corrected, filters[best], longest)
-        now = float(sum(len(x) * _variance_of_mean(autocovariance, len(x)) for x in series) / total)
+        now = float(sum(n * _variance_of_mean(autocovariance, n) for n in lengths if n) / total)
         if abs(now - lost) <= 1e-4 * now:
             break
         lost = now
@@ -132,23 +131,39 @@ def _continued(autocovariance: Array, prediction_filter: Array, length: int) -> 
 
 
 def _levels(series: list[Array], autocovariance: Array) -> Array:
-    """Variance of each rest over the median one, where it differs beyond doubt, else 1."""
-    power = np.array([x @ x / len(x) for x in series])
-    typical = float(np.median(power))
-    if typical <= 0.0 or autocovariance[0] <= 0.0:
-        return np.ones(len(series))
-    correlation = autocovariance / autocovariance[0]
-    independent = np.array([len(x) / (1.0 + 2.0 * (correlation[1 : len(x)] ** 2).sum()) for x in series])
-    deviation = np.sqrt(2.0 / np.maximum(independent, 1.0))
-    beyond = np.abs(np.log(np.maximum(power, 1e-300) / typical)) > LEVEL_SIGMAS * deviation
-    return np.asarray(np.where(beyond, np.maximum(power / typical, 1e-6), 1.0))
+    """Variance of each rest over the median one, where it differs beyond doubt, else 1. What subtracting its mean took
+    from a rest is allowed for; the ratio is judged as a chi-square (Wilson and Hilferty)."""
+    level = np.ones(len(series))
+    long = [i for i, x in enumerate(series) if len(x) > 1]
+    if autocovariance[0] <= 0.0:
+        return level
+    lengths = np.array([len(series[i]) for i in long])
+    expected = autocovariance[0] - np.array([_variance_of_mean(autocovariance, n) for n in lengths])
+    power = np.array([series[i] @ series[i] for i in long]) / lengths / np.maximum(expected, 1e-12 * autocovariance[0])
+    if np.median(power) == 0.0:
+        return level
+    power /= np.median(power)
+    squares = np.cumsum((autocovariance / autocovariance[0]) ** 2)
+    degrees = np.maximum((lengths - 1.0) / (2.0 * squares[lengths - 1] - 1.0), 1.0)
+    sigma = np.sqrt(2.0 / (9.0 * degrees))
+    beyond = np.abs(np.cbrt(power) - 1.0 + sigma**2) > LEVEL_SIGMAS * sigma
+    level[long] = np.where(beyond, np.maximum(power, 1e-6), 1.0)
+    return level
 
 
-def _correlation(innovations: list[Array]) -> Array:
-    """Correlation matrix of the innovations of the channels (channels without noise are uncorrelated)."""
-    shortest = min(len(x) for x in innovations)
-    stacked = np.array([x[-shortest:] for x in innovations])
-    moments = stacked @ stacked.T
+def _filtered(series: Array, coefficients: Array) -> Array:
+    """Innovations of a series from the first sample that has enough before it."""
+    return np.convolve(series, coefficients, mode="valid") if len(series) >= len(coefficients) else series[:0]
+
+
+def _correlation(innovations: list[list[Array]]) -> Array:
+    """Correlation matrix of the innovations of the channels, each a list by rests; filters of different order leave
+    series that end together. Channels without noise are uncorrelated."""
+    moments = np.zeros((len(innovations), len(innovations)))
+    for channels in zip(*innovations, strict=True):
+        shortest = min(len(x) for x in channels)
+        stacked = np.array([x[len(x) - shortest :] for x in channels])
+        moments += stacked @ stacked.T
     scale = np.sqrt(np.diag(moments))
     scale[scale == 0.0] = np.inf
-    return np.asarray(np.where(np.eye(len(stacked)) > 0, 1.0, moments / np.outer(scale, scale)))
+    return np.asarray(np.where(np.eye(len(moments)) > 0, 1.0, moments / np.outer(scale, scale)))

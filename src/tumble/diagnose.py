@@ -36,6 +36,9 @@ SMALL_SCALE_ERROR = 0.1
 UPRIGHT = 20.0 * DEGREE
 """How far a rest may be from its position of the programme to count as that position, or as it upside down."""
 
+BIAS_LIMIT = 100.0
+"""rad/s: what no gyro measures, let alone as its bias."""
+
 REST_SHARE = 0.2
 """At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
 
@@ -203,6 +206,9 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
     nominal = block.nominal()
     miss = _misses(observations, SensorModel(matrix=nominal.matrix, bias=bias))
     if miss.max() < EVIDENT:
+        largest = float(np.abs(bias).max())
+        if largest > BIAS_LIMIT:
+            return [f"the gyros read {largest:.3g} rad/s at rest, as no gyro does: the offset of [log.gyro] is wrong"]
         return _upside_down(observations, session)
     said = (
         "the gyros do not carry the vertical from rest to rest: they miss it by "
@@ -391,8 +397,8 @@ def verdict(estimate: Estimate, observations: Observations) -> Outcome:
     if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
         worst = _turn_named(observations, int(np.argmax(estimate.turn_sigmas)))
         reasons.append(
-            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look for "
-            f"damaged or lost samples of the gyros, first in {worst}"
+            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
+            f"for damaged or lost samples of the gyros, first in {worst}"
         )
     reasons += _misfits(estimate, observations)
     return Outcome(reasons=tuple(reasons), unobservable=missing)

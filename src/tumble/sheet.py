@@ -2,7 +2,7 @@
 
 Pictures are orthographic, from a fixed viewpoint in front of the table: south, a little to the east, above. It is
 chosen so that in no position of a built-in programme two arrows fall together. Picture coordinates are x right,
-y up, z towards the viewer, in half lengths of a body axis or so; `VIEW` takes geographic (N, U, E) to them.
+y up, z towards the viewer, in units of `SCALE` pixels; `VIEW` takes geographic (N, U, E) to them.
 
 A picture is drawn from back to front. That is exact here: the cube is convex and about the origin, and an arrow
 that starts on one of its faces is in front of it or behind it as that face is.
@@ -146,8 +146,8 @@ def _order(programme: Programme) -> str:
 
 
 _CODES = (
-    "Where X, Y, Z point: north, south, east, west, up, down, or an angle above or below the horizon and the "
-    "direction over which it is, 120° being a bearing clockwise from north."
+    "X, Y, Z point to north N, south S, east E, west W, up U or down D; 45° up to E is 45° above the horizon over "
+    "east; 120° is a bearing, clockwise from north."
 )
 _TURNS = (
     "Turns are about north N, up U or east E by the right-hand rule: thumb along the axis, a positive turn goes the "
@@ -166,14 +166,12 @@ def _notes(programme: Programme) -> list[str]:
 # -------------------- the table --------------------
 
 
-def sheet_table(
-    programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE
-) -> RenderableType:
+def sheet_table(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> RenderableType:
     """The sheet for a terminal: how to get to each position, where the body axes point, and when."""
     rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
     table = Table(box=None, pad_edge=False)
     table.add_column("", justify="right")
-    for heading in ("how to get there", "attitude", "X", "Y", "Z", "so that"):
+    for heading in ("how to get there", "attitude", "X", "Y", "Z", "up and down"):
         table.add_column(heading)
     table.add_column("rest", justify="right")
     for row in rows:
@@ -217,12 +215,11 @@ def _line(start: Array, stop: Array, **attributes: object) -> str:
     return _element("line", x1=x1, y1=y1, x2=x2, y2=y2, **attributes)
 
 
-def _label(at: Array, text: str, colour: str, **attributes: object) -> str:
-    """A bold letter centred at a point, with a white rim so that it can be read over anything."""
+def _label(at: Array, text: str, colour: str) -> str:
+    """A bold letter centred at a point."""
     x, y = _xy(at)
-    style = {"stroke": "#ffffff", "stroke_width": 3, "stroke_linejoin": "round", "paint_order": "stroke"}
-    centred = {"text_anchor": "middle", "dominant_baseline": "central", "font_weight": "bold"}
-    return _words("text", text, x=x, y=y, fill=colour, font_size=15, **style, **centred, **attributes)
+    centred = {"text_anchor": "middle", "dy": "0.36em", "font_weight": "bold"}
+    return _words("text", text, x=x, y=y, fill=colour, font_size=17, **centred)
 
 
 def _svg(left: float, top: float, width: float, height: float, *content: str) -> str:
@@ -240,10 +237,10 @@ def _svg(left: float, top: float, width: float, height: float, *content: str) ->
 SCALE = 50.0
 """Pixels of SVG in a unit of length."""
 
-AXIS = 1.3
+AXIS = 1.4
 """Length of the arrow of a body axis, from the middle of the cube to its tip."""
 
-CUBE = 0.55
+CUBE = 0.43
 """Half an edge of the cube."""
 
 
@@ -262,21 +259,23 @@ BODY_COLOURS = {"X": "#c0392b", "Y": "#2e8b57", "Z": "#2c5fa8"}
 _TURN_COLOUR = "#7d3c98"
 _GREY = "#555555"
 _LIGHT = np.array([-0.35, 0.75, 0.56])
-_HEAD, _HEAD_RADIUS = 0.32, 0.105
-_RING, _RING_RADIUS, _RING_HEAD = 1.5, 0.3, 0.5
+_HEAD, _HEAD_RADIUS = 0.34, 0.115
+_RING, _RING_RADIUS, _RING_HEAD = 1.52, 0.3, 0.5
+_HALF = 1.86 * SCALE
+_BEHIND = 1e-6  # an axis of a turn is drawn before the body axis along it
 _MOST_OF_A_RING = 300.0 * DEGREE
 
 
 def picture(position: Position, move: Move = ANY_MOVE) -> str:
     """SVG of a position: a cube with the body axes as arrows, and the turn that leads to it as an arrow about its
     axis."""
-    half = 1.85 * SCALE
-    return _svg(-half, -half, 2 * half, 2 * half, _words("title", _described(position, move)), _scene(position, move))
+    said = _words("title", _described(position, move))
+    return _svg(-_HALF, -_HALF, 2 * _HALF, 2 * _HALF, said, _scene(position, move))
 
 
 def _described(position: Position, move: Move) -> str:
     x, y, z = _points(position)
-    return f"{position.attitude}: X points {x}, Y {y}, Z {z}; {move_text(move)}"
+    return f"{_short(position.attitude)}: X → {x}, Y → {y}, Z → {z}; {move_text(move)}"
 
 
 def _scene(position: Position, move: Move) -> str:
@@ -290,7 +289,7 @@ def _scene(position: Position, move: Move) -> str:
     return "".join(drawn) + _turn_label(move)
 
 
-def _arrow(name: str, tip: Array, colour: str, *, start: float, said: str = "") -> str:
+def _arrow(name: str, tip: Array, colour: str, *, start: float) -> str:
     """An arrow with a cone for its head, from `start` (part of its length) to `tip`, with its letter beyond."""
     length = float(np.linalg.norm(tip))
     along = tip / length
@@ -299,7 +298,7 @@ def _arrow(name: str, tip: Array, colour: str, *, start: float, said: str = "") 
     head = [_cone(tip, base, along, colour), _disc(base, along, colour if along[2] > 0.0 else _mix(colour, 0.0, 0.65))]
     order = [shaft, *head[::-1]] if along[2] > 0.0 else [*head, shaft]
     flat = tip[:2] / max(float(np.hypot(*tip[:2])), 1e-9)
-    return _element("g", *order, _label(tip[:2] + 0.2 * flat, said or name, colour), class_=f"axis-{name}")
+    return _element("g", *order, _label(tip[:2] + 0.2 * flat, name, colour), class_=f"axis-{name}")
 
 
 def _cone(tip: Array, base: Array, along: Array, colour: str) -> str:
@@ -357,8 +356,8 @@ def _turn(move: Move) -> list[tuple[float, str]]:
     style = {"stroke": _TURN_COLOUR, "stroke_width": 1.2, "stroke_dasharray": "7 3 2 3"}
     depth = float(axis[2])
     return [
-        (depth, _line(CUBE * axis, 1.2 * reach * axis, **style)),
-        (-depth, _line(-CUBE * axis, -reach * axis, **style)),
+        (depth - _BEHIND, _line(CUBE * axis, 1.2 * reach * axis, **style)),
+        (-depth - _BEHIND, _line(-CUBE * axis, -0.6 * reach * axis, **style)),
         (depth, _ring(reach * axis, axis, move.angle)),
     ]
 
@@ -394,14 +393,145 @@ def _turn_label(move: Move) -> str:
 
 def legend() -> str:
     """SVG of north, up and east as the pictures have them."""
-    half = 1.85 * SCALE
-    return _svg(-half, -half, 2 * half, 2 * half, _words("title", "Directions in the pictures"), _directions())
+    return _svg(-_HALF, -_HALF, 2 * _HALF, 2 * _HALF, _words("title", "Directions in the pictures"), _directions())
 
 
 def _directions() -> str:
     circle = np.array([VIEW @ [math.cos(t), 0.0, math.sin(t)] for t in np.linspace(0.0, 2.0 * math.pi, 49)])
     ground = _polyline("polygon", circle, fill="#f0f0f0", stroke="#bbbbbb", stroke_width=0.8)
-    names = (("N", "N north"), ("E", "E east"), ("U", "U up"))
-    axes = dict(zip("NUE", VIEW.T, strict=True))
-    arrows = [_arrow(name, AXIS * axes[name], _GREY, start=0.0, said=said) for name, said in names]
+    arrows = [_arrow(name, AXIS * axis, _GREY, start=0.0) for name, axis in zip("NUE", VIEW.T, strict=True)]
     return ground + "".join(arrows)
+
+
+# -------------------- the drawing and the page --------------------
+
+_LEGEND = "N north, U up, E east"
+_COLUMNS, _CELL_WIDTH, _CELL_HEIGHT, _TOP = 4, 230.0, 250.0, 34.0
+
+
+def sheet_drawing(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> str:
+    """One SVG with the picture of every position in order, what it is and how to get there, and the directions."""
+    rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
+    title = f"{programme.name}: {_pace(programme, rows, rate, move)}"
+    cells = [_cell(_directions(), ("", "", _LEGEND))]
+    for row in rows:
+        lines = (f"{row.number}. {row.how}", row.position.label, row.attitude)
+        cells.append(_cell(_scene(row.position, row.move), lines))
+    placed = []
+    for i, cell in enumerate(cells):
+        down, across = divmod(i, _COLUMNS)
+        corner = f"translate({_CELL_WIDTH * across} {_TOP + _CELL_HEIGHT * down})"
+        placed.append(_element("g", cell, transform=corner))
+    width, height = _CELL_WIDTH * _COLUMNS, _TOP + _CELL_HEIGHT * math.ceil(len(cells) / _COLUMNS)
+    paper = _element("rect", width=width, height=height, fill="#ffffff")
+    heading = _words("text", title, x=12, y=24, font_size=15, font_weight="bold")
+    return _svg(0, 0, width, height, _words("title", title), paper, heading, *placed) + "\n"
+
+
+def _cell(scene: str, lines: tuple[str, str, str]) -> str:
+    """A scene with lines of text below it."""
+    middle = 0.5 * _CELL_WIDTH
+    texts = [
+        _words("text", line, x=middle, y=2 * _HALF + 18 + 16 * i, text_anchor="middle", font_size=12, **style)
+        for i, (line, style) in enumerate(zip(lines, ({"font_weight": "bold"}, {}, {"fill": _GREY}), strict=True))
+    ]
+    return _element("g", scene, transform=f"translate({middle} {_HALF})") + "".join(texts)
+
+
+_STYLE = """
+@page { size: A4; margin: 11mm 12mm 11mm 16mm }
+body { font: 9pt/1.3 Helvetica, Arial, sans-serif; color: #111; max-width: 182mm; margin: 0 auto }
+h1 { font-size: 15pt; margin: 0 }
+p { margin: 0 }
+.form { display: flex; gap: 4mm; margin: 1mm 0 2mm }
+.form span { flex: 1 1 0; border-bottom: .3mm solid #888; padding-top: 4mm }
+.head { display: flex; gap: 4mm; align-items: center; margin: 0 0 1mm; font-size: 8pt }
+.head svg { width: 28mm; height: 28mm; flex: none }
+.head ul { margin: .5mm 0; padding-left: 4mm }
+table { border-collapse: collapse; width: 100%; table-layout: fixed }
+thead th { text-align: left; font-weight: normal; color: #555; border-bottom: .5mm solid #111; padding: 0 2mm .5mm 0 }
+tr { break-inside: avoid }
+tbody td { border-bottom: .2mm solid #bbb; padding: 0 2mm 0 0; vertical-align: middle }
+td svg { display: block; width: 28mm; height: 28mm }
+.number { font-size: 15pt; font-weight: bold }
+.box { display: block; width: 6mm; height: 6mm; border: .4mm solid #111; margin-top: 1mm }
+.how { font-weight: bold; font-size: 10pt }
+.code { font-family: monospace }
+.line { border-bottom: .3mm solid #888; height: 7.5mm; display: flex; align-items: flex-end; color: #555 }
+.line span { flex: 1 1 0 }
+"""
+
+
+def sheet_page(
+    programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE, serial: str = ""
+) -> str:
+    """A page of HTML to print on A4 and take to the table: every position with its picture, a box to tick and lines
+    for times and notes. It needs nothing else: no script, no other file. Without a serial number a line is left
+    for it."""
+    rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
+    head = _element("head", _element("meta", charset="utf-8"), _words("title", programme.name), _style())
+    body = _element(
+        "body",
+        _words("h1", programme.name),
+        _words("p", _pace(programme, rows, rate, move)),
+        _form(serial),
+        _head(programme),
+        _positions(rows),
+    )
+    return "<!DOCTYPE html>\n" + _element("html", head, body, lang="en") + "\n"
+
+
+def _style() -> str:
+    return _element("style", _STYLE)
+
+
+def _form(serial: str) -> str:
+    asked = (f"Device {serial}".rstrip(), "Operator", "Date", "Place", "Log")
+    return _element("div", *(_words("span", text) for text in asked), class_="form")
+
+
+def _head(programme: Programme) -> str:
+    colours = [_words("b", name, style=f"color: {colour}") for name, colour in BODY_COLOURS.items()]
+    key = _element("p", "Pictures: ", ", ".join(colours), f" body axes; {_LEGEND}, as drawn here.")
+    notes = _element("ul", *(_words("li", note) for note in _notes(programme)))
+    return _element("div", legend(), _element("div", key, notes, class_="notes"), class_="head")
+
+
+def _positions(rows: Sequence[Row]) -> str:
+    columns = (("", "9mm"), ("position", "32mm"), ("how to get there", "70mm"), ("times and notes", "auto"))
+    widths = _element("colgroup", *(_element("col", style=f"width: {width}") for _, width in columns))
+    heads = _element("thead", _element("tr", *(_words("th", heading) for heading, _ in columns)))
+    return _element("table", widths, heads, _element("tbody", *map(_position, rows)))
+
+
+def _position(row: Row) -> str:
+    points = ", ".join(f"{name} → {where}" for name, where in zip("XYZ", row.points, strict=True))
+    words = (
+        _words("div", row.how, class_="how"),
+        _words("div", row.position.label),
+        _words("div", points),
+        _words("div", row.attitude, class_="code"),
+        _words("div", f"rest {row.when}"),
+    )
+    times = _element("div", _words("span", "start"), _words("span", "stop"), class_="line")
+    number = _words("span", str(row.number), class_="number") + _element("span", "", class_="box")
+    note = _element("div", "", class_="line")
+    cells = (number, picture(row.position, row.move), "".join(words), times + 2 * note)
+    return _element("tr", *(_element("td", cell) for cell in cells))
+
+
+def write_sheet(
+    path: Path, programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE, serial: str = ""
+) -> None:
+    """Write the page (.html) or the drawing (.svg) by the ending of `path`. Raises InputError for another ending and
+    where it cannot be written, and ProgrammeError as `sheet_rows`."""
+    if path.suffix == ".html":
+        text = sheet_page(programme, rest=rest, rate=rate, move=move, serial=serial)
+    elif path.suffix == ".svg":
+        text = sheet_drawing(programme, rest=rest, rate=rate, move=move)
+    else:
+        raise InputError(f"{path}: expected a name that ends in .html or .svg, found {path.suffix or 'no ending'!r}")
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: expected a file that can be written: {error.strerror or error}") from error

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+import sys
 from collections.abc import Mapping
 
 import numpy as np
@@ -69,7 +71,7 @@ def launch_table(calibration: Calibration) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
     for launch in calibration.launches:
-        table.add_column(launch.session, justify="right")
+        table.add_column(Text(launch.session), justify="right")
     table.add_column("unit")
     units = {group: _group_unit(calibration.parameters, group) for group in map(_group, calibration.parameters)}
     for parameter in calibration.parameters:
@@ -262,7 +264,10 @@ def _numbers(chosen: BoolArray) -> str:
 
 
 def print_report(report: RenderableType) -> None:
-    """Print to standard output, as wide as the terminal, or as needed where there is none."""
+    """Print to standard output, as wide as the terminal, or as needed where there is none; characters that it cannot
+    show become question marks."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
     console = Console(highlight=False, soft_wrap=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=160)

@@ -45,7 +45,7 @@ from tumble.rotation import rotation_matrix
 from tumble.units import Array
 
 MAX_PASSES = 30
-NEGLIGIBLE = 1e-3
+NEGLIGIBLE = 1e-2
 """Of the uncertainties, or of the steps of the differences: increments that mean nothing."""
 
 
