@@ -76,7 +76,7 @@ def flicker(rng: np.random.Generator, rests: int, blocks: int) -> Array:
     spectrum = rng.standard_normal((len(frequency), CHANNELS)) + 1j * rng.standard_normal((len(frequency), CHANNELS))
     spectrum /= np.sqrt(frequency)[:, None]
     record = np.fft.irfft(np.vstack([np.zeros(CHANNELS), spectrum]), length, axis=0)
-    return record[: rests * pitch].reshape(rests, pitch, CHANNELS)[:, :blocks]
+    return np.asarray(record[: rests * pitch].reshape(rests, pitch, CHANNELS)[:, :blocks])
 
 
 def reduced_chi_square(noise: Noise, sets: Sets, repetitions: int, seed: int) -> tuple[float, float]:

@@ -21,6 +21,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -28,6 +29,7 @@ import pytest
 from click.testing import CliRunner
 
 from tumble.cli import main
+from tumble.units import DEGREE, G_STANDARD
 
 ROOT = Path(__file__).parents[1]
 RUN = ("README.md", "docs/tutorial.md", "docs/conventions.md", "docs/xsens.md")
@@ -212,6 +214,20 @@ def test_every_page_is_reached_from_the_index() -> None:
 def test_the_licence_is_the_unmodified_text_of_apache_2_0() -> None:
     digest = hashlib.sha256((ROOT / "LICENSE").read_bytes()).hexdigest()
     assert digest == "c71d239df91726fc519c6eb72d318ec65820627232b2f796219e87dcf35d0ab4"
+
+
+THRESHOLD = re.compile(r"^\| `([A-Z_]+)` \| ([a-z.]+) \| ([0-9.e-]+) ?(s|rad|°|mg|) \|", re.M)
+SI = {"": 1.0, "s": 1.0, "rad": 1.0, "°": DEGREE, "mg": 1e-3 * G_STANDARD}
+
+
+def test_the_thresholds_of_the_method_are_those_of_the_code() -> None:
+    text = (ROOT / "docs/method-staged.md").read_text(encoding="utf-8")
+    rows = THRESHOLD.findall(text)
+    assert len(rows) == 17
+    for name, module, value, unit in rows:
+        assert getattr(import_module(f"tumble.{module}"), name) == pytest.approx(float(value) * SI[unit]), name
+    for name in re.findall(r"`([A-Z][A-Z_]+)`", text):
+        assert name in {row[0] for row in rows}, f"{name} is not in the table of thresholds"
 
 
 # -------------------- today's outputs --------------------

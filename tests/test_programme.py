@@ -11,13 +11,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tumble.errors import ProgrammeError
-from tumble.programme import ANY_MOVE, BUILT_IN, attitude, from_attitudes, programme
-from tumble.rotation import rotation_matrix
+from tumble.programme import (
+    ANY_MOVE,
+    BUILT_IN,
+    Move,
+    Position,
+    Programme,
+    attitude,
+    duration,
+    from_attitudes,
+    programme,
+    timetable,
+)
+from tumble.rotation import rotation_matrix, skew
 from tumble.units import DEGREE, Array
 
 N, U, E = np.eye(3)
 R = 0.5**0.5
 OBLIQUE_U = [(R, -R, 0), (R, 0, -R), (0, R, -R)]
+
+FACES = ("UEN", "DWN", "NUE", "NDW", "ENU", "WND")
 
 turns = st.tuples(st.sampled_from("NUE"), st.sampled_from("+-"), st.floats(0.0, 360.0))
 
@@ -157,18 +170,100 @@ def test_rough_table_turns_have_the_published_condition_number() -> None:
     assert np.linalg.cond(H) == pytest.approx(math.sqrt(2.0) * math.pi / 2.0, rel=1e-12)
 
 
+def rows_of_rests(made: Programme) -> Array:
+    """H of Eq. (13), (N, 9): bias/g, scale factors and axis angles of three accelerometers in (w² − g²)/2g²."""
+    u = np.array([p.vertical_b for p in made.positions])
+    return np.column_stack([u, u**2, u[:, 0] * u[:, 1], u[:, 0] * u[:, 2], u[:, 1] * u[:, 2]])
+
+
+def shortest_turn(start: Position, end: Position) -> tuple[Array, float]:
+    """Geographic axis and angle, rad, from one attitude to another; of a half turn, either axis."""
+    C = end.matrix @ start.matrix.T
+    angle = math.acos(max(-1.0, min(1.0, (float(np.trace(C)) - 1.0) / 2.0)))
+    doubled = (C + C.T) / 2.0 - math.cos(angle) * np.eye(3)  # (1 − cos a) n nᵀ
+    axis = doubled[:, np.argmax(np.diag(doubled))]
+    axis = axis / np.linalg.norm(axis)
+    if math.sin(angle) * float(axis @ [C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]]) < 0.0:
+        axis = -axis
+    np.testing.assert_allclose(rotation_matrix(angle * axis) @ start.matrix, end.matrix, atol=1e-9)
+    return axis, angle
+
+
+def rows_of_turns(made: Programme) -> Array:
+    """H_G (2K, 9) of Eq. (6.2), for perfect accelerometers: the gyro matrix in the tilts after the programmed turns,
+    or if there are none, after moves from each position to the next the shortest way."""
+    rows: list[Array] = []
+    named = any(move.angle is not None for move in made.moves)
+    for start, end, move in zip(made.positions[:-1], made.positions[1:], made.moves, strict=True):
+        if move.axis is None or move.angle is None:
+            if named:
+                continue
+            n, angle = shortest_turn(start, end)
+        else:
+            n, angle = move.axis, move.angle
+        along = np.outer(n, n)
+        K = angle * along + math.sin(angle) * (np.eye(3) - along) + (1.0 - math.cos(angle)) * skew(n)
+        psi = np.einsum("ij,ja,b->iab", K, start.matrix, start.matrix.T @ n).reshape(3, 9)  # of F n, F = C E Cᵀ
+        rows += [-psi[2], psi[0]]
+    return np.array(rows)
+
+
+def test_rough_table_turns_have_the_published_condition_number_by_the_general_formula_too() -> None:
+    assert np.linalg.cond(rows_of_turns(programme("rough-table"))) == pytest.approx(2.2214, abs=5e-5)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_built_in_programme_shows_all_scale_factors_and_angles(name: str) -> None:
+    """Accelerometers by the rests, gyros by the turns; well enough that no direction is seen 10 times worse."""
+    made = programme(name)
+    for H in (rows_of_rests(made), rows_of_turns(made)):
+        assert H.shape[1] == 9
+        assert np.linalg.cond(H) < 10.0
+
+
 def test_nine_positions_have_the_published_condition_number() -> None:
-    """Turntable method §3: nine directions, det 1, cond 6.48 for Eq. (13)."""
+    """Turntable method §3: nine directions, det 1, cond 6.48 for Eq. (13); uncertainties in those of a rest."""
     made = programme("nine")
     u = np.array([p.vertical_b for p in made.positions])
     x, y, z = np.eye(3)
     np.testing.assert_allclose(u, [x, -x, y, -y, z, -z, *np.array(OBLIQUE_U)], atol=1e-15)
-    H = np.column_stack([u, u**2, u[:, 0] * u[:, 1], u[:, 0] * u[:, 2], u[:, 1] * u[:, 2]])
+    H = rows_of_rests(made)
     assert abs(np.linalg.det(H)) == pytest.approx(1.0, rel=1e-9)
     assert np.linalg.cond(H) == pytest.approx(6.48, abs=0.005)
+    np.testing.assert_allclose(uncertainties(H), np.repeat([0.707, 0.707, 2.646], 3), atol=5e-4)
 
 
-@pytest.mark.parametrize(("name", "kinds"), [("cube-14", {1, 3}), ("cube-26", {1, 2, 3}), ("cube-12", {2})])
+def uncertainties(H: Array) -> Array:
+    """Of the nine parameters, for unit uncertainty of every row."""
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(H.T @ H))))
+
+
+def test_faces_and_edges_have_the_published_condition_number() -> None:
+    """Turntable method §3: cond 2.45; angles, for the same number of rests as in programme `nine`, 1.41."""
+    H = rows_of_rests(programme("faces-edges-18"))
+    assert H.shape == (18, 9)
+    assert np.linalg.cond(H) == pytest.approx(2.45, abs=0.005)
+    np.testing.assert_allclose(uncertainties(H)[6:] * math.sqrt(18 / 9), 1.41, atol=0.005)
+
+
+def test_faces_alone_show_no_angle_between_axes() -> None:
+    H = rows_of_rests(from_attitudes(FACES))
+    assert np.linalg.matrix_rank(H) == 6
+    np.testing.assert_allclose(H[:, 6:], 0.0, atol=1e-15)
+
+
+def test_vertices_alone_show_only_the_sum_of_scale_factors() -> None:
+    vertices = [p.attitude for p in programme("cube-14").positions if np.all(np.abs(p.vertical_b) > 0.1)]
+    H = rows_of_rests(from_attitudes(vertices))
+    assert len(vertices) == 8
+    assert np.linalg.matrix_rank(H) == 7
+    np.testing.assert_allclose(H[:, 3:6], 1.0 / 3.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [("cube-14", {1, 3}), ("cube-26", {1, 2, 3}), ("cube-12", {2}), ("faces-edges-18", {1, 2})],
+)
 def test_a_cube_stands_on_every_face_edge_or_vertex_once(name: str, kinds: set[int]) -> None:
     made = programme(name)
     signs = np.array([s for s in product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(s) in kinds])
@@ -217,3 +312,44 @@ def test_an_unknown_programme_is_one_line_that_lists_the_known_ones(name: str) -
 def test_no_positions_is_an_error() -> None:
     with pytest.raises(ProgrammeError, match="expected at least one position, found none"):
         from_attitudes([])
+
+
+def test_rough_table_takes_twenty_minutes_at_rests_of_a_minute() -> None:
+    """15 rests of 60 s, nine turns by 180° at 10°/s, five other moves of 30 s."""
+    made = programme("rough-table")
+    asked = {"rest": 60.0, "rate": 10.0 * DEGREE, "move": 30.0}
+    assert duration(made, **asked) == pytest.approx(15 * 60 + 9 * 18 + 5 * 30, rel=1e-12)
+    starts = [0, 78, 156, 234, 324, 402, 480, 558, 648, 726, 804, 882, 972, 1062, 1152]
+    np.testing.assert_allclose(timetable(made, **asked), [[s, s + 60] for s in starts], rtol=1e-12)
+
+
+@given(
+    st.lists(st.one_of(st.none(), st.floats(-6.28, 6.28)), max_size=8),
+    st.floats(0.1, 1e4),
+    st.floats(1e-3, 10.0),
+    st.floats(0.0, 1e4),
+)
+def test_a_programme_takes_as_long_as_its_rests_turns_and_moves(
+    angles: list[float | None], rest: float, rate: float, move: float
+) -> None:
+    moves = tuple(ANY_MOVE if a is None else Move(axis=U, angle=a) for a in angles)
+    listed = from_attitudes(["NUE"] * (len(angles) + 1))
+    made = Programme(name="made", positions=listed.positions, moves=moves, ordered=True)
+    moving = sum(move if a is None else abs(a) / rate for a in angles)
+    assert duration(made, rest=rest, rate=rate, move=move) == pytest.approx((len(angles) + 1) * rest + moving, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"rest": 0.0}, "rest: expected a positive number of seconds, found 0"),
+        ({"rest": math.nan}, "rest: expected a positive number of seconds, found nan"),
+        ({"rate": -10.0 * DEGREE}, "rate: expected a positive number of deg/s, found -10"),
+        ({"rate": math.inf}, "rate: expected a positive number of deg/s, found inf"),
+        ({"move": -1.0}, "move: expected a number of seconds, not negative, found -1"),
+    ],
+)
+def test_an_impossible_pace_is_one_line(asked: dict[str, float], said: str) -> None:
+    with pytest.raises(ProgrammeError) as caught:
+        duration(programme("nine"), **({"rest": 60.0, "rate": 0.2, "move": 30.0} | asked))
+    assert str(caught.value) == said

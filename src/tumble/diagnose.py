@@ -28,7 +28,7 @@ CARRIED = 0.25
 """rad: the turns of nominal gyros miss the vertical by less at the mean, unless a unit, a sign or a column is wrong."""
 
 EVIDENT = 0.5
-"""rad: no turn of nominal gyros misses the vertical by as much: bias, scale and axis errors of 5 % leave less."""
+"""rad: no half turn of nominal gyros misses the vertical by as much: bias, scale and axis errors of 5 % leave less."""
 
 SMALL_SCALE_ERROR = 0.1
 """Scale-factor errors that a calibration is for."""
@@ -204,7 +204,8 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
         return _upside_down(observations, session)
     bias = np.median(observations.rests.gyro, axis=0)
     nominal = block.nominal()
-    miss = _misses(observations, SensorModel(matrix=nominal.matrix, bias=bias))
+    assumed = SensorModel(matrix=nominal.matrix, bias=bias)
+    miss = _misses(observations, assumed)
     if miss.max() < EVIDENT:
         largest = float(np.abs(bias).max())
         if largest > BIAS_LIMIT:
@@ -235,25 +236,33 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
     scales = [(explains(nominal.matrix * ratio), float(ratio)) for ratio in np.geomspace(0.2, 5.0, 131)]
     best, ratio = min(scales)
     if best < np.inf:
-        if abs(np.log(ratio)) < SMALL_SCALE_ERROR:
-            return _upside_down(observations, session)  # many revolutions
+        if abs(np.log(ratio)) < SMALL_SCALE_ERROR:  # many revolutions
+            return _upside_down(observations, session)
         clock = f", or log.rate_hz {_times(1.0 / ratio)}" if session.log.rate is not None else ""
         return [f"{said}; the nominal scale of [log.gyro] is about {_times(ratio)}{clock}"]
-    if np.median(miss) < CARRIED:
-        return [*_lost_in(observations, miss)]
+    per_half_turn = miss / np.maximum(1.0, _turned(observations, assumed) / np.pi)
+    if np.median(per_half_turn) < CARRIED:
+        lost = [_lost(observations, int(k), float(miss[k])) for k in np.flatnonzero(per_half_turn >= EVIDENT)]
+        return lost or _upside_down(observations, session)
     return [
         f"{said}, and no other unit, scale, sign or order of columns explains it: check the columns, the unit and "
         "[log.gyro] axes"
     ]
 
 
-def _lost_in(observations: Observations, miss: Array) -> Iterator[str]:
-    """The turns in which nominal gyros lose the vertical."""
-    for k in np.flatnonzero(miss >= EVIDENT):
-        yield (
-            f"the gyros lose the vertical in {_turn_named(observations, int(k))}: they miss it by "
-            f"{miss[k] / DEGREE:.0f}°; look there for damaged or lost samples"
-        )
+def _lost(observations: Observations, k: int, miss: float) -> str:
+    """Turn k, in which nominal gyros lose the vertical, in words."""
+    return (
+        f"the gyros lose the vertical in {_turn_named(observations, k)}: they miss it by {miss / DEGREE:.0f}°; look "
+        "there for damaged or lost samples"
+    )
+
+
+def _turned(observations: Observations, gyro: SensorModel) -> Array:
+    """About how far (K,) each turn went, rad, whole revolutions included."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        M = observations.turns_about(gyro).M
+        return np.asarray(np.nan_to_num(np.sqrt((M**2).sum(axis=(1, 2, 3)))))
 
 
 def _misses(observations: Observations, gyro: SensorModel) -> Array:

@@ -134,9 +134,9 @@ def timetable(programme: Programme, *, rest: float, rate: float, move: float) ->
     `rate` rad/s, and `move` s for each other move.
 
     Raises ProgrammeError unless rest and rate are positive and move is not negative."""
-    _expect("rest", rest, "a positive number of s", 0.0 < rest < math.inf)
+    _expect("rest", rest, "a positive number of seconds", 0.0 < rest < math.inf)
     _expect("rate", rate / DEGREE, "a positive number of deg/s", 0.0 < rate < math.inf)
-    _expect("move", move, "a number of s, not negative", 0.0 <= move < math.inf)
+    _expect("move", move, "a number of seconds, not negative", 0.0 <= move < math.inf)
     moved = [move if m.angle is None else abs(m.angle) / rate for m in programme.moves]
     starts = np.concatenate([[0.0], np.cumsum(np.array(moved) + rest)])
     return np.column_stack([starts, starts + rest])
@@ -205,18 +205,21 @@ def _nine() -> Programme:
 
 
 def _cube(name: str, *kinds: int) -> Programme:
-    """Positions of a cube on faces (1), edges (2), vertices (3): so many body axes are off the horizon."""
+    """Positions of a cube on faces (1), edges (2), vertices (3): so many body axes are off the horizon. The azimuth
+    changes from each to the next: the turns between them, taken as listed, then depend on every gyro parameter."""
     signs = [s for kind in kinds for s in product((1, 0, -1), repeat=3) if np.count_nonzero(s) == kind]
-    return _listed(name, [_standing(np.array(s, dtype=float)) for s in signs], ordered=False)
+    return _listed(name, [_standing(np.array(s, dtype=float), k) for k, s in enumerate(signs)], ordered=False)
 
 
-def _standing(signs: Array) -> str:
+def _standing(signs: Array, choice: int) -> str:
     """A code with the vertical along `signs`, body components 1, 0 or −1: from a right-handed triple, +45°
-    about N lifts the axes that pointed U and W, and atan(1/√2) about E lifts the one that pointed N."""
+    about N lifts the axes that pointed U and W, and atan(1/√2) about E lifts the one that pointed N. The two to
+    four triples that do so differ in azimuth; `choice` goes round them."""
     lifts = {1: "", 2: " N+45", 3: f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"}
     lift = lifts[int(np.count_nonzero(signs))]
     up = signs / np.linalg.norm(signs)
-    return next(code + lift for code in _TRIPLES if np.allclose(attitude(code + lift)[1], up, atol=1e-9))
+    codes = [code + lift for code in _TRIPLES if np.allclose(attitude(code + lift)[1], up, atol=1e-9)]
+    return codes[choice % len(codes)]
 
 
 _TRIPLES = [

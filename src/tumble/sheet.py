@@ -140,8 +140,8 @@ def _order(programme: Programme) -> str:
     if programme.ordered:
         return "In this order. Any move may be made between positions except where a turn is given."
     return (
-        "In any order, and turned about the vertical in any way: only what is up and down counts. "
-        "The directions given are one way of standing so."
+        "In any order, and each turned about the vertical in any way: only what is up and down counts. The order and "
+        "the directions given make the turns between the positions varied, which is good for gyros."
     )
 
 
@@ -252,7 +252,7 @@ def _view(east_of_south: float, above: float) -> Array:
     return np.stack([right, np.cross(towards, right), towards])
 
 
-VIEW = _view(18.0 * DEGREE, 37.0 * DEGREE)
+VIEW = _view(22.0 * DEGREE, 42.0 * DEGREE)
 """Geographic (N, U, E) → picture (right, up, towards the viewer), a rotation."""
 
 BODY_COLOURS = {"X": "#c0392b", "Y": "#2e8b57", "Z": "#2c5fa8"}
@@ -456,6 +456,7 @@ td svg { display: block; width: 28mm; height: 28mm }
 .number { font-size: 15pt; font-weight: bold }
 .box { display: block; width: 6mm; height: 6mm; border: .4mm solid #111; margin-top: 1mm }
 .how { font-weight: bold; font-size: 10pt }
+.points span { white-space: nowrap }
 .code { font-family: monospace }
 .line { border-bottom: .3mm solid #888; height: 7.5mm; display: flex; align-items: flex-end; color: #555 }
 .line span { flex: 1 1 0 }
@@ -505,11 +506,11 @@ def _positions(rows: Sequence[Row]) -> str:
 
 
 def _position(row: Row) -> str:
-    points = ", ".join(f"{name} → {where}" for name, where in zip("XYZ", row.points, strict=True))
+    points = [_words("span", f"{name} → {where}") for name, where in zip("XYZ", row.points, strict=True)]
     words = (
         _words("div", row.how, class_="how"),
         _words("div", row.position.label),
-        _words("div", points),
+        _element("div", ", ".join(points), class_="points"),
         _words("div", row.attitude, class_="code"),
         _words("div", f"rest {row.when}"),
     )

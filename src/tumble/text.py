@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -16,6 +17,9 @@ from tumble.calibration import Calibration, Parameter
 from tumble.observe import Observations
 from tumble.segment import Segmentation
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, BoolArray, engineering, rounded
+
+if TYPE_CHECKING:
+    from tumble.noise import Panel
 
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
@@ -144,6 +148,26 @@ def _truth_line(calibration: Calibration, truth: Mapping[str, float]) -> str:
     z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
     rms = math.sqrt(sum(v * v for v in z) / len(z)) if z else math.nan
     return f"truth: {len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+
+
+def noise_report(source: str, panels: Sequence[Panel]) -> RenderableType:
+    """Noise coefficients of every channel."""
+    from tumble.noise import shown  # it loads more of SciPy than the other commands need
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("sensor", "noise", "symbol"):
+        table.add_column(heading)
+    for heading in ("value", "u (k=1)"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    for panel in panels:
+        for channel, parameters in zip(panel.channels, panel.parameters, strict=True):
+            coefficients = shown(parameters, panel.unit)
+            for c in coefficients:
+                table.add_row(channel, c.name, c.symbol, c.value, c.u, c.unit)
+            if not coefficients:
+                table.add_row(channel, "none that the record shows")
+    return Group(Text(source), Text(""), table)
 
 
 def inspection_report(segmentation: Segmentation, observations: Observations | None) -> RenderableType:

@@ -1,0 +1,97 @@
+"""The record at rest that the noise is taken from, and the command `tumble noise`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from tumble.cli import main
+from tumble.errors import InputError
+from tumble.noise import Panel
+from tumble.quiet_record import longest_rest, noise_panels, whole_log
+from tumble.session import read_session
+from tumble.simulate import GRADES, Request, simulate_session
+from tumble.units import DEGREE
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("noise") / "session"
+    return simulate_session(folder, Request(grade="mems", positions=4), seed=3)
+
+
+def test_the_longest_rest_is_the_first_of_a_hand_held_session(session: Path) -> None:
+    record = longest_rest(read_session(session))
+    seconds = len(record.accel) / record.rate
+    assert 38.0 < seconds <= 40.0  # 40 s less a margin
+    assert len(record.gyro) == len(record.accel)
+    assert np.ptp(record.gyro[:, 0]) < 5.0 * DEGREE  # no turn is in it
+
+
+def test_the_noise_of_a_simulated_session_is_what_was_put_in(session: Path) -> None:
+    white = GRADES["mems"].noise
+    for panel, expected in zip(
+        noise_panels(longest_rest(read_session(session))), (white.accel_white, white.gyro_white), strict=True
+    ):
+        for parameters in panel.parameters:
+            found = parameters.white_noise
+            assert found is not None
+            assert abs(found.value - expected) < 6.0 * found.u
+            assert found.u < 0.1 * expected
+
+
+def test_all_of_a_log_is_taken_in_the_units_of_the_options(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    columns = {name: rng.normal(size=4000) for name in ("a", "b", "c", "p", "q", "r")}
+    pl.DataFrame(columns).write_csv(tmp_path / "still.csv")
+    layout = {
+        "rate_hz": 100.0,
+        "accel": {"columns": ["a", "b", "c"], "unit": "mg"},
+        "gyro": {"columns": ["p", "q", "r"], "unit": "deg/s"},
+    }
+    record = whole_log(tmp_path / "still.csv", layout)
+    np.testing.assert_allclose(record.gyro[:, 0], columns["p"] * DEGREE, rtol=1e-15)
+    np.testing.assert_allclose(record.accel[:, 2], columns["c"] * 9.80665e-3, rtol=1e-15)
+
+
+def test_a_log_without_its_description_is_refused_in_one_line(tmp_path: Path) -> None:
+    pl.DataFrame({"a": [0.0] * 100}).write_csv(tmp_path / "still.csv")
+    file = str(tmp_path / "still.csv")
+    result = CliRunner().invoke(main, ["noise", file])
+    assert result.exit_code == 2
+    assert "--accel" in result.stderr
+    result = CliRunner().invoke(main, ["noise", file, "--accel", "a,b,c"])
+    assert result.exit_code == 2
+    assert "log.rate_hz" in result.stderr
+    assert str(tmp_path / "still.csv") in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_the_command_prints_a_row_for_every_sensor_and_draws(session: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "noise.svg"
+    result = CliRunner().invoke(main, ["noise", str(session), "--plot", str(picture)])
+    assert result.exit_code == 0, result.stderr
+    for column in read_session(session).log.columns[1:]:
+        assert column in result.stdout
+    assert "°/√h" in result.stdout
+    assert picture.read_text().startswith("<?xml")
+
+
+def test_a_session_without_rest_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = simulate_session(tmp_path / "s", Request(grade="mems", positions=3), seed=3)
+    monkeypatch.setattr("tumble.segment.MIN_REST_SECONDS", 1e6)
+    with pytest.raises(InputError, match="expected a rest"):
+        longest_rest(read_session(folder))
+
+
+def test_a_log_without_gyros_has_one_panel(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    pl.DataFrame({name: rng.normal(size=4000) for name in "abc"}).write_parquet(tmp_path / "still.parquet")
+    record = whole_log(tmp_path / "still.parquet", {"rate_hz": 50.0, "accel": {"columns": list("abc"), "unit": "g"}})
+    panels = noise_panels(record)
+    assert [type(p) for p in panels] == [Panel]
+    assert panels[0].title == "accelerometers"
