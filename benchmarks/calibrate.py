@@ -1,8 +1,8 @@
 """How long `tumble calibrate` takes, and how much memory, against reading the same file with polars.
 
 Whole process: start-up of `tumble --help`, and `tumble calibrate` on the Xsens recording (TUMBLE_DATA) and on a
-simulated hour at 1 kHz, Parquet and CSV, with peak memory. In process, imports and compilation excluded: calibrating the
-hour against the time polars takes to read the same columns into memory, pair by pair. Memory of a file of 20 million
+simulated hour at 1 kHz, Parquet and CSV, with peak memory. In process, imports and compilation excluded: calibrating
+the hour against the time polars takes to read the same columns into memory, pair by pair. Memory of 20 million
 rows. Usage: python benchmarks/calibrate.py [--short]
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import platform
-import resource
 import shutil
 import statistics
 import subprocess
@@ -19,6 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import polars as pl
 
@@ -28,6 +28,7 @@ from tumble.simulate import Request, simulate_session
 
 TUMBLE = Path(sys.executable).with_name("tumble")
 DATA = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data")
+CPUINFO = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
 RUNS = 5
 
 
@@ -62,37 +63,48 @@ def against_polars(folder: Path) -> tuple[float, float, float]:
     return statistics.median(a / b for a, b in pairs), statistics.median(ours), statistics.median(theirs)
 
 
-def hour(folder: Path, log_format: str, rest: float) -> Path:
-    """A session of about an hour at 1 kHz (less in the short form)."""
+def machine() -> str:
+    """The machine in words."""
+    cpu = next((line.split(":")[1].strip() for line in CPUINFO if line.startswith("model name")), platform.machine())
+    return f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}, polars {pl.__version__}"
+
+
+def rows_of(log: Path) -> int:
+    scan = pl.scan_parquet(log) if log.suffix == ".parquet" else pl.scan_csv(log)
+    return int(scan.select(pl.len()).collect().item())
+
+
+def session_of(folder: Path, log_format: Literal["csv", "parquet"], rest: float) -> Path:
+    """A session at 1 kHz with 15 rests of so many seconds."""
     request = Request(programme="rough-table", rest=rest, sample_rate=1000.0)
-    return simulate_session(folder, request, seed=5, log_format=log_format)  # type: ignore[arg-type]
+    return simulate_session(folder, request, seed=5, log_format=log_format)
 
 
 def main() -> None:
     short = "--short" in sys.argv
+    lines = [machine()]
     with tempfile.TemporaryDirectory() as temporary:
-        lines = [f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"]
-        wall, _ = process("--help")
-        lines.append(f"tumble --help                       {wall:6.2f} s")
         out = str(Path(temporary) / "out.json")
+        wall, _ = process("--help")
+        lines.append(f"tumble --help {wall:.3f} s")
         if (DATA / "xsens-mti").is_dir():
             wall, peak = process("calibrate", str(DATA / "xsens-mti"), "--out", out, "--force")
-            lines.append(f"tumble calibrate xsens-mti          {wall:6.2f} s {peak:6.0f} MB")
+            lines.append(f"tumble calibrate xsens-mti: {wall:.2f} s, peak {peak:.0f} MB")
         for log_format in ("parquet", "csv"):
-            folder = hour(Path(temporary) / log_format, log_format, 10.0 if short else 225.0)
-            rows = pl.scan_parquet(folder / "log.parquet").select(pl.len()).collect().item() if log_format == "parquet" else rows
+            folder = session_of(Path(temporary) / log_format, log_format, 10.0 if short else 225.0)
             wall, peak = process("calibrate", str(folder), "--out", out, "--force")
-            lines.append(f"tumble calibrate, {rows:>9,} {log_format:7} {wall:6.2f} s {peak:6.0f} MB")
+            rows = rows_of(folder / f"log.{log_format}")
+            lines.append(f"tumble calibrate, {rows:,} rows {log_format}: {wall:.2f} s, peak {peak:.0f} MB")
             ratio, ours, theirs = against_polars(folder)
-            lines.append(f"  in process {ours:.2f} s, polars reads it in {theirs:.2f} s, ratio {ratio:.2f}")
+            lines.append(f"    in process {ours:.3f} s; polars reads it in {theirs:.3f} s; ratio {ratio:.2f}")
             shutil.rmtree(folder)
         if not short:
-            folder = hour(Path(temporary) / "long", "parquet", 1317.0)
-            rows = pl.scan_parquet(folder / "log.parquet").select(pl.len()).collect().item()
+            folder = session_of(Path(temporary) / "long", "parquet", 1320.0)
             wall, peak = process("calibrate", str(folder), "--out", out, "--force")
-            lines.append(f"tumble calibrate, {rows:>10,} rows   {wall:6.2f} s {peak:6.0f} MB")
-        print(*lines, sep="\n")
-        print(f"(peak of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB)")
+            lines.append(
+                f"tumble calibrate, {rows_of(folder / 'log.parquet'):,} rows: {wall:.2f} s, peak {peak:.0f} MB"
+            )
+    print(*lines, sep="\n")
 
 
 if __name__ == "__main__":

@@ -77,17 +77,18 @@ def variances(noise: Noise, rests: int, blocks: int, sets: int, seed: int) -> tu
 def test_repeated_rests_have_a_reduced_chi_square_of_one(
     white_part: float, share: float, rests_and_blocks: str
 ) -> None:
-    """White noise, Gauss–Markov noise of up to a twentieth of the rest, and both: 60 sets of three channels. A set
-    has a standard error of about 0.24, the mean 0.03; the uncertainty of the fitted variance itself adds up to 0.09."""
+    """White noise, Gauss–Markov noise of up to a twentieth of the rest, and both: 40 sets of three channels. A set
+    has a standard error of about 0.4 a channel, the mean 0.04; the uncertainty of the fitted variance itself adds up to
+    0.09."""
     rests, blocks = SETS[rests_and_blocks]
     markov = gauss_markov(share) if share else None
 
     def noise(rng: np.random.Generator, rests: int, blocks: int) -> Array:
         out = np.sqrt(white_part) * white(rng, rests, blocks)
-        return out if markov is None else out + markov(rng, rests, blocks)
+        return np.asarray(out if markov is None else out + markov(rng, rests, blocks))
 
-    seen, said = variances(noise, rests, blocks, sets=60, seed=31)
-    assert 1.0 - 0.15 < (seen / said).mean() < 1.0 + 0.09 + 0.17
+    seen, said = variances(noise, rests, blocks, sets=40, seed=31)
+    assert 1.0 - 0.18 < (seen / said).mean() < 1.0 + 0.09 + 0.2
     true = true_variance(white_part, 1.0 if share else 0.0, share or 1.0, blocks)
     assert np.median(said) / true == pytest.approx(1.0, abs=0.13)
     assert (true / said).mean() == pytest.approx(1.04, abs=0.13)

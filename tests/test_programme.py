@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tumble.errors import ProgrammeError
 from tumble.programme import (
     ANY_MOVE,
     BUILT_IN,
     Move,
-    Position,
     Programme,
     attitude,
     duration,
@@ -176,19 +176,6 @@ def rows_of_rests(made: Programme) -> Array:
     return np.column_stack([u, u**2, u[:, 0] * u[:, 1], u[:, 0] * u[:, 2], u[:, 1] * u[:, 2]])
 
 
-def shortest_turn(start: Position, end: Position) -> tuple[Array, float]:
-    """Geographic axis and angle, rad, from one attitude to another; of a half turn, either axis."""
-    C = end.matrix @ start.matrix.T
-    angle = math.acos(max(-1.0, min(1.0, (float(np.trace(C)) - 1.0) / 2.0)))
-    doubled = (C + C.T) / 2.0 - math.cos(angle) * np.eye(3)  # (1 − cos a) n nᵀ
-    axis = doubled[:, np.argmax(np.diag(doubled))]
-    axis = axis / np.linalg.norm(axis)
-    if math.sin(angle) * float(axis @ [C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]]) < 0.0:
-        axis = -axis
-    np.testing.assert_allclose(rotation_matrix(angle * axis) @ start.matrix, end.matrix, atol=1e-9)
-    return axis, angle
-
-
 def rows_of_turns(made: Programme) -> Array:
     """H_G (2K, 9) of Eq. (6.2), for perfect accelerometers: the gyro matrix in the tilts after the programmed turns,
     or if there are none, after moves from each position to the next the shortest way."""
@@ -198,7 +185,9 @@ def rows_of_turns(made: Programme) -> Array:
         if move.axis is None or move.angle is None:
             if named:
                 continue
-            n, angle = shortest_turn(start, end)
+            vector = Rotation.from_matrix(end.matrix @ start.matrix.T).as_rotvec()
+            angle = float(np.linalg.norm(vector))
+            n = vector / angle
         else:
             n, angle = move.axis, move.angle
         along = np.outer(n, n)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import json
 import math
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -20,6 +21,8 @@ from tumble.errors import InputError, TumbleError
 
 if TYPE_CHECKING:
     from tumble.log import Chunk, Log
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
 
 
 class _NamedPath(click.Path):

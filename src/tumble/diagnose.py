@@ -238,8 +238,10 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
     if best < np.inf:
         if abs(np.log(ratio)) < SMALL_SCALE_ERROR:  # many revolutions
             return _upside_down(observations, session)
-        clock = f", or log.rate_hz {_times(1.0 / ratio)}" if session.log.rate is not None else ""
-        return [f"{said}; the nominal scale of [log.gyro] is about {_times(ratio)}{clock}"]
+        suspects = ["the nominal scale of [log.gyro]"] if _raw(channels) else []
+        suspects += ["log.rate_hz"] if session.log.rate is not None else []
+        seen = f"the gyros read about {ratio:.3g} times what they should"
+        return [f"{said}; {seen}" + (f": {' or '.join(suspects)} is {_times(ratio)}" if suspects else "")]
     per_half_turn = miss / np.maximum(1.0, _turned(observations, assumed) / np.pi)
     if np.median(per_half_turn) < CARRIED:
         lost = [_lost(observations, int(k), float(miss[k])) for k in np.flatnonzero(per_half_turn >= EVIDENT)]

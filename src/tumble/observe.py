@@ -34,6 +34,7 @@ from tumble.units import Array, IntArray
 BATCH_SAMPLES = 2**20
 ACCEL_FLOOR = 1e-9  # m/s²
 GYRO_FLOOR = 1e-11  # rad/s
+PATH_STEPS = 32
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
@@ -305,12 +306,25 @@ def _turns(
     samples = TurnSamples(samples=stored, start=start, stop=stop)
     C, M, B = _integrate(samples, len(pairs), *_compensation(gyro, gyro.nominal()))
     to_body = np.linalg.pinv(gyro.axes)
-    covariance = np.array(
-        [
-            T**2 * to_body @ noise.covariance_of_mean(T / block_seconds) @ to_body.T + TURN_FLOOR**2 * np.eye(3)
-            for T in duration
-        ]
-    ).reshape(-1, 3, 3)
-    covariance = 0.5 * (C @ covariance @ np.swapaxes(C, 1, 2) + covariance)
+    long = np.maximum(duration, block_seconds)
+    density = [T * to_body @ noise.covariance_of_mean(T / block_seconds) @ to_body.T for T in long]
+    covariance = _carried(samples, np.array(density).reshape(-1, 3, 3)) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(first=first, last=last, duration=duration, C=C, M=M, B=B, covariance=covariance)
     return turns, samples
+
+
+def _carried(samples: TurnSamples, density: Array) -> Array:
+    """∫ C N Cᵀ dt (K, 3, 3), rad², of the turns and the density N (K, 3, 3), rad²/s, of their gyro noise, by the
+    trapezoidal rule over PATH_STEPS steps a piece."""
+    C = np.broadcast_to(np.eye(3), density.shape).copy()
+    out = np.zeros_like(density)
+    for increments, intervals, turn, start, stop in samples.pieces():
+        passed = np.concatenate([[0.0], np.cumsum(intervals)])
+        for k, a, b in zip(turn, start, stop, strict=True):
+            edges = np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))
+            steps, _, _ = _kernels.preintegrate(increments, intervals, edges[:-1], edges[1:], np.eye(3), np.zeros(3))
+            for step, seconds in zip(steps, np.diff(passed[edges]), strict=True):
+                after = C[k] @ step
+                out[k] += 0.5 * seconds * (C[k] @ density[k] @ C[k].T + after @ density[k] @ after.T)
+                C[k] = after
+    return out

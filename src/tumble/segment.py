@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import weakref
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -149,6 +150,8 @@ class GyroSamples:
         """Move what is in memory to the files."""
         if self._files is None:
             self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()
+            for file in self._files:
+                weakref.finalize(self, file.close)
         for rates, dt in self._chunks:
             for file, values in zip(self._files, (rates, dt), strict=True):
                 file.seek(0, os.SEEK_END)

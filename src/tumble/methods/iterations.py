@@ -17,10 +17,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg
 
 from tumble.errors import InputError
-from tumble.estimate import SCATTER_PROBABILITY, Estimate, Fit, scatter_of, sigmas
+from tumble.estimate import SCATTER_PROBABILITY, Estimate, Fit, chance_of, scatter_of, sigmas
 from tumble.methods.compensation import (
     ACCEL_ANGLES,
     compensated,
@@ -280,7 +280,7 @@ class _Left:
         scatter = _Scatter()
         for group in self.groups():
             statistic, degrees = self.agreement(group, scatter)
-            if degrees < 0.5 or stats.chi2.sf(statistic, degrees) > SCATTER_PROBABILITY:
+            if degrees < 0.5 or chance_of(statistic, degrees) > SCATTER_PROBABILITY:
                 continue
 
             def excess(trial: float, name: str = group, known: _Scatter = scatter) -> float:

@@ -1,0 +1,804 @@
+"""Recordings that are evidently wrong are recognised, and named; sound ones are accused of nothing.
+
+Every fault is put into simulated sessions, and where that makes sense into two recordings of the shared data that
+were simulated by someone else. The command line is what is asked: exit status 1, the reason on standard error and
+in the calibration file.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations, permutations, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+import tomli_w
+import tomllib
+from click.testing import CliRunner, Result
+
+from tumble.calibration import inspect_session
+from tumble.cli import main
+from tumble.estimate import Estimate
+from tumble.methods.staged import staged
+from tumble.model import Block
+from tumble.programme import attitude, from_attitudes, programme
+from tumble.rotation import rotation_matrix
+from tumble.session import read_session
+from tumble.simulate import (
+    GRADES,
+    NoiseModel,
+    OnTable,
+    Profile,
+    Request,
+    Scenario,
+    Site,
+    Vibration,
+    draw_parameters,
+    record,
+    simulate_session,
+)
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
+
+ACCEL, GYRO = ("ax", "ay", "az"), ("gx", "gy", "gz")
+SAMPLE_RATE = 50.0
+ACCEL_UNITS = {"m/s^2": 1.0, "g": G_STANDARD, "mg": 1e-3 * G_STANDARD}
+GYRO_UNITS = {"rad/s": 1.0, "deg/s": DEGREE, "deg/h": DEGREE_PER_HOUR}
+GRADE_NAMES = tuple(GRADES)
+
+
+# -------------------- recordings, and what is done to them --------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """A session as it stands in a folder: what session.toml says, and its log."""
+
+    content: dict[str, Any]
+    log: pl.DataFrame
+
+    def saying(self, **changes: Any) -> Recording:
+        """With other keys in session.toml: `accel__unit="g"` is log.accel.unit, `rate_hz` is log.rate_hz; a value of
+        None takes the key away."""
+        content = copy.deepcopy(self.content)
+        for name, value in changes.items():
+            *tables, key = name.split("__")
+            table = content["log"]
+            for part in tables:
+                table = table[part]
+            if value is None:
+                del table[key]
+            else:
+                table[key] = value
+        return replace(self, content=content)
+
+    def times(self, columns: Iterable[str], factor: float) -> Recording:
+        """Columns multiplied by a factor."""
+        return replace(self, log=self.log.with_columns([pl.col(column) * factor for column in columns]))
+
+    def exchanging(self, one: str, other: str) -> Recording:
+        """Two columns under each other's name."""
+        return replace(self, log=self.log.rename({one: other, other: one}))
+
+    def clipped(self, columns: Iterable[str], limit: float) -> Recording:
+        """Columns that stop at ± limit."""
+        return replace(self, log=self.log.with_columns([pl.col(column).clip(-limit, limit) for column in columns]))
+
+    def changed(self, column: str, rows: slice, change: Callable[[Array], Array | float]) -> Recording:
+        """Some rows of a column put through a function."""
+        values = self.log[column].to_numpy().copy()
+        values[rows] = change(values[rows])
+        return replace(self, log=self.log.with_columns(pl.Series(column, values)))
+
+    def counted(self, accel_scale: float, gyro_scale: float, offset: float = 32768.0) -> Recording:
+        """As integers, per m/s² and rad/s, about an offset."""
+        columns = [
+            (pl.col(c) * scale + offset).round() for cs, scale in ((ACCEL, accel_scale), (GYRO, gyro_scale)) for c in cs
+        ]
+        content = copy.deepcopy(self.content)
+        for kind, names, scale in (("accel", ACCEL, accel_scale), ("gyro", GYRO, gyro_scale)):
+            content["log"][kind] = {"columns": list(names), "unit": "count", "scale": scale, "offset": offset}
+        return Recording(content=content, log=self.log.with_columns(columns))
+
+    def free(self) -> Recording:
+        """Without a programme."""
+        return replace(self, content={key: value for key, value in self.content.items() if key != "programme"})
+
+    def without_gyros(self) -> Recording:
+        return self.saying(gyro=None)
+
+    def write(self, folder: Path) -> Path:
+        """As a session folder."""
+        folder.mkdir(parents=True, exist_ok=True)
+        content = copy.deepcopy(self.content)
+        content["log"]["file"] = "log.parquet"
+        self.log.write_parquet(folder / "log.parquet")
+        (folder / "session.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
+        return folder
+
+
+def read_recording(folder: Path) -> Recording:
+    content = tomllib.loads((folder / "session.toml").read_text(encoding="utf-8"))
+    file = folder / content["log"]["file"]
+    return Recording(content=content, log=pl.read_csv(file) if file.suffix == ".csv" else pl.read_parquet(file))
+
+
+HAND = Request(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=SAMPLE_RATE)
+TABLE = Request(grade="navigation", rest=6.0, rate_deg_s=60.0, sample_rate=SAMPLE_RATE)
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Request, int], Recording]:
+    """Simulated sessions by request and seed, each made once."""
+    made: dict[tuple[Request, int], Recording] = {}
+
+    def recording(request: Request, seed: int) -> Recording:
+        if (request, seed) not in made:
+            folder = tmp_path_factory.mktemp("simulated") / "session"
+            made[request, seed] = read_recording(simulate_session(folder, request, seed=seed))
+        return made[request, seed]
+
+    return recording
+
+
+Simulated = Callable[[Request, int], Recording]
+
+
+@pytest.fixture
+def hand(simulated: Simulated) -> Recording:
+    return simulated(HAND, 1)
+
+
+@pytest.fixture
+def table(simulated: Simulated) -> Recording:
+    return simulated(TABLE, 1)
+
+
+@pytest.fixture(params=["hand", "table", "truth-handheld", "truth-turntable"])
+def recording(request: pytest.FixtureRequest, simulated: Simulated) -> Recording:
+    """Sound sessions of four kinds: of the project's own simulation, and of another one."""
+    name: str = request.param
+    if name in ("hand", "table"):
+        return simulated(HAND if name == "hand" else TABLE, 1)
+    return read_recording(request.getfixturevalue("data") / name)
+
+
+def calibrate(folder: Path, *options: str) -> Result:
+    result = CliRunner().invoke(main, ["calibrate", str(folder), *options])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def refused(recording: Recording, folder: Path) -> list[str]:
+    """The reasons for which a recording is not accepted, the same in the file and on standard error."""
+    result = calibrate(recording.write(folder))
+    assert result.exit_code == 1, result.output
+    outcome = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))["outcome"]
+    assert outcome["accepted"] is False
+    said = [
+        line.removeprefix("not accepted: ") for line in result.stderr.splitlines() if line.startswith("not accepted: ")
+    ]
+    assert said == outcome["reasons"] != []
+    return said
+
+
+def reason(recording: Recording, folder: Path) -> str:
+    """The one reason."""
+    reasons = refused(recording, folder)
+    assert len(reasons) == 1, reasons
+    return reasons[0]
+
+
+def accepted(recording: Recording, folder: Path) -> None:
+    result = calibrate(recording.write(folder))
+    assert result.exit_code == 0, result.stderr
+
+
+# -------------------- sound sessions --------------------
+
+
+COURSES = {
+    "table": Request(rest=8.0, rate_deg_s=30.0, sample_rate=SAMPLE_RATE),
+    "nine": Request(programme="nine", rest=8.0, rate_deg_s=30.0, sample_rate=SAMPLE_RATE),
+    "cube": Request(programme="cube-14", rest=5.0, rate_deg_s=60.0, sample_rate=SAMPLE_RATE),
+    "hand": Request(positions=18, rest=5.0, rate_deg_s=80.0, sample_rate=SAMPLE_RATE),
+    "fast hand": Request(positions=14, rest=4.0, rate_deg_s=200.0, sample_rate=100.0),
+}
+
+
+def test_the_recordings_that_are_spoilt_here_are_sound(recording: Recording, tmp_path: Path) -> None:
+    accepted(recording, tmp_path / "session")
+
+
+@pytest.mark.parametrize("course", COURSES)
+@pytest.mark.parametrize("grade", GRADE_NAMES)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_sound_sessions_are_accused_of_nothing(
+    simulated: Simulated, tmp_path: Path, grade: str, course: str, seed: int
+) -> None:
+    accepted(simulated(replace(COURSES[course], grade=grade), seed), tmp_path / "session")
+
+
+@pytest.mark.parametrize("course", ["table", "hand"])
+@pytest.mark.parametrize("grade", GRADE_NAMES)
+def test_sessions_without_noise_are_accused_of_nothing(
+    simulated: Simulated, tmp_path: Path, grade: str, course: str
+) -> None:
+    accepted(simulated(replace(COURSES[course], grade=grade, noiseless=True), 3), tmp_path / "session")
+
+
+@pytest.mark.parametrize("course", ["table", "nine", "hand"])
+@pytest.mark.parametrize("grade", GRADE_NAMES)
+def test_coarse_counts_are_not_taken_for_clipped_or_stuck_channels(
+    simulated: Simulated, tmp_path: Path, grade: str, course: str
+) -> None:
+    """16 bits for ±16 g and ±500 °/s: for the better grades most samples at rest equal the one before. With seed 2 of
+    `nine`, one channel does so for 3.7 s in a log where fewer than half of the samples do."""
+    sound = simulated(replace(COURSES[course], grade=grade), 2)
+    coarse = sound.counted(32768 / (16 * G_STANDARD), 32768 / (500 * DEGREE))
+    repeats = max(float((coarse.log[c].diff() == 0.0).mean() or 0.0) for c in (*ACCEL, *GYRO))
+    assert repeats > 0.2 or grade != "navigation"
+    accepted(coarse, tmp_path / "session")
+
+
+def test_increments_and_other_axes_are_accused_of_nothing(hand: Recording, tmp_path: Path) -> None:
+    increments = hand.times((*ACCEL, *GYRO), 1.0 / SAMPLE_RATE).saying(accel__unit="m/s", gyro__unit="rad")
+    accepted(increments, tmp_path / "increments")
+    negative = hand.times(["ax"], -1.0).saying(accel__axes=[[-1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    accepted(negative, tmp_path / "negative")
+    moved = hand.exchanging("gx", "gy").saying(gyro__axes=[[0, 1, 0], [1, 0, 0], [0, 0, 1]])
+    accepted(moved, tmp_path / "moved")
+
+
+def test_many_revolutions_of_gyros_with_large_scale_errors_are_accused_of_nothing(tmp_path: Path) -> None:
+    """Five revolutions with a scale-factor error of 3 % end half a revolution off, which is no fault of the unit."""
+    truth = draw_parameters("consumer", _triads(), np.random.default_rng(4))
+    truth |= {"gyro.scale.x": 0.03, "gyro.scale.y": -0.025, "gyro.scale.z": 0.01}
+    rng = np.random.default_rng(1)
+    moves = [rng.uniform(1.0, 3.0) * axis / np.linalg.norm(axis) for axis in rng.standard_normal((14, 3))]
+    moves += [10.0 * np.pi * axis for axis in np.eye(3)]
+    accepted(_turned_by(moves, truth, rng), tmp_path / "session")
+
+
+def _triads() -> tuple[Block, Block]:
+    return Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
+
+
+def _turned_by(moves: list[Array], truth: dict[str, float], rng: np.random.Generator) -> Recording:
+    """A free session: rests of 5 s, and between them turns by rotation vectors in the body, rad, at 120 °/s. Without
+    Earth's rate."""
+    forces, rates = [], []
+    vertical = np.array([0.0, 0.0, 1.0])
+    for move in (np.zeros(3), *moves):
+        angle = float(np.linalg.norm(move))
+        steps = int(angle / (120 * DEGREE) * SAMPLE_RATE)
+        turned = 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / max(steps, 1))
+        halfway = 0.5 * (turned[1:] + turned[:-1])
+        forces += [rotation_matrix(-share * move) @ vertical for share in halfway]
+        rates += [share * move * SAMPLE_RATE for share in np.diff(turned)]
+        vertical = rotation_matrix(-move) @ vertical
+        forces += [vertical] * int(5 * SAMPLE_RATE)
+        rates += [np.zeros(3)] * int(5 * SAMPLE_RATE)
+    noise, root = GRADES["consumer"].noise, np.sqrt(SAMPLE_RATE)
+    columns: dict[str, Array] = {"t": np.arange(1, len(forces) + 1) / SAMPLE_RATE}
+    for block, true, names, density in zip(
+        _triads(), (G_STANDARD * np.array(forces), np.array(rates)), (ACCEL, GYRO), (noise.accel_white, noise.gyro_white),
+        strict=True,
+    ):  # fmt: skip
+        model = block.model(np.array([truth[name] for name in block.names]))
+        readings = model.predict(true) + density * root * rng.standard_normal(true.shape)
+        columns |= dict(zip(names, readings.T, strict=True))
+    return Recording(content=_content(), log=pl.DataFrame(columns))
+
+
+def _content() -> dict[str, Any]:
+    return {
+        "format": 1,
+        "device": {"serial": "A-1"},
+        "site": {"latitude_deg": 56.84, "gravity": G_STANDARD, "gravity_u": 1e-6},
+        "log": {
+            "file": "log.parquet",
+            "time": "t",
+            "accel": {"columns": list(ACCEL), "unit": "m/s^2"},
+            "gyro": {"columns": list(GYRO), "unit": "rad/s"},
+        },
+    }
+
+
+# -------------------- units, scales and clocks --------------------
+
+
+@pytest.mark.parametrize(("true", "stated"), permutations(ACCEL_UNITS, 2))
+def test_a_wrong_unit_of_the_accelerometers_is_named_with_the_one_that_fits(
+    recording: Recording, tmp_path: Path, true: str, stated: str
+) -> None:
+    wrong = recording.times(ACCEL, 1.0 / ACCEL_UNITS[true]).saying(accel__unit=stated)
+    said = reason(wrong, tmp_path / "session")
+    assert f'the unit of [log.accel] is not "{stated}"; "{true}" would fit' in said
+
+
+@pytest.mark.parametrize(("true", "stated"), permutations(GYRO_UNITS, 2))
+def test_a_wrong_unit_of_the_gyros_is_named_with_the_one_that_fits(
+    recording: Recording, tmp_path: Path, true: str, stated: str
+) -> None:
+    wrong = recording.times(GYRO, 1.0 / GYRO_UNITS[true]).saying(gyro__unit=stated)
+    said = reason(wrong, tmp_path / "session")
+    assert f'the unit of [log.gyro] is not "{stated}", "{true}" would fit' in said
+
+
+def test_increments_stated_as_rates_are_named(hand: Recording, tmp_path: Path) -> None:
+    said = reason(hand.times(ACCEL, 1.0 / SAMPLE_RATE), tmp_path / "accel")
+    assert 'the unit of [log.accel] is not "m/s^2"; "m/s" would fit' in said
+    said = reason(hand.times(GYRO, 1.0 / SAMPLE_RATE), tmp_path / "gyro")
+    assert 'the unit of [log.gyro] is not "rad/s", "rad" would fit' in said
+
+
+def test_rates_stated_as_increments_are_named(hand: Recording, tmp_path: Path) -> None:
+    said = reason(hand.saying(accel__unit="m/s"), tmp_path / "accel")
+    assert 'the unit of [log.accel] is not "m/s"; "m/s^2" would fit' in said
+    said = reason(hand.saying(gyro__unit="rad"), tmp_path / "gyro")
+    assert 'the unit of [log.gyro] is not "rad", "rad/s" would fit' in said
+
+
+@pytest.mark.parametrize(("factor", "named"), [(0.1, "10 times too small"), (0.5, "2 times too small"), (3.0, "3 times too large")])  # fmt: skip
+def test_a_wrong_scale_of_raw_accelerometers_is_named_with_its_size(
+    hand: Recording, tmp_path: Path, factor: float, named: str
+) -> None:
+    said = reason(hand.counted(415.0, 4770.0).saying(accel__scale=415.0 * factor), tmp_path / "session")
+    assert f"the nominal scale of [log.accel] is about {named}" in said
+
+
+@pytest.mark.parametrize(("factor", "named"), [(0.5, "2 times too small"), (1.5, "1.5 times too large"), (2.0, "2 times too large")])  # fmt: skip
+def test_a_wrong_scale_of_raw_gyros_is_named_with_its_size(
+    recording: Recording, tmp_path: Path, factor: float, named: str
+) -> None:
+    said = reason(recording.counted(1e5, 1e7).saying(gyro__scale=1e7 * factor), tmp_path / "session")
+    found = re.search(r"the nominal scale of \[log\.gyro\] is ([\d.]+) (times too (?:small|large))", said)
+    assert found is not None, said
+    size, direction = named.split(" ", 1)
+    assert float(found[1]) == pytest.approx(float(size), rel=0.03)
+    assert found[2] == direction
+
+
+def test_a_scale_per_another_unit_is_named(hand: Recording, tmp_path: Path) -> None:
+    raw = hand.counted(415.0, 4770.0)
+    said = reason(raw.saying(accel__scale=415.0 * G_STANDARD), tmp_path / "accel")
+    assert 'the scale of [log.accel] would fit with scale_per = "g"' in said
+    said = reason(raw.saying(gyro__scale=4770.0 * DEGREE), tmp_path / "gyro")
+    assert 'scale_per = "deg/s" would fit' in said
+
+
+def test_a_missing_offset_of_raw_accelerometers_is_named_with_its_value(hand: Recording, tmp_path: Path) -> None:
+    said = reason(hand.counted(415.0, 4770.0).saying(accel__offset=None), tmp_path / "session")
+    found = re.search(r"the offset of \[log\.accel\] is wrong; about (.*) would fit", said)
+    assert found is not None, said
+    assert np.abs(np.array(found[1].split(", "), dtype=float) - 32768.0).max() < 415.0 * G_STANDARD
+
+
+@pytest.mark.parametrize(("unit", "size"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_a_wrong_unit_of_time_is_named_with_the_one_that_fits(
+    recording: Recording, tmp_path: Path, unit: str, size: float
+) -> None:
+    assert f'log.time_unit = "{unit}" would fit' in reason(recording.times(["t"], size), tmp_path / "session")
+
+
+@pytest.mark.parametrize(("factor", "named"), [(0.5, "too small"), (1.28, "too large")])
+def test_a_wrong_sample_rate_is_named(hand: Recording, tmp_path: Path, factor: float, named: str) -> None:
+    said = reason(hand.saying(time=None, rate_hz=SAMPLE_RATE * factor), tmp_path / "session")
+    assert re.search(rf"log\.rate_hz is [\d.]+ times {named}", said), said
+
+
+# -------------------- columns and signs --------------------
+
+
+def test_exchanged_sensors_are_named(recording: Recording, tmp_path: Path) -> None:
+    said = reason(recording.saying(accel__columns=list(GYRO), gyro__columns=list(ACCEL)), tmp_path / "session")
+    assert "accelerometer and gyro columns are exchanged" in said
+
+
+@pytest.mark.parametrize("units", [("g", "deg/s"), ("mg", "deg/h"), ("m/s^2", "deg/s")])
+def test_exchanged_sensors_are_named_in_any_unit(hand: Recording, tmp_path: Path, units: tuple[str, str]) -> None:
+    there = hand.times(ACCEL, 1.0 / ACCEL_UNITS[units[0]]).times(GYRO, 1.0 / GYRO_UNITS[units[1]])
+    exchanged = there.saying(
+        accel__unit=units[0], gyro__unit=units[1], accel__columns=list(GYRO), gyro__columns=list(ACCEL)
+    )
+    reasons = refused(exchanged, tmp_path / "session")
+    assert any("exchanged" in said or "the unit of [log.accel]" in said for said in reasons)
+
+
+def test_exchanged_sensors_are_named_in_raw_counts(hand: Recording, table: Recording, tmp_path: Path) -> None:
+    for name, sound in (("hand", hand), ("table", table)):
+        exchanged = sound.counted(415.0, 4770.0).saying(accel__columns=list(GYRO), gyro__columns=list(ACCEL))
+        assert "accelerometer and gyro columns are exchanged" in reason(exchanged, tmp_path / name)
+
+
+@pytest.mark.parametrize("column", [*ACCEL, *GYRO])
+def test_a_wrong_sign_is_named(recording: Recording, tmp_path: Path, column: str) -> None:
+    sensor = f"{'accelerometer' if column in ACCEL else 'gyro'} {column[1]}"
+    assert f"the sign of {sensor} is wrong" in reason(recording.times([column], -1.0), tmp_path / "session")
+
+
+@pytest.mark.parametrize(("one", "other"), [*combinations(ACCEL, 2), *combinations(GYRO, 2)])
+def test_exchanged_axes_are_named(recording: Recording, tmp_path: Path, one: str, other: str) -> None:
+    said = reason(recording.exchanging(one, other), tmp_path / "session")
+    sensors = "accelerometer" if one in ACCEL else "gyro"
+    assert f"the {sensors} columns {one[1]} and {other[1]} are exchanged" in said
+
+
+def test_columns_in_another_order_are_named(recording: Recording, tmp_path: Path) -> None:
+    said = reason(recording.saying(gyro__columns=["gy", "gz", "gx"]), tmp_path / "gyro")
+    assert "the gyro columns are in the order y, z, x" in said
+    said = reason(recording.saying(accel__columns=["ay", "az", "ax"]), tmp_path / "accel")
+    assert "the accelerometer columns are in the order y, z, x" in said
+
+
+def test_the_sign_of_all_gyros_is_named(recording: Recording, tmp_path: Path) -> None:
+    assert "the sign of gyro x, y, z is wrong" in reason(recording.times(GYRO, -1.0), tmp_path / "session")
+
+
+def test_accelerometers_that_read_minus_g_are_named_where_a_programme_or_the_earth_shows_it(
+    table: Recording, simulated: Simulated, tmp_path: Path
+) -> None:
+    upside_down = table.times(ACCEL, -1.0)
+    assert "all accelerometers have the wrong sign" in reason(upside_down, tmp_path / "table")
+    assert "all accelerometers have the wrong sign" in reason(upside_down.free(), tmp_path / "free")
+    without_gyros = upside_down.without_gyros()
+    assert "all accelerometers have the wrong sign" in reason(without_gyros, tmp_path / "no gyros")
+    tactical = simulated(replace(COURSES["hand"], grade="tactical"), 0).times(ACCEL, -1.0)
+    assert "vertical part of the Earth's rate with the wrong sign" in reason(tactical, tmp_path / "tactical")
+
+
+def test_a_latitude_of_the_wrong_hemisphere_is_suspected(table: Recording, tmp_path: Path) -> None:
+    content = copy.deepcopy(table.content)
+    content["site"]["latitude_deg"] *= -1.0
+    assert "site.latitude_deg" in reason(replace(table, content=content), tmp_path / "session")
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_no_signed_permutation_of_the_gyros_is_left_without_words(
+    hand: Recording, tmp_path: Path, order: tuple[int, int, int]
+) -> None:
+    for number, signs in enumerate(product((1.0, -1.0), repeat=3)):
+        if order == (0, 1, 2) and min(signs) > 0.0:
+            continue
+        wrong = hand.saying(gyro__columns=[GYRO[i] for i in order])
+        for column, sign in zip(GYRO, signs, strict=True):
+            wrong = wrong.times([column], sign)
+        said = reason(wrong, tmp_path / str(number))
+        assert re.search(r"; the (sign of (gyro|accelerometer) [xyz]|(gyro|accelerometer) columns) ", said), said
+
+
+# -------------------- channels --------------------
+
+
+def test_gyros_clipped_in_fast_turns_are_named(recording: Recording, tmp_path: Path) -> None:
+    for column in GYRO:
+        limit = 0.6 * float(recording.log[column].abs().max())  # type: ignore[arg-type]
+        said = reason(recording.clipped([column], limit), tmp_path / column)
+        assert f"column {column!r} is clipped" in said
+        assert "turn more slowly" in said
+
+
+@pytest.mark.parametrize("limit", [9.0, 5.0])
+def test_accelerometers_clipped_at_rest_are_named(recording: Recording, tmp_path: Path, limit: float) -> None:
+    for column in ACCEL:
+        assert f"column {column!r} is clipped" in reason(recording.clipped([column], limit), tmp_path / column)
+
+
+def test_a_reading_at_full_scale_is_clipped_where_the_range_is_stated(recording: Recording, tmp_path: Path) -> None:
+    """Of three samples nothing would show without it."""
+    largest = recording.log["gx"].abs().arg_max() or 0
+    beyond = 1.1 * float(recording.log["gx"].abs().max())  # type: ignore[arg-type]
+    touched = recording.changed("gx", slice(largest, largest + 3), lambda _: beyond)
+    said = reason(touched.saying(gyro__range=beyond), tmp_path / "session")
+    assert "column 'gx' is clipped: it reaches its range, 3 samples in a row" in said
+
+
+def test_a_clipped_channel_is_named_once_and_in_order(hand: Recording, tmp_path: Path) -> None:
+    clipped = hand.clipped(GYRO, 0.5)
+    with_range = clipped.times(GYRO, 1.0 / DEGREE).saying(gyro__unit="deg/s", gyro__range=0.5 / DEGREE)
+    for name, spoilt in (("without", clipped), ("with", with_range)):
+        reasons = refused(spoilt, tmp_path / name)
+        assert [said.split("'")[1] for said in reasons] == list(GYRO)
+
+
+@pytest.mark.parametrize("column", [*ACCEL, *GYRO])
+@pytest.mark.parametrize("value", [0.0, 1.234])
+def test_a_dead_channel_is_named_with_its_value(
+    recording: Recording, tmp_path: Path, column: str, value: float
+) -> None:
+    said = reason(recording.changed(column, slice(None), lambda _: value), tmp_path / "session")
+    unit = "m/s^2" if column in ACCEL else "rad/s"
+    assert said == f"column {column!r} is dead: all {recording.log.height} samples are {value:g} {unit}"
+
+
+def test_a_dead_channel_of_counts_is_named_with_the_number_in_the_log(hand: Recording, tmp_path: Path) -> None:
+    raw = hand.counted(415.0, 4770.0).changed("az", slice(None), lambda _: 32768.0)
+    assert "column 'az' is dead" in (said := reason(raw, tmp_path / "session"))
+    assert said.endswith(" 32768 count")
+
+
+@pytest.mark.parametrize("column", ["ax", "gz"])
+@pytest.mark.parametrize("seconds", [3.0, 6.0])
+@pytest.mark.parametrize("begin", [0.0, 0.37, 0.8])
+def test_a_channel_stuck_for_several_seconds_is_named(
+    recording: Recording, tmp_path: Path, column: str, seconds: float, begin: float
+) -> None:
+    rate = (recording.log.height - 1) / float(recording.log["t"][-1] - recording.log["t"][0])
+    first = int(begin * recording.log.height)
+    rows = slice(first, first + int(seconds * rate))
+    said = reason(recording.changed(column, rows, lambda values: values[0]), tmp_path / "session")
+    assert f"column {column!r} is stuck" in said
+    stop = float(recording.log["t"][rows.stop - 1])
+    assert f"up to {stop:.2f} s" in said
+
+
+def test_a_channel_that_died_on_the_way_is_named(recording: Recording, tmp_path: Path) -> None:
+    """More than half of the samples then equal the one before."""
+    rows = slice(int(0.4 * recording.log.height), None)
+    for column in ("ay", "gx"):
+        said = reason(recording.changed(column, rows, lambda values: values[0]), tmp_path / column)
+        assert f"column {column!r} is stuck" in said
+
+
+@pytest.mark.parametrize("value", [1e300, -1e30, 1e12])
+def test_damaged_numbers_are_named(hand: Recording, tmp_path: Path, value: float) -> None:
+    for column in ("ax", "gy"):
+        said = reason(hand.changed(column, slice(3000, 3001), lambda _: value), tmp_path / column)
+        assert said.startswith(f"column {column!r} is damaged: it reads {value:g}")
+
+
+@pytest.mark.parametrize("size", [50.0, 1e4, 1e8])
+def test_a_turn_with_a_glitch_of_the_gyros_is_named(hand: Recording, tmp_path: Path, size: float) -> None:
+    """The device turns at 50 s."""
+    said = reason(hand.changed("gy", slice(2500, 2505), lambda values: values + size), tmp_path / "session")
+    found = re.search(
+        r"the gyros lose the vertical in the turn from rest \d+ to rest \d+ \(([\d.]+)–([\d.]+) s\)", said
+    )
+    assert found is not None, said
+    assert float(found[1]) < 50.0 < float(found[2])
+
+
+def test_a_glitch_that_only_scatters_the_turns_is_refused(hand: Recording, tmp_path: Path) -> None:
+    reasons = refused(hand.changed("gy", slice(2500, 2505), lambda values: values + 5.0), tmp_path / "session")
+    assert any(said.startswith("the turns scatter by ") for said in reasons)
+
+
+def test_an_offset_that_no_gyro_has_is_named(hand: Recording, tmp_path: Path) -> None:
+    shifted = hand.changed("gy", slice(None), lambda values: values + 1e4)
+    assert "the offset of [log.gyro] is wrong" in reason(shifted, tmp_path / "session")
+
+
+def test_removed_gravity_is_named(recording: Recording, tmp_path: Path) -> None:
+    force = recording.log.select(ACCEL).to_numpy()
+    force = force - G_STANDARD * force / np.linalg.norm(force, axis=1, keepdims=True)
+    log = recording.log.with_columns([pl.Series(c, force[:, p]) for p, c in enumerate(ACCEL)])
+    assert "gravity has been removed from the log" in reason(replace(recording, log=log), tmp_path / "session")
+
+
+def test_removed_gravity_is_not_taken_for_increments(simulated: Simulated, tmp_path: Path) -> None:
+    """What is left of 0.2 m/s² would be gravity in increments at 50 Hz, but never changes its direction."""
+    left = simulated(HAND, 1)
+    for column, value in zip(ACCEL, (0.15, -0.1, 0.08), strict=True):
+        noise = 1e-3 * np.random.default_rng(0).standard_normal(left.log.height)
+        left = left.changed(column, slice(None), lambda _, at=value, noise=noise: at + noise)  # type: ignore[misc]
+    assert "gravity has been removed from the log" in reason(left, tmp_path / "session")
+
+
+# -------------------- too little to go by --------------------
+
+
+def test_a_recording_without_a_rest_says_so(hand: Recording, tmp_path: Path) -> None:
+    tumbling = _without_rest(hand)
+    for name, moving in (("gyros", tumbling), ("none", tumbling.without_gyros())):
+        said = reason(moving, tmp_path / name)
+        assert said.startswith("no rest found: expected the device to lie still for at least 3 s in each position")
+
+
+def _without_rest(recording: Recording) -> Recording:
+    """The same log of a device that never stops turning."""
+    t = recording.log["t"].to_numpy()
+    rates = np.column_stack([0.5 + 0.3 * np.sin(0.7 * t), 0.8 * np.cos(0.31 * t), 0.4 * np.sin(0.23 * t + 1.0)])
+    vertical, forces = np.array([0.0, 1.0, 0.0]), []
+    for rate in rates:
+        vertical = rotation_matrix(-rate / SAMPLE_RATE) @ vertical
+        forces.append(G_STANDARD * vertical)
+    rng = np.random.default_rng(0)
+    noisy = np.hstack([np.array(forces), rates]) + 3e-3 * rng.standard_normal((len(t), 6))
+    return replace(
+        recording, log=recording.log.with_columns([pl.Series(c, noisy[:, i]) for i, c in enumerate(ACCEL + GYRO)])
+    )
+
+
+CUBE = {position.label: position.attitude for position in programme("cube-26").positions}
+
+
+def _code(standing: str) -> str:
+    """The attitude code of a rest as it is advised: "X up", "X up and Z down (45° each)"."""
+    parts = standing.removesuffix(" (45° each)").split(" and ")
+    return CUBE[parts[0] if len(parts) == 1 else ", ".join("{} 45° {}".format(*part.split()) for part in parts)]
+
+
+def _recorded(codes: list[str], grade: str, seed: int) -> tuple[Array, Array, Array, Array]:
+    """Times, accelerometers, gyros and rests of one instrument of a grade in positions of a rough table."""
+    accel, gyro = _triads()
+    scenario = Scenario(
+        course=OnTable(programme=from_attitudes(codes), table_error=0.3 * DEGREE, mounting_error=0.0),
+        accel=accel,
+        gyro=gyro,
+        truth=draw_parameters(grade, (accel, gyro), np.random.default_rng(5)),
+        noise=replace(GRADES[grade].noise, accel_instability=0.0, gyro_instability=0.0),
+        profile=Profile(first_rest=6.0, rest=6.0, rate=60 * DEGREE, ramp=0.5, sample_rate=SAMPLE_RATE),
+        site=Site(latitude=56.84 * DEGREE, height=0.0, gravity=G_STANDARD, gravity_u=1e-6),
+        vibration=Vibration(),
+        serial="A-1",
+    )
+    made = record(scenario, np.random.default_rng(seed))
+    return made.time, made.accel, made.gyro, made.rests
+
+
+Part = tuple[Array, Array, Array]
+
+
+def _written(parts: list[Part], folder: Path) -> Path:
+    """A free session of several files: times, accelerometers and gyros of each."""
+    folder.mkdir(exist_ok=True)
+    content = _content()
+    content["log"]["file"] = [f"{i}.parquet" for i in range(len(parts))]
+    for file, (time, accel, gyro) in zip(content["log"]["file"], parts, strict=True):
+        columns = {"t": time} | dict(zip(ACCEL, accel.T, strict=True)) | dict(zip(GYRO, gyro.T, strict=True))
+        pl.DataFrame(columns).write_parquet(folder / file)
+    (folder / "session.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
+    return folder
+
+
+def _estimated(folder: Path) -> Estimate:
+    _, observations = inspect_session(read_session(folder))
+    assert observations is not None
+    return staged(observations)
+
+
+def _advised(folder: Path, what: str) -> list[str]:
+    """What a refused session is advised to add."""
+    result = calibrate(folder)
+    assert result.exit_code == 1, result.output
+    found = re.search(rf"{what} that would help, the most helpful first: (.*)$", result.stderr, re.M)
+    assert found is not None, result.stderr
+    return found[1].removesuffix(" (as they stand before the turn)").split(", ")
+
+
+def _unseen(estimate: Estimate, kind: str) -> int:
+    """Dimension of what the session does not say about sensors of a kind."""
+    of_kind = [name.startswith(kind) for name in estimate.names]
+    return int(np.sum(np.abs(estimate.null[:, of_kind]).max(axis=1, initial=0.0) > 1e-3))
+
+
+FACES = ["X up", "X down", "Y up", "Y down", "Z up", "Z down"]
+
+
+@pytest.mark.parametrize("grade", GRADE_NAMES)
+@pytest.mark.parametrize("start", [["Y up"], ["X up", "Y up", "Z up"], FACES, [*FACES, "X up and Y up"]])
+def test_every_advised_rest_shows_one_combination_more_until_all_are_seen(
+    tmp_path: Path, grade: str, start: list[str]
+) -> None:
+    codes = [_code(standing) for standing in start]
+
+    def estimated(names: list[str]) -> Estimate:
+        time, accel, gyro, _ = _recorded(codes + [_code(name) for name in names], grade, 1)
+        return _estimated(_written([(time, accel, gyro)], tmp_path / "session"))
+
+    before = _unseen(estimated([]), "accel")
+    assert before == 9 - len(start)
+    advised = _advised(tmp_path / "session", "rests")
+    assert len(advised) == before
+    for count in range(1, before + 1):
+        assert _unseen(estimated(advised[:count]), "accel") == before - count
+    assert not estimated(advised).unobservable
+    assert calibrate(tmp_path / "session", "--force").exit_code == 0
+
+
+def test_six_faces_are_advised_to_add_positions_in_all_three_planes(tmp_path: Path) -> None:
+    """Six faces are rank 6: bias and scale; each angle between two axes needs a position between them."""
+    time, accel, gyro, _ = _recorded([_code(standing) for standing in FACES], "mems", 1)
+    folder = _written([(time, accel, gyro)], tmp_path / "session")
+    advised = _advised(folder, "rests")
+    planes = {frozenset(re.findall("[XYZ]", name)) for name in advised}
+    assert planes == {frozenset(pair) for pair in ("XY", "XZ", "YZ")}
+    assert "not observable in this session: accel.axis.yx, accel.axis.zx, accel.axis.zy" in calibrate(folder).stderr
+
+
+@pytest.mark.data
+def test_the_six_faces_of_imucal_are_refused_with_advice_to_stand_between_them(data: Path, tmp_path: Path) -> None:
+    """A recording of a real device on six faces, with a turn about each axis."""
+    log = pl.read_csv(data / "imucal-ferraris" / "example_ferraris_session.csv")
+    content = _content()
+    content["log"] = {
+        "file": "log.parquet",
+        "rate_hz": 102.4,
+        "accel": {"columns": ["acc_x", "acc_y", "acc_z"], "unit": "m/s^2"},
+        "gyro": {"columns": ["gyr_x", "gyr_y", "gyr_z"], "unit": "deg/s"},
+    }
+    folder = Recording(content=content, log=log).write(tmp_path / "session")
+    advised = _advised(folder, "rests")
+    assert all(name.endswith("(45° each)") for name in advised)
+    assert len(advised) == _unseen(_estimated(folder), "accel") >= 1
+
+
+@pytest.mark.parametrize("grade", GRADE_NAMES)
+def test_every_advised_turn_shows_more_of_the_gyros_until_all_is_seen(tmp_path: Path, grade: str) -> None:
+    """The rests of programme `nine`, a file each: no turn was recorded."""
+    time, accel, gyro, rests = _recorded([position.attitude for position in programme("nine").positions], grade, 1)
+    inside = [(time > start) & (time <= stop) for start, stop in rests]
+    parts: list[Part] = [(time[rows], accel[rows], gyro[rows]) for rows in inside]
+    before = _unseen(_estimated(_written(parts, tmp_path / "session")), "gyro")
+    assert before > 0
+    for number, name in enumerate(_advised(tmp_path / "session", "turns")):
+        found = re.fullmatch(r"180° about ([XYZ]) with ([XYZ]) up", name)
+        assert found is not None
+        about, up = found.groups()
+        time, accel, gyro, _ = _recorded(_turn(about, up), grade, 10 + number)
+        parts.append((time, accel, gyro))
+        after = _unseen(_estimated(_written(parts, tmp_path / "session")), "gyro")
+        assert after < before or before == 0
+        before = after
+    assert before == 0
+    assert calibrate(tmp_path / "session", "--force").exit_code == 0
+
+
+def _turn(about: str, up: str) -> list[str]:
+    """Attitude codes before and after half a turn about a body axis, from a position with a body axis up."""
+    for letters in map("".join, product("NSEWUD", repeat=3)):
+        points = dict(zip("XYZ", letters, strict=True))
+        if points[up] == "U" and points[about] in ("N", "U") and _right_handed(letters):
+            return [letters, f"{letters} {points[about]}+180"]
+    raise AssertionError(about, up)
+
+
+def _right_handed(letters: str) -> bool:
+    try:
+        attitude(letters)
+    except ValueError:
+        return False
+    except Exception:  # a code that is none
+        return False
+    return True
+
+
+def test_what_cannot_be_observed_is_absent_and_named(tmp_path: Path) -> None:
+    time, accel, gyro, _ = _recorded([_code(standing) for standing in FACES], "mems", 1)
+    folder = _written([(time, accel, gyro)], tmp_path / "session")
+    assert calibrate(folder).exit_code == 1
+    content = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
+    there = {parameter["name"] for parameter in content["parameters"]}
+    missing = set(content["outcome"]["unobservable"])
+    assert {"accel.axis.yx", "accel.axis.zx", "accel.axis.zy"} <= missing
+    assert {"accel.bias.x", "accel.scale.z"} <= there
+    assert not there & missing
+    assert there | missing == set(_triads()[0].names + _triads()[1].names)
+    assert content["accel"] is None
+    assert len(content["covariance"]) == len(there)
+
+
+# -------------------- at the end of a chain of faults --------------------
+
+
+def test_a_recording_is_accepted_again_once_the_named_fault_is_put_right(hand: Recording, tmp_path: Path) -> None:
+    """The advice is followed to the letter: unit, columns, then a sign."""
+    wrong = hand.times(ACCEL, 1.0 / G_STANDARD).exchanging("gx", "gy").times(["az"], -1.0)
+    said = refused(wrong, tmp_path / "session")
+    assert '"g" would fit' in said[0]
+    wrong = wrong.saying(accel__unit="g")
+    said = [refused(wrong, tmp_path / "session-2")[0]]
+    right = wrong.exchanging("gx", "gy").times(["az"], -1.0)
+    accepted(right, tmp_path / "session-3")
+    assert said[0].startswith("the gyros do not carry the vertical from rest to rest")
+
+
+NOISELESS = NoiseModel()
