@@ -1,6 +1,6 @@
 """Do the accuracy formulas of the paper predict what a nonlinear simulation shows?
 
-The simulation knows nothing of `tumble.budget`: exact sensors, Eq. (1), on a rough table; rests levelled by TRIAD;
+The simulation knows nothing of the formulas: exact sensors, Eq. (1), on a rough table; rests levelled by TRIAD;
 turns integrated through the Earth's rotation at constant rate; the estimators as the paper describes them. Each of
 its launches has an instrument, a mounting, a table and noise of its own. Printed are rms errors over launches and
 over the parameters of a group, and the budget's prediction beside them.
@@ -20,20 +20,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.budget import (
-    GROUPS,
-    NAMES,
-    Method,
-    Setup,
-    axis_angle_error,
-    budget,
-    reference_rate_error,
-    require,
-    scalar_scale_error,
-    up_down_errors,
-)
+from tumble.accuracy import axis_angle_error, reference_rate_error, scalar_scale_error, up_down_errors
+from tumble.budget import GROUPS, Setup, budget
 from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
+from tumble.grades import NoiseModel
+from tumble.passes import NAMES, Method
 from tumble.programme import programme
+from tumble.require import require
 from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
 from tumble.units import ARCSEC, DEGREE, Array, IntArray
 
@@ -95,17 +88,17 @@ def readings(setup: Setup, truth: Array, attitudes: Array, rng: np.random.Genera
     up = np.swapaxes(attitudes, -1, -2) @ [0.0, 1.0, 0.0]
     earth = np.swapaxes(attitudes, -1, -2) @ np.array(earth_rate(setup.latitude))
     dwell = math.sqrt(setup.rest)
-    changes = setup.gyro_instability * rng.standard_normal(earth.shape)
+    changes = setup.noise.gyro_instability * rng.standard_normal(earth.shape)
     accel = setup.gravity * up @ S_a.swapaxes(1, 2) + b_a[:, None]
-    accel += setup.accel_instability * rng.standard_normal(up.shape)
-    accel += setup.accel_white / dwell * rng.standard_normal(up.shape)
+    accel += setup.noise.accel_instability * rng.standard_normal(up.shape)
+    accel += setup.noise.accel_white / dwell * rng.standard_normal(up.shape)
     gyro = earth @ S_g.swapaxes(1, 2) + b_g[:, None] + changes
-    gyro += setup.gyro_white / dwell * rng.standard_normal(up.shape)
+    gyro += setup.noise.gyro_white / dwell * rng.standard_normal(up.shape)
     start = attitudes[:, first]
     vector = turn_vectors(start, attitudes[:, first + 1], axis * angle[:, None])
     true = true_rates(start, vector, duration, setup.latitude)
     step = duration / STEPS
-    noise = setup.gyro_white / np.sqrt(step)[:, None, None] * rng.standard_normal((*true.shape[:3], 3))
+    noise = setup.noise.gyro_white / np.sqrt(step)[:, None, None] * rng.standard_normal((*true.shape[:3], 3))
     rates = true @ S_g[:, None, None].swapaxes(-1, -2) + (b_g[:, None] + changes[:, first])[:, :, None, None]
     return Launches(
         setup=setup,
@@ -414,8 +407,7 @@ def single_formulas(setup: Setup, draws: int, rng: np.random.Generator) -> list[
         programme=programme("nine"),
         table_error=1.5 * DEGREE,
         mounting_error=0.0,
-        accel_white=0.0,
-        gyro_white=0.0,
+        noise=NoiseModel(),
     )
     launches = simulate(nine, draws, rng)
     X, g, L = launches.truth, setup.gravity, launches.attitudes
@@ -534,7 +526,7 @@ def main(arguments: list[str]) -> int:
     launches = 400 if parser.parse_args(arguments).short else 4000
     latitude = 56.84 * DEGREE
     setup = Setup(latitude=latitude, gravity=normal_gravity(latitude, 270.0))
-    silent = replace(setup, accel_white=0.0, gyro_white=0.0)
+    silent = replace(setup, noise=NoiseModel())
     nine = replace(silent, programme=programme("nine"), table_error=1.5 * DEGREE, mounting_error=0.0)
     both: tuple[Method, ...] = ("sequential", "scalar")
     unexplained = print_single(setup, 5 * launches)

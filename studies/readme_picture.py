@@ -99,12 +99,12 @@ def draw_improvement(axes: Axes, calibration: Calibration, truth: dict[str, floa
     axes.plot(at, before, "o", mfc="white", mec="#444444", ms=5, label="error of the instrument")
     axes.plot(at, after, "o", color="#444444", ms=4, label="what is left of it")
     axes.set_yscale("log")
-    axes.set_ylim(0.02, 4000.0)
-    axes.set_yticks([0.1, 1.0, 10.0, 100.0, 1000.0], ["0.1", "1", "10", "100", "1000"])
+    axes.set_ylim(0.002, 6000.0)
+    axes.set_yticks([0.01, 0.1, 1.0, 10.0, 100.0, 1000.0], ["0.01", "0.1", "1", "10", "100", "1000"])
     axes.legend(loc="upper right", ncols=2, frameon=False, handletextpad=0.2, columnspacing=1.0)
     for group, (_, unit) in UNITS.items():
         members = [i for i, p in enumerate(calibration.parameters) if group_of(p.name) == group]
-        axes.text(float(np.mean(members)), 0.03, unit, ha="center", fontsize=8, color="#555555")
+        axes.text(float(np.mean(members)), 0.003, unit, ha="center", fontsize=8, color="#555555")
     name_parameters(axes, calibration)
 
 

@@ -20,16 +20,21 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.linalg import rq
 
+from tumble.calibration import calibrate, inspect_session
 from tumble.cli import main
-from tumble.units import DEGREE, G_STANDARD
+from tumble.log import open_log
+from tumble.session import read_session
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 ROOT = Path(__file__).parents[1]
 RUN = ("README.md", "docs/tutorial.md", "docs/conventions.md", "docs/xsens.md")
@@ -228,6 +233,85 @@ def test_the_thresholds_of_the_method_are_those_of_the_code() -> None:
         assert getattr(import_module(f"tumble.{module}"), name) == pytest.approx(float(value) * SI[unit]), name
     for name in re.findall(r"`([A-Z][A-Z_]+)`", text):
         assert name in {row[0] for row in rows}, f"{name} is not in the table of thresholds"
+
+
+# -------------------- the figures of the real recording --------------------
+
+
+def in_brackets(values: Array, u: Array, digits: int) -> str:
+    """Values with their uncertainties in units of the last digit."""
+    return ", ".join(f"{v:.{digits}f}({w * 10**digits:.0f})" for v, w in zip(values, u, strict=True))
+
+
+def signed(value: float, digits: int) -> str:
+    """A number with its sign, a real minus."""
+    return f"{value:+.{digits}f}".replace("-", "−")
+
+
+def figures_of_the_recording(folder: Path) -> dict[str, str]:
+    """What docs/xsens.md says in its text and tables, from two calibrations of the recording in `folder`."""
+    session = read_session(folder)
+    normal = calibrate(session)
+    exact = calibrate(replace(session, site=replace(session.site, gravity=9.81744, gravity_u=0.0)))
+    assert exact.accel is not None
+    assert exact.gyro is not None
+    _, observations = inspect_session(session)
+    assert observations is not None
+    rests = observations.rests
+    force = exact.accel.apply(rests.accel)
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    residual = np.array([rest.residual for rest in normal.rests])
+    coloured = np.sqrt(np.einsum("ip,ipq,iq->i", up, rests.accel_covariance, up))
+    chunks = list(open_log(session).chunks())
+    time, readings = (np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in ("time", "accel"))
+    white = []
+    for u, start, stop in zip(up, rests.start, rests.stop, strict=True):
+        along = readings[(time > start) & (time <= stop)] @ u
+        white.append(along.std() / np.sqrt(len(along)))
+    fit, gyro_fit = normal.fits["accelerometers"], normal.fits["gyro rests"]
+    sizes = {"accel": 415.0 * np.ones(3), "gyro": 4770.0 * np.ones(3)}
+    scale = {kind: np.array([exact[f"{kind}.scale.{axis}"].value for axis in "xyz"]) for kind in sizes}
+    scale_u = {kind: np.array([exact[f"{kind}.scale.{axis}"].u for axis in "xyz"], dtype=float) for kind in sizes}
+    length = {kind: sizes[kind] * (1.0 + scale[kind]) for kind in sizes}
+    _, frame = rq(exact.accel.matrix)
+    accel, gyro = (
+        sizes[kind] * np.abs(1.0 / np.diag(np.linalg.inv(model.matrix @ frame.T)))
+        for kind, model in (("accel", exact.accel), ("gyro", exact.gyro))
+    )
+    rows = ""
+    for axis in "xyz":
+        a, b = normal[f"accel.scale.{axis}"], exact[f"accel.scale.{axis}"]
+        assert a.u is not None
+        assert b.u is not None
+        rows += (
+            f"| `accel.scale.{axis}` | {signed(1e6 * a.value, 0)}({1e6 * a.u:.0f}) ppm "
+            f"| {signed(1e6 * b.value, 0)}({1e6 * b.u:.0f}) ppm | {signed(1e6 * (b.value - a.value), 0)} ppm |\n"
+        )
+    return {
+        "RMS": f"{1e3 * np.sqrt(np.mean(residual**2)):.2f}",
+        "WHITE": f"{1e3 * np.median(white):.2f}",
+        "CHIWHITE": f"{np.sum((residual / white) ** 2) / fit.degrees:.0f}",
+        "COLOURED": f"{1e3 * np.median(coloured):.2f}",
+        "CHI": f"{fit.chi_square:.1f}",
+        "PERDEGREE": f"{fit.chi_square / fit.degrees:.2f}",
+        "CHANCE": f"{100.0 * fit.probability:.1f}",
+        "BIRGE": f"{np.sqrt(fit.chi_square / fit.degrees):.1f}",
+        "GYRO": f"{gyro_fit.scatter / DEGREE_PER_HOUR:.0f}",
+        "SCALES": rows,
+        "LENGTHS": f"| tumble, 1 + k | {in_brackets(length['accel'], sizes['accel'] * scale_u['accel'], 3)} "
+        f"| {in_brackets(length['gyro'], sizes['gyro'] * scale_u['gyro'], 1)} |\n",
+        "DIAGONALS": f"| tumble, in imu_tk's convention | {', '.join(f'{v:.3f}' for v in accel)} "
+        f"| {', '.join(f'{v:.1f}' for v in gyro)} |\n"
+        f"| less the independent fit | {', '.join(signed(v, 3) for v in accel - [414.421, 412.031, 414.621])} | |\n"
+        f"| less imu_tk | {', '.join(signed(v, 2) for v in accel - [414.46, 412.01, 414.65])} "
+        f"| {', '.join(signed(v, 1) for v in gyro - [4778.0, 4764.2, 4773.7])} |\n",
+    }
+
+
+def test_the_figures_of_the_real_recording_are_those_of_the_program(data: Path) -> None:
+    text = " ".join((ROOT / "docs/xsens.md").read_text(encoding="utf-8").split())
+    for name, figure in figures_of_the_recording(data / "xsens-mti").items():
+        assert " ".join(figure.split()) in text, f"{name}: {figure}"
 
 
 # -------------------- today's outputs --------------------

@@ -17,11 +17,9 @@ from tumble.methods.indirect import (
     leakage,
     logged_jacobian,
     programme_matrix,
-    turn_path,
 )
 from tumble.methods.levelling import triad
 from tumble.programme import ANY_MOVE, Move, Position, Programme, attitude
-from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, Array
 
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0])}
@@ -38,17 +36,6 @@ def table(*turns: str) -> Programme:
 
 
 # The programme matrix
-
-
-def test_a_turn_integrates_to_equation_6_2() -> None:
-    rng = np.random.default_rng(1)
-    n = rng.standard_normal(3)
-    n /= np.linalg.norm(n)
-    angle = 2.3
-    nodes, weights = np.polynomial.legendre.leggauss(20)
-    θ = 0.5 * angle * (nodes + 1)
-    numeric = np.einsum("s,sij->ij", 0.5 * angle * weights, rotation_matrix(θ[:, None] * n))
-    np.testing.assert_allclose(turn_path(n, angle), numeric, atol=1e-13)
 
 
 def test_columns_of_errors_are_those_of_equation_1() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -220,6 +221,32 @@ def test_nine_positions_have_the_published_condition_number() -> None:
     assert abs(np.linalg.det(H)) == pytest.approx(1.0, rel=1e-9)
     assert np.linalg.cond(H) == pytest.approx(6.48, abs=0.005)
     np.testing.assert_allclose(uncertainties(H), np.repeat([0.707, 0.707, 2.646], 3), atol=5e-4)
+
+
+def rows_of_single_turns(codes: list[str], axis_of: Callable[[Array], Array]) -> Array:
+    """H_G of a quarter and a half turn from each attitude, about an axis that may depend on it."""
+    rows = []
+    for code in codes:
+        (stood,) = from_attitudes([code]).positions
+        for angle in (0.5 * math.pi, math.pi):
+            move = Move(axis=axis_of(stood.matrix), angle=angle)
+            rows.append(rows_of_turns(Programme(name="one", positions=(stood, stood), moves=(move,), ordered=True)))
+    return np.concatenate(rows)
+
+
+STANDING = [code + lift for code in triples() for lift in ("", " N+30", " N+30 E+50")]
+
+
+@pytest.mark.parametrize("axis_b", [(1.0, 0.0, 0.0), (0.6, 0.0, 0.8)])
+def test_turns_about_one_body_axis_show_three_gyro_parameters(axis_b: tuple[float, ...]) -> None:
+    H = rows_of_single_turns(STANDING, lambda matrix: np.asarray(matrix @ axis_b))
+    assert np.linalg.matrix_rank(H, tol=1e-9) == 3
+
+
+def test_turns_about_the_vertical_do_not_show_the_common_scale_factor() -> None:
+    H = rows_of_single_turns(STANDING, lambda _: U)
+    assert np.linalg.matrix_rank(H, tol=1e-9) == 8
+    np.testing.assert_allclose(H @ np.eye(3).ravel(), 0.0, atol=1e-12)
 
 
 def uncertainties(H: Array) -> Array:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import copy
 import json
 import re
+import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations, permutations, product
 from pathlib import Path
 from typing import Any
@@ -21,20 +21,19 @@ import numpy as np
 import polars as pl
 import pytest
 import tomli_w
-import tomllib
 from click.testing import CliRunner, Result
 
 from tumble.calibration import inspect_session
 from tumble.cli import main
+from tumble.errors import ProgrammeError
 from tumble.estimate import Estimate
+from tumble.grades import GRADES
 from tumble.methods.staged import staged
 from tumble.model import Block
 from tumble.programme import attitude, from_attitudes, programme
 from tumble.rotation import rotation_matrix
 from tumble.session import read_session
 from tumble.simulate import (
-    GRADES,
-    NoiseModel,
     OnTable,
     Profile,
     Request,
@@ -243,8 +242,8 @@ def test_coarse_counts_are_not_taken_for_clipped_or_stuck_channels(
     `nine`, one channel does so for 3.7 s in a log where fewer than half of the samples do."""
     sound = simulated(replace(COURSES[course], grade=grade), 2)
     coarse = sound.counted(32768 / (16 * G_STANDARD), 32768 / (500 * DEGREE))
-    repeats = max(float((coarse.log[c].diff() == 0.0).mean() or 0.0) for c in (*ACCEL, *GYRO))
-    assert repeats > 0.2 or grade != "navigation"
+    if grade == "navigation":
+        assert max(np.mean(np.diff(coarse.log[c].to_numpy()) == 0.0) for c in (*ACCEL, *GYRO)) > 0.2
     accepted(coarse, tmp_path / "session")
 
 
@@ -288,10 +287,11 @@ def _turned_by(moves: list[Array], truth: dict[str, float], rng: np.random.Gener
         rates += [np.zeros(3)] * int(5 * SAMPLE_RATE)
     noise, root = GRADES["consumer"].noise, np.sqrt(SAMPLE_RATE)
     columns: dict[str, Array] = {"t": np.arange(1, len(forces) + 1) / SAMPLE_RATE}
-    for block, true, names, density in zip(
-        _triads(), (G_STANDARD * np.array(forces), np.array(rates)), (ACCEL, GYRO), (noise.accel_white, noise.gyro_white),
-        strict=True,
-    ):  # fmt: skip
+    accel, gyro = _triads()
+    for block, true, names, density in (
+        (accel, G_STANDARD * np.array(forces), ACCEL, noise.accel_white),
+        (gyro, np.array(rates), GYRO, noise.gyro_white),
+    ):
         model = block.model(np.array([truth[name] for name in block.names]))
         readings = model.predict(true) + density * root * rng.standard_normal(true.shape)
         columns |= dict(zip(names, readings.T, strict=True))
@@ -315,7 +315,7 @@ def _content() -> dict[str, Any]:
 # -------------------- units, scales and clocks --------------------
 
 
-@pytest.mark.parametrize(("true", "stated"), permutations(ACCEL_UNITS, 2))
+@pytest.mark.parametrize(("true", "stated"), [*permutations(ACCEL_UNITS, 2)])
 def test_a_wrong_unit_of_the_accelerometers_is_named_with_the_one_that_fits(
     recording: Recording, tmp_path: Path, true: str, stated: str
 ) -> None:
@@ -324,7 +324,7 @@ def test_a_wrong_unit_of_the_accelerometers_is_named_with_the_one_that_fits(
     assert f'the unit of [log.accel] is not "{stated}"; "{true}" would fit' in said
 
 
-@pytest.mark.parametrize(("true", "stated"), permutations(GYRO_UNITS, 2))
+@pytest.mark.parametrize(("true", "stated"), [*permutations(GYRO_UNITS, 2)])
 def test_a_wrong_unit_of_the_gyros_is_named_with_the_one_that_fits(
     recording: Recording, tmp_path: Path, true: str, stated: str
 ) -> None:
@@ -347,23 +347,30 @@ def test_rates_stated_as_increments_are_named(hand: Recording, tmp_path: Path) -
     assert 'the unit of [log.gyro] is not "rad", "rad/s" would fit' in said
 
 
-@pytest.mark.parametrize(("factor", "named"), [(0.1, "10 times too small"), (0.5, "2 times too small"), (3.0, "3 times too large")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("factor", "size", "direction"),
+    [(0.2, 5.0, "small"), (0.5, 2.0, "small"), (1.5, 1.5, "large"), (3.0, 3.0, "large")],
+)
 def test_a_wrong_scale_of_raw_accelerometers_is_named_with_its_size(
-    hand: Recording, tmp_path: Path, factor: float, named: str
+    recording: Recording, tmp_path: Path, factor: float, size: float, direction: str
 ) -> None:
-    said = reason(hand.counted(415.0, 4770.0).saying(accel__scale=415.0 * factor), tmp_path / "session")
-    assert f"the nominal scale of [log.accel] is about {named}" in said
+    said = reason(recording.counted(1e4, 1e7).saying(accel__scale=1e4 * factor), tmp_path / "session")
+    found = re.search(r"the nominal scale of \[log\.accel\] is about ([\d.]+) times too (small|large)", said)
+    assert found is not None, said
+    assert float(found[1]) == pytest.approx(size, rel=0.03)
+    assert found[2] == direction
 
 
-@pytest.mark.parametrize(("factor", "named"), [(0.5, "2 times too small"), (1.5, "1.5 times too large"), (2.0, "2 times too large")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("factor", "size", "direction"), [(0.5, 2.0, "small"), (1.5, 1.5, "large"), (2.0, 2.0, "large")]
+)
 def test_a_wrong_scale_of_raw_gyros_is_named_with_its_size(
-    recording: Recording, tmp_path: Path, factor: float, named: str
+    recording: Recording, tmp_path: Path, factor: float, size: float, direction: str
 ) -> None:
     said = reason(recording.counted(1e5, 1e7).saying(gyro__scale=1e7 * factor), tmp_path / "session")
-    found = re.search(r"the nominal scale of \[log\.gyro\] is ([\d.]+) (times too (?:small|large))", said)
+    found = re.search(r"the nominal scale of \[log\.gyro\] is ([\d.]+) times too (small|large)", said)
     assert found is not None, said
-    size, direction = named.split(" ", 1)
-    assert float(found[1]) == pytest.approx(float(size), rel=0.03)
+    assert float(found[1]) == pytest.approx(size, rel=0.03)
     assert found[2] == direction
 
 
@@ -409,8 +416,7 @@ def test_exchanged_sensors_are_named_in_any_unit(hand: Recording, tmp_path: Path
     exchanged = there.saying(
         accel__unit=units[0], gyro__unit=units[1], accel__columns=list(GYRO), gyro__columns=list(ACCEL)
     )
-    reasons = refused(exchanged, tmp_path / "session")
-    assert any("exchanged" in said or "the unit of [log.accel]" in said for said in reasons)
+    assert "accelerometer and gyro columns are exchanged" in reason(exchanged, tmp_path / "session")
 
 
 def test_exchanged_sensors_are_named_in_raw_counts(hand: Recording, table: Recording, tmp_path: Path) -> None:
@@ -472,7 +478,7 @@ def test_no_signed_permutation_of_the_gyros_is_left_without_words(
         for column, sign in zip(GYRO, signs, strict=True):
             wrong = wrong.times([column], sign)
         said = reason(wrong, tmp_path / str(number))
-        assert re.search(r"; the (sign of (gyro|accelerometer) [xyz]|(gyro|accelerometer) columns) ", said), said
+        assert re.search(r"; the (sign of (gyro|accelerometer) [xyz]|(gyro|accelerometer) columns)", said), said
 
 
 # -------------------- channels --------------------
@@ -510,10 +516,8 @@ def test_a_clipped_channel_is_named_once_and_in_order(hand: Recording, tmp_path:
 
 
 @pytest.mark.parametrize("column", [*ACCEL, *GYRO])
-@pytest.mark.parametrize("value", [0.0, 1.234])
-def test_a_dead_channel_is_named_with_its_value(
-    recording: Recording, tmp_path: Path, column: str, value: float
-) -> None:
+def test_a_dead_channel_is_named_with_its_value(recording: Recording, tmp_path: Path, column: str) -> None:
+    value = 0.0 if column.endswith("x") else 1.234
     said = reason(recording.changed(column, slice(None), lambda _: value), tmp_path / "session")
     unit = "m/s^2" if column in ACCEL else "rad/s"
     assert said == f"column {column!r} is dead: all {recording.log.height} samples are {value:g} {unit}"
@@ -526,10 +530,9 @@ def test_a_dead_channel_of_counts_is_named_with_the_number_in_the_log(hand: Reco
 
 
 @pytest.mark.parametrize("column", ["ax", "gz"])
-@pytest.mark.parametrize("seconds", [3.0, 6.0])
-@pytest.mark.parametrize("begin", [0.0, 0.37, 0.8])
+@pytest.mark.parametrize(("begin", "seconds"), [(0.0, 3.0), (0.37, 2.0), (0.8, 6.0)])
 def test_a_channel_stuck_for_several_seconds_is_named(
-    recording: Recording, tmp_path: Path, column: str, seconds: float, begin: float
+    recording: Recording, tmp_path: Path, column: str, begin: float, seconds: float
 ) -> None:
     rate = (recording.log.height - 1) / float(recording.log["t"][-1] - recording.log["t"][0])
     first = int(begin * recording.log.height)
@@ -626,11 +629,13 @@ def _code(standing: str) -> str:
     return CUBE[parts[0] if len(parts) == 1 else ", ".join("{} 45° {}".format(*part.split()) for part in parts)]
 
 
-def _recorded(codes: list[str], grade: str, seed: int) -> tuple[Array, Array, Array, Array]:
-    """Times, accelerometers, gyros and rests of one instrument of a grade in positions of a rough table."""
+def _recorded(
+    codes: list[str], grade: str, seed: int, table_error: float = 0.3 * DEGREE
+) -> tuple[Array, Array, Array, Array]:
+    """Times, accelerometers, gyros and rests of one instrument of a grade in positions of a table."""
     accel, gyro = _triads()
     scenario = Scenario(
-        course=OnTable(programme=from_attitudes(codes), table_error=0.3 * DEGREE, mounting_error=0.0),
+        course=OnTable(programme=from_attitudes(codes), table_error=table_error, mounting_error=0.0),
         accel=accel,
         gyro=gyro,
         truth=draw_parameters(grade, (accel, gyro), np.random.default_rng(5)),
@@ -706,7 +711,7 @@ def test_every_advised_rest_shows_one_combination_more_until_all_are_seen(
 
 def test_six_faces_are_advised_to_add_positions_in_all_three_planes(tmp_path: Path) -> None:
     """Six faces are rank 6: bias and scale; each angle between two axes needs a position between them."""
-    time, accel, gyro, _ = _recorded([_code(standing) for standing in FACES], "mems", 1)
+    time, accel, gyro, _ = _recorded([_code(standing) for standing in FACES], "navigation", 1, table_error=0.0)
     folder = _written([(time, accel, gyro)], tmp_path / "session")
     advised = _advised(folder, "rests")
     planes = {frozenset(re.findall("[XYZ]", name)) for name in advised}
@@ -764,15 +769,13 @@ def _turn(about: str, up: str) -> list[str]:
 def _right_handed(letters: str) -> bool:
     try:
         attitude(letters)
-    except ValueError:
-        return False
-    except Exception:  # a code that is none
+    except ProgrammeError:
         return False
     return True
 
 
 def test_what_cannot_be_observed_is_absent_and_named(tmp_path: Path) -> None:
-    time, accel, gyro, _ = _recorded([_code(standing) for standing in FACES], "mems", 1)
+    time, accel, gyro, _ = _recorded([_code(standing) for standing in FACES], "navigation", 1, table_error=0.0)
     folder = _written([(time, accel, gyro)], tmp_path / "session")
     assert calibrate(folder).exit_code == 1
     content = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
@@ -799,6 +802,3 @@ def test_a_recording_is_accepted_again_once_the_named_fault_is_put_right(hand: R
     right = wrong.exchanging("gx", "gy").times(["az"], -1.0)
     accepted(right, tmp_path / "session-3")
     assert said[0].startswith("the gyros do not carry the vertical from rest to rest")
-
-
-NOISELESS = NoiseModel()

@@ -19,14 +19,13 @@ from hypothesis import strategies as st
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.errors import InputError
+from tumble.grades import GRADES, NoiseModel
 from tumble.model import Block
 from tumble.programme import from_attitudes, programme
 from tumble.rotation import rotation_matrix
 from tumble.session import read_session
 from tumble.simulate import (
-    GRADES,
     HandHeld,
-    NoiseModel,
     OnTable,
     Profile,
     Recording,
@@ -73,9 +72,7 @@ def scenario(
         truth=dict.fromkeys(truth, 0.0) if perfect else truth,
         noise=noise,
         profile=profile,
-        site=Site(
-            latitude=LATITUDE, height=270.0, gravity=normal_gravity(LATITUDE, 270.0) + 1e-3, gravity_u=1e-7
-        ),
+        site=Site(latitude=LATITUDE, height=270.0, gravity=normal_gravity(LATITUDE, 270.0) + 1e-3, gravity_u=1e-7),
         vibration=vibration,
         serial="S-1",
     )
@@ -295,9 +292,7 @@ def test_a_cube_stands_in_any_order_and_azimuth() -> None:
     assert list(found.positions) != list(range(26))
     nominal = np.array([cube.programme.positions[i].vertical_b for i in found.positions])
     np.testing.assert_allclose(found.attitudes[:, 1, :], nominal, atol=1e-15)
-    north = found.attitudes[:, 0, :] - np.array(
-        [cube.programme.positions[i].matrix[0] for i in found.positions]
-    )
+    north = found.attitudes[:, 0, :] - np.array([cube.programme.positions[i].matrix[0] for i in found.positions])
     assert np.linalg.norm(north, axis=1).min() > 1e-3
 
 
@@ -452,9 +447,7 @@ def test_noiseless_is_the_same_instrument_in_the_same_attitudes(tmp_path: Path) 
     noisy = simulate_session(tmp_path / "noisy", QUICK, seed=3)
     quiet = simulate_session(tmp_path / "quiet", replace(QUICK, noiseless=True), seed=3)
     assert (noisy / "truth.json").read_bytes() == (quiet / "truth.json").read_bytes()
-    difference = (
-        pl.read_parquet(noisy / "log.parquet")["ax"] - pl.read_parquet(quiet / "log.parquet")["ax"]
-    ).abs()
+    difference = (pl.read_parquet(noisy / "log.parquet")["ax"] - pl.read_parquet(quiet / "log.parquet")["ax"]).abs()
     limit = 6 * GRADES["navigation"].noise.accel_white * math.sqrt(20.0)
     assert 0.0 < float(difference.max()) < limit  # type: ignore[arg-type]
 
@@ -526,6 +519,7 @@ def test_a_request_is_met_in_its_own_units() -> None:
     ("request_", "said"),
     [
         (Request(grade="toy"), "grade: expected one of navigation, tactical, mems, consumer, found 'toy'"),
+        (Request(grade="navigaton"), "found 'navigaton'; did you mean 'navigation'?"),
         (Request(programme="rough"), "programme: expected one of rough-table"),
         (Request(positions=0), "positions: expected at least 1, found 0"),
         (Request(rest=0.01), "rest: expected at least two samples, 0.02 s, found 0.01 s"),
@@ -545,9 +539,7 @@ def test_a_request_is_met_in_its_own_units() -> None:
     ],
     ids=str,
 )
-def test_an_impossible_request_is_one_line_and_leaves_no_folder(
-    tmp_path: Path, request_: Request, said: str
-) -> None:
+def test_an_impossible_request_is_one_line_and_leaves_no_folder(tmp_path: Path, request_: Request, said: str) -> None:
     with pytest.raises(InputError) as caught:
         simulate_session(tmp_path / "launch", request_, seed=1)
     assert said in str(caught.value)
@@ -580,9 +572,7 @@ def test_vibration_is_read_from_text() -> None:
     assert vibration_of("0.05@30") == Vibration(amplitude=0.05, frequency=30.0)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "0.05", "@30", "0.05@", "0.05@0", "-1@30", "nan@30", "1@inf", "1@2@3", "a@b"]
-)
+@pytest.mark.parametrize("text", ["", "0.05", "@30", "0.05@", "0.05@0", "-1@30", "nan@30", "1@inf", "1@2@3", "a@b"])
 def test_a_bad_vibration_is_one_line(text: str) -> None:
     with pytest.raises(InputError, match=r"vibration: expected AMPLITUDE@HZ .*, found "):
         vibration_of(text)

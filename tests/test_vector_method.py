@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tumble.accuracy import best_elevations
 from tumble.errors import ProgrammeError
 from tumble.methods.compensation import compensated, composed, triad_model, triad_parameters
 from tumble.methods.levelling import vertical
@@ -18,7 +19,6 @@ from tumble.methods.sequential import (
     angle_astride,
     angle_between,
     axis_angles,
-    best_elevations,
     bias_and_scale,
     check_positions,
     levelled_cosines,

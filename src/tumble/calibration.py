@@ -368,8 +368,10 @@ def _estimated(
         return Outcome(reasons=tuple(faults))
     segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
     found = None
-    if segmentation.rests:
-        everything = Match(rests=segmentation.rests, programme=None, position=None)
+    # where the unit of the gyros makes every turn too slow to be one, the accelerometers still show the rests
+    rests = segmentation.rests or find_rests(reduction, session.accel_block, None).rests
+    if rests:
+        everything = Match(rests=rests, programme=None, position=None)
         with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit
             found = observe(reduction, everything, session.accel_block, session.gyro_block, session.site)
         faults = sense_faults(found, session, reduction.rate)

@@ -9,7 +9,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,6 +20,7 @@ from tumble import __version__
 from tumble.errors import InputError, TumbleError
 
 if TYPE_CHECKING:
+    from tumble.budget import Setup
     from tumble.log import Chunk, Log
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
@@ -266,6 +267,116 @@ def noise(
         draw(panels, plot)
         click.echo(f"written to {plot}", err=True)
     print_report(noise_report(record.source, panels))
+
+
+@main.command()
+@click.argument("name", metavar="[NAME]", required=False)
+@click.option("--attitude", "attitudes", multiple=True, help="Instead of NAME: a position's attitude code; repeat.")
+@click.option("--rest", type=float, default=60.0, show_default=True, help="Duration of a rest, s.")
+@click.option("--rate", type=float, default=10.0, show_default=True, help="Rate of the turns, °/s.")
+@click.option("-o", "--output", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
+def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: float, output: Path | None) -> None:
+    """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
+    from tumble.programme import from_attitudes
+    from tumble.programme import programme as built_in
+    from tumble.sheet import sheet_table, write_sheet
+    from tumble.text import print_report
+    from tumble.units import DEGREE
+
+    if (name is None) == (not attitudes):
+        raise InputError("expected either the NAME of a programme or --attitude for each position")
+    listed = from_attitudes(list(attitudes)) if name is None else built_in(name)
+    print_report(sheet_table(listed, rest=rest, rate=rate * DEGREE))
+    if output is not None:
+        write_sheet(output, listed, rest=rest, rate=rate * DEGREE)
+        click.echo(f"written to {output}", err=True)
+
+
+def _setup_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options that describe a set-up before anything is measured."""
+    for option in reversed(
+        [
+            click.option("--programme", default="rough-table", show_default=True, help="Built-in programme."),
+            click.option("--grade", default="navigation", show_default=True, help="Class of the instrument."),
+            click.option("--table-error", type=float, default=1.0, show_default=True, help="Of a position, ±°."),
+            click.option("--mounting-error", type=float, default=1.0, show_default=True, help="Of the launch, ±°."),
+            click.option("--rest", type=float, default=60.0, show_default=True, help="Duration of a rest, s."),
+            click.option("--rate", type=float, default=10.0, show_default=True, help="Rate of the turns, °/s."),
+            click.option("--latitude", type=float, default=56.84, show_default=True, help="Of the site, °."),
+            click.option("--gravity", type=float, help="Measured gravity, m/s²; default: normal gravity."),
+            click.option("--gravity-u", type=float, default=0.0, show_default=True, help="Its uncertainty, m/s²."),
+            click.option("--noiseless", is_flag=True, help="Errors of the method alone."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+def _setup(options: dict[str, Any]) -> Setup:
+    """A set-up from the options of `_setup_options`."""
+    from tumble.budget import Setup
+    from tumble.earth import normal_gravity
+    from tumble.grades import NoiseModel, grade
+    from tumble.programme import programme
+    from tumble.units import DEGREE
+
+    kind = grade(options["grade"])
+    latitude = options["latitude"] * DEGREE
+    return Setup(
+        table_error=options["table_error"] * DEGREE,
+        mounting_error=options["mounting_error"] * DEGREE,
+        rest=options["rest"],
+        turn_rate=options["rate"] * DEGREE,
+        noise=NoiseModel() if options["noiseless"] else kind.noise,
+        accel=kind.accel,
+        gyro=kind.gyro,
+        latitude=latitude,
+        gravity=options["gravity"] if options["gravity"] is not None else normal_gravity(latitude, 0.0),
+        gravity_u=options["gravity_u"],
+        programme=programme(options["programme"]),
+    )
+
+
+@main.command()
+@_setup_options
+@click.option("--method", "methods", type=click.Choice(METHODS), multiple=True, help="Default: all of them; repeat.")
+@click.option("--iterations", type=click.IntRange(1, 5), default=2, show_default=True, help="Passes.")
+def budget(methods: tuple[str, ...], iterations: int, **options: Any) -> None:
+    """Expected errors of a calibration before it is made, from the accuracy formulas."""
+    from tumble.budget import budget
+    from tumble.text import budget_report, print_report
+
+    expected = budget(_setup(options), methods=methods or METHODS, iterations=iterations)  # type: ignore[arg-type]
+    print_report(budget_report(expected))
+    for remark in expected.remarks:
+        click.echo(f"note: {remark}", err=True)
+
+
+@main.command()
+@_setup_options
+@click.option("--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. accel.scale=3.5ppm; repeat.")
+@click.option("--relative", type=float, metavar="PERCENT", help="Wanted of every group: part of its spread, %.")
+@click.option("--method", type=click.Choice(METHODS), default="sequential", show_default=True, help="Method to use.")
+@click.option("--iteration", type=click.IntRange(1, 5), default=1, show_default=True, help="After this pass.")
+@click.option(
+    "--gyro-bias",
+    type=click.Choice(["programme", "vertical", "polar"]),
+    default="programme",
+    show_default=True,
+    help="From all rests, or from one with the axis vertical or along the Earth's axis.",
+)
+def require(
+    wanted: tuple[str, ...], relative: float | None, method: str, iteration: int, gyro_bias: str, **options: Any
+) -> None:
+    """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
+    from tumble.require import require, wanted_of
+    from tumble.text import print_report, requirements_report
+
+    setup = _setup(options)
+    asked = wanted_of(wanted, relative, setup)
+    needs = require(asked, setup, method=method, iteration=iteration, gyro_bias=gyro_bias)  # type: ignore[arg-type]
+    print_report(requirements_report(needs))
+    sys.exit(0 if needs.feasible else 1)
 
 
 if __name__ == "__main__":

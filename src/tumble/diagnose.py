@@ -68,10 +68,11 @@ def recording_faults(reduction: Reduction, session: Session) -> list[str]:
     g = session.site.gravity
     if abs(magnitude / g - 1.0) < UNIT_TOLERANCE:
         return []
-    if log.gyro is not None and magnitude < 0.5 * g:
-        exchanged = float(np.median(np.linalg.norm(_as_logged_by(gyros, log.gyro, log.accel), axis=1)))
-        units = _fitting_units(exchanged, log.accel, g, reduction.rate, ("rate",))
-        if abs(exchanged / g - 1.0) < UNIT_TOLERANCE or units:
+    if log.gyro is not None:
+        meant = _as_logged_by(gyros, log.gyro, log.accel)
+        exchanged = float(np.median(np.linalg.norm(meant, axis=1)))
+        fits = abs(exchanged / g - 1.0) < UNIT_TOLERANCE and _like_gravity(meant)
+        if fits or (magnitude < 0.5 * g and _fitting_units(exchanged, log.accel, g, reduction.rate, ("rate",))):
             return [
                 f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
                 f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"
@@ -261,10 +262,11 @@ def _lost(observations: Observations, k: int, miss: float) -> str:
 
 
 def _turned(observations: Observations, gyro: SensorModel) -> Array:
-    """About how far (K,) each turn went, rad, whole revolutions included."""
+    """About how far (K,) each turn went at the usual rate, rad, whole revolutions included."""
     with np.errstate(invalid="ignore", over="ignore"):
-        M = observations.turns_about(gyro).M
-        return np.asarray(np.nan_to_num(np.sqrt((M**2).sum(axis=(1, 2, 3)))))
+        turns = observations.turns_about(gyro)
+        path = np.nan_to_num(np.sqrt((turns.M**2).sum(axis=(1, 2, 3))))
+    return np.asarray(turns.duration * np.median(path / turns.duration))
 
 
 def _misses(observations: Observations, gyro: SensorModel) -> Array:

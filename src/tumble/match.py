@@ -15,7 +15,7 @@ import numpy as np
 
 from tumble.errors import ProgrammeError
 from tumble.programme import Position, Programme, from_attitudes, programme
-from tumble.segment import FileBlocks, Reduction, RestSpan, Segmentation, stated_rest
+from tumble.segment import BLOCK_SECONDS, FileBlocks, Reduction, RestSpan, Segmentation, stated_rest
 from tumble.session import ProgrammeSpec, Session
 from tumble.units import DEGREE, Array, IntArray
 
@@ -24,6 +24,8 @@ POSITION_LIMIT = 7.0 * DEGREE
 
 TURN_LIMIT = 25.0 * DEGREE
 SAME_ATTITUDE = 2.0 * DEGREE
+SHORTEST_STATED = 1.0
+"""s: below, a rest has too few blocks for the noise of its mean."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,6 +43,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     if spec is None:
         return Match(rests=segmentation.rests, programme=None, position=None)
     listed = programme(spec.name) if spec.name is not None else from_attitudes([p.attitude for p in spec.positions])
+    _check_stated(listed, reduction.files[0], spec)
     rests = _with_stated(reduction, segmentation.rests, spec)
     if not rests:
         return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
@@ -56,6 +59,23 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     _check_turns(session, reduction, listed, rests, groups)
     position = np.array([next(k for k, group in enumerate(groups) if i in group) for i in range(len(rests))])
     return Match(rests=rests, programme=listed, position=position)
+
+
+def _check_stated(listed: Programme, file: FileBlocks, spec: ProgrammeSpec) -> None:
+    """Stated rests are in the (first) file, and long enough to have a mean."""
+    for k, p in enumerate(spec.positions):
+        if p.start is None or p.stop is None:
+            continue
+        if p.start < file.edges[0] - BLOCK_SECONDS or p.stop > file.edges[-1] + BLOCK_SECONDS:
+            raise ProgrammeError(
+                f"programme {listed.name}, {_named(listed, k)}: expected start and stop within the log, "
+                f"{file.edges[0]:.1f}–{file.edges[-1]:.1f} s, found {p.start:g}–{p.stop:g} s"
+            )
+        if p.stop - p.start < SHORTEST_STATED:
+            raise ProgrammeError(
+                f"programme {listed.name}, {_named(listed, k)}: expected a rest of at least {SHORTEST_STATED:g} s, "
+                f"found start {p.start:g} s and stop {p.stop:g} s"
+            )
 
 
 def _with_stated(reduction: Reduction, found: tuple[RestSpan, ...], spec: ProgrammeSpec) -> tuple[RestSpan, ...]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import numpy as np
 
@@ -323,8 +324,8 @@ def _carried(samples: TurnSamples, density: Array) -> Array:
         for k, a, b in zip(turn, start, stop, strict=True):
             edges = np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))
             steps, _, _ = _kernels.preintegrate(increments, intervals, edges[:-1], edges[1:], np.eye(3), np.zeros(3))
-            for step, seconds in zip(steps, np.diff(passed[edges]), strict=True):
-                after = C[k] @ step
-                out[k] += 0.5 * seconds * (C[k] @ density[k] @ C[k].T + after @ density[k] @ after.T)
-                C[k] = after
+            path = np.array(list(accumulate(steps, np.matmul, initial=C[k])))
+            rotated = path @ density[k] @ np.swapaxes(path, 1, 2)
+            out[k] += 0.5 * np.tensordot(np.diff(passed[edges]), rotated[1:] + rotated[:-1], axes=1)
+            C[k] = path[-1]
     return out

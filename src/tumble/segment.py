@@ -149,9 +149,9 @@ class GyroSamples:
     def _spill(self) -> None:
         """Move what is in memory to the files."""
         if self._files is None:
-            self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()
-            for file in self._files:
-                weakref.finalize(self, file.close)
+            self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
+            for opened in self._files:
+                weakref.finalize(self, opened.close)
         for rates, dt in self._chunks:
             for file, values in zip(self._files, (rates, dt), strict=True):
                 file.seek(0, os.SEEK_END)
@@ -374,7 +374,7 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         step = [_moving_step(a, window) for a in specific_force]
         step_limit = FLOOR_FACTOR * _floor(np.concatenate(step)) + ACCEL_ROUNDING
         spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
-        return _assemble(reduction, specific_force, specific_force, spans, window, scatter_limit, None, [])
+        return _assemble(reduction, specific_force, None, spans, window, scatter_limit, None, [])
     gyro_to_body = np.linalg.pinv(gyro.axes).T
     rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
     quiet = [s < QUIET_FACTOR * floor + ACCEL_ROUNDING for s in scatter]
@@ -391,7 +391,7 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         for i, j in still
         if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
     ]
-    return _assemble(reduction, rates, specific_force, spans, window, scatter_limit, rate_limit, restless)
+    return _assemble(reduction, specific_force, rates, spans, window, scatter_limit, rate_limit, restless)
 
 
 def _still_spans(
@@ -431,8 +431,8 @@ def _interpolated_level(rate: Array, spans: list[tuple[int, int]], default: Arra
 
 def _assemble(
     reduction: Reduction,
-    signal: list[Array],
     specific_force: list[Array],
+    rates: list[Array] | None,
     spans: list[list[tuple[int, int]]],
     window: int,
     scatter_limit: float,
@@ -441,9 +441,9 @@ def _assemble(
 ) -> Segmentation:
     """Extend the stretches found, take the margins off, and keep those that are long enough."""
     rests: list[RestSpan] = []
-    rounding = ACCEL_ROUNDING if rate_limit is None else GYRO_ROUNDING
-    for f, values, force, found in zip(reduction.files, signal, specific_force, spans, strict=True):
-        for first, last in _merged([_extended(values, i, j, window, rounding) for i, j in found]):
+    for k, (f, force, found) in enumerate(zip(reduction.files, specific_force, spans, strict=True)):
+        signals = [(force, ACCEL_ROUNDING)] if rates is None else [(force, ACCEL_ROUNDING), (rates[k], GYRO_ROUNDING)]
+        for first, last in _merged([_extended(signals, i, j, window) for i, j in found]):
             duration = float(f.edges[last] - f.edges[first])
             margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
             before = margin if first > 0 else 0.0
@@ -483,13 +483,15 @@ def _span(f: FileBlocks, start: float, stop: float) -> RestSpan:
     return RestSpan(file=f.file, first=first, last=last, start=float(f.edges[first]), stop=float(f.edges[last]))
 
 
-def _extended(values: Array, first: int, last: int, window: int, rounding: float) -> tuple[int, int]:
+def _extended(signals: list[tuple[Array, float]], first: int, last: int, window: int) -> tuple[int, int]:
     """A stretch of blocks with its ends set where single blocks leave EDGE_SIGMAS of its own scatter: the moving
     window has blurred them by half its length."""
     tenth = (last - first) // 10
-    core = values[first + tenth : last - tenth]
-    mean, sigma = core.mean(axis=0), np.sqrt(core.var(axis=0).sum())
-    inside = np.linalg.norm(values - mean, axis=1) <= EDGE_SIGMAS * sigma + rounding
+    inside = np.ones(len(signals[0][0]), dtype=bool)
+    for values, rounding in signals:
+        core = values[first + tenth : last - tenth]
+        mean, sigma = core.mean(axis=0), np.sqrt(core.var(axis=0).sum())
+        inside &= np.linalg.norm(values - mean, axis=1) <= EDGE_SIGMAS * sigma + rounding
     half = min(window, last - first) // 2
     before, after = inside[: first + half][::-1], inside[last - half :]
     start = first + half - (len(before) if before.all() else int(np.argmin(before)))

@@ -170,10 +170,10 @@ def sheet_table(programme: Programme, *, rest: float = REST, rate: float = RATE,
     """The sheet for a terminal: how to get to each position, where the body axes point, and when."""
     rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
     table = Table(box=None, pad_edge=False)
-    table.add_column("", justify="right")
+    table.add_column("", justify="right", no_wrap=True)
     for heading in ("how to get there", "attitude", "X", "Y", "Z", "up and down"):
         table.add_column(heading)
-    table.add_column("rest", justify="right")
+    table.add_column("rest", justify="right", no_wrap=True)
     for row in rows:
         cells = (str(row.number), row.how, row.attitude, *row.points, row.position.label, row.when)
         table.add_row(*map(Text, cells))
@@ -495,7 +495,7 @@ def _head(programme: Programme) -> str:
     colours = [_words("b", name, style=f"color: {colour}") for name, colour in BODY_COLOURS.items()]
     key = _element("p", "Pictures: ", ", ".join(colours), f" body axes; {_LEGEND}, as drawn here.")
     notes = _element("ul", *(_words("li", note) for note in _notes(programme)))
-    return _element("div", legend(), _element("div", key, notes, class_="notes"), class_="head")
+    return _element("div", legend(), _element("div", key, notes), class_="head")
 
 
 def _positions(rows: Sequence[Row]) -> str:

@@ -23,18 +23,19 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.errors import InputError
+from tumble.grades import NoiseModel
+from tumble.grades import grade as typical
 from tumble.model import Block, SensorModel
 from tumble.programme import ANY_MOVE, BUILT_IN, Move, Programme, programme
 from tumble.rotation import rotation_matrix
 from tumble.session import write_session
-from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
+from tumble.units import DEGREE, Array
 
 LogFormat = Literal["parquet", "csv"]
 
@@ -51,18 +52,6 @@ _CHUNK = 1 << 13
 
 
 # -------------------- the scenario --------------------
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class NoiseModel:
-    """Noise of every sensor of a block: density of the white noise, m/s²/√Hz and rad/s/√Hz, and in-run
-    instability, m/s² and rad/s: the standard deviation of a bias drawn anew at every rest and held through
-    the move that follows."""
-
-    accel_white: float = 0.0
-    gyro_white: float = 0.0
-    accel_instability: float = 0.0
-    gyro_instability: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -144,75 +133,6 @@ class Scenario:
     serial: str
 
 
-# -------------------- grades --------------------
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Spread:
-    """Standard deviations over the instruments of a grade: bias, m/s² or rad/s; scale-factor error; axis
-    angles, rad."""
-
-    bias: float
-    scale: float
-    axis: float
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Grade:
-    """Typical errors before calibration, and noise, of a class of instruments."""
-
-    accel: Spread
-    gyro: Spread
-    noise: NoiseModel
-
-
-_DEGREE_PER_ROOT_HOUR = DEGREE / 60.0
-
-GRADES: Mapping[str, Grade] = MappingProxyType(
-    {
-        "navigation": Grade(  # fibre-optic or ring-laser gyros, pendulous accelerometers
-            accel=Spread(bias=2e-3, scale=1e-4, axis=20 * ARCSEC),
-            gyro=Spread(bias=0.1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
-            noise=NoiseModel(
-                accel_white=1e-4,
-                gyro_white=0.003 * _DEGREE_PER_ROOT_HOUR,
-                accel_instability=5e-6,
-                gyro_instability=0.002 * DEGREE_PER_HOUR,
-            ),
-        ),
-        "tactical": Grade(
-            accel=Spread(bias=2e-2, scale=5e-4, axis=100 * ARCSEC),
-            gyro=Spread(bias=5 * DEGREE_PER_HOUR, scale=5e-4, axis=100 * ARCSEC),
-            noise=NoiseModel(
-                accel_white=3e-4,
-                gyro_white=0.1 * _DEGREE_PER_ROOT_HOUR,
-                accel_instability=5e-5,
-                gyro_instability=0.2 * DEGREE_PER_HOUR,
-            ),
-        ),
-        "mems": Grade(
-            accel=Spread(bias=5e-2, scale=6e-3, axis=4e-3),
-            gyro=Spread(bias=1e-2, scale=6e-3, axis=4e-3),
-            noise=NoiseModel(
-                accel_white=1.5e-3,
-                gyro_white=0.01 * DEGREE,
-                accel_instability=3e-4,
-                gyro_instability=5 * DEGREE_PER_HOUR,
-            ),
-        ),
-        "consumer": Grade(
-            accel=Spread(bias=0.3, scale=1.5e-2, axis=1e-2),
-            gyro=Spread(bias=2e-2, scale=1.5e-2, axis=1e-2),
-            noise=NoiseModel(
-                accel_white=3e-3,
-                gyro_white=0.02 * DEGREE,
-                accel_instability=2e-3,
-                gyro_instability=20 * DEGREE_PER_HOUR,
-            ),
-        ),
-    }
-)
-
 ON_TABLE = Profile(first_rest=60.0, rest=60.0, rate=10 * DEGREE, ramp=1.0, sample_rate=100.0)
 IN_HAND = Profile(first_rest=40.0, rest=5.0, rate=80 * DEGREE, ramp=0.5, sample_rate=100.0)
 
@@ -223,16 +143,10 @@ def draw_parameters(grade: str, blocks: Sequence[Block], rng: np.random.Generato
     Raises InputError for a grade that does not exist."""
     values: dict[str, float] = {}
     for block in blocks:
-        spread = getattr(_grade(grade), block.kind)
+        spread = getattr(typical(grade), block.kind)
         for name in block.names:
             values[name] = float(getattr(spread, name.split(".")[1]) * rng.standard_normal())
     return values
-
-
-def _grade(name: str) -> Grade:
-    if name not in GRADES:
-        raise InputError(f"grade: expected one of {', '.join(GRADES)}, found {name!r}")
-    return GRADES[name]
 
 
 # -------------------- recordings --------------------
@@ -273,9 +187,7 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
     )
 
 
-def _attitudes(
-    course: OnTable | HandHeld, rng: np.random.Generator
-) -> tuple[tuple[int, ...], Array, tuple[Move, ...]]:
+def _attitudes(course: OnTable | HandHeld, rng: np.random.Generator) -> tuple[tuple[int, ...], Array, tuple[Move, ...]]:
     """Which position comes when, the true attitudes (R, 3, 3), and the nominal moves between them."""
     if isinstance(course, HandHeld):
         n = course.positions
@@ -395,9 +307,7 @@ def _sensors(scenario: Scenario, samples: int, rng: np.random.Generator) -> tupl
     noise, root = scenario.noise, math.sqrt(scenario.profile.sample_rate)
     levels = ((noise.accel_white, noise.accel_instability), (noise.gyro_white, noise.gyro_instability))
     made = []
-    for block, (white, instability), own in zip(
-        (scenario.accel, scenario.gyro), levels, rng.spawn(2), strict=True
-    ):
+    for block, (white, instability), own in zip((scenario.accel, scenario.gyro), levels, rng.spawn(2), strict=True):
         model = block.model(np.array([scenario.truth[name] for name in block.names]))
         made.append(
             _Sensors(
@@ -425,9 +335,7 @@ def _at_rest(scenario: Scenario, L: Array, first: int, last: int) -> tuple[Array
     return force[:, None] * up, rate[None, :]
 
 
-def _in_move(
-    scenario: Scenario, L: Array, move: Array, start: float, first: int, last: int
-) -> tuple[Array, Array]:
+def _in_move(scenario: Scenario, L: Array, move: Array, start: float, first: int, last: int) -> tuple[Array, Array]:
     """Mean specific force and rate, body frame, (last − first, 3), of samples of a move from attitude L that
     starts at time `start`. The formulas are those at the head of the module."""
     profile, fs = scenario.profile, scenario.profile.sample_rate
@@ -521,7 +429,7 @@ def simulate_session(
 
 def typical_scenario(request: Request, rng: np.random.Generator, *, serial: str) -> Scenario:
     """The scenario of a request: a triad of each kind along the body axes, errors drawn from its grade."""
-    grade = _grade(request.grade)
+    grade = typical(request.grade)
     accel, gyro = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
     return Scenario(
         course=_course(request),
@@ -595,9 +503,7 @@ def write_simulation(
         truth = {name: scenario.truth[name] for name in _names(scenario)}
         (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
-        raise InputError(
-            f"{folder}: expected a folder to write to, found: {error.strerror or error}"
-        ) from None
+        raise InputError(f"{folder}: expected a folder to write to, found: {error.strerror or error}") from None
     write_session(folder, _content(scenario, log_format))
     return folder
 

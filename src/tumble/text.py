@@ -19,7 +19,9 @@ from tumble.segment import Segmentation
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, BoolArray, engineering, rounded
 
 if TYPE_CHECKING:
+    from tumble.budget import Budget
     from tumble.noise import Panel
+    from tumble.require import Requirements
 
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
@@ -285,6 +287,49 @@ def _half_sums(observations: Observations) -> list[RenderableType]:
 def _numbers(chosen: BoolArray) -> str:
     """Numbers of rests, counted from 1."""
     return ", ".join(str(i + 1) for i in np.flatnonzero(chosen))
+
+
+def budget_report(budget: Budget) -> RenderableType:
+    """Expected errors of every method, pass and group of parameters."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("method", "pass", "parameters", "estimator"):
+        table.add_column(heading)
+    for heading in ("error (rms)", "of the spread"):
+        table.add_column(heading, justify="right")
+    table.add_column("mostly from")
+    for row in budget.rows:
+        size, unit = engineering(row.unit, row.error)
+        error = f"{row.error / size:.3g} {unit}"
+        table.add_row(
+            row.method, str(row.iteration), row.group, row.estimator, error, f"{row.relative:.2%}", row.dominating
+        )
+    return table
+
+
+def requirements_report(requirements: Requirements) -> RenderableType:
+    """What each wanted accuracy asks of table, mounting and rests, and what meets all of them."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameters")
+    for heading in ("wanted", "table within", "mounting within", "rest at least"):
+        table.add_column(heading, justify="right")
+    table.add_column("because")
+    for row in requirements.rows:
+        size, unit = engineering(row.unit, row.wanted)
+        needs = (
+            (_within(row.table_error, row.limited), _within(row.mounting_error, row.limited), f"{row.rest:.3g} s")
+            if row.feasible
+            else ("no table", "", "")
+        )
+        table.add_row(row.group, f"{row.wanted / size:.3g} {unit}", *needs, row.reason)
+    together = (
+        f"together: table within ±{requirements.table_error / DEGREE:.2f}°, mounting within "
+        f"±{requirements.mounting_error / DEGREE:.2f}°, rests of at least {requirements.rest:.3g} s"
+    )
+    return Group(table, Text(""), Text(together))
+
+
+def _within(angle: float, limited: bool) -> str:
+    return f"±{angle / DEGREE:.2f}°" if limited else "any (±5°)"
 
 
 def print_report(report: RenderableType) -> None:

@@ -8,6 +8,7 @@ Nothing inside tumble carries another unit than m, s, rad, K and their products.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -81,6 +82,24 @@ def engineering(unit: str, magnitude: float) -> tuple[float, str]:
         if abs(magnitude) >= limit * size:
             shown = (size, name)
     return shown
+
+
+_READ: dict[str, dict[str, float]] = {
+    "m/s^2": {"m/s^2": 1.0, "g": G_STANDARD, "mg": 1e-3 * G_STANDARD, "ug": 1e-6 * G_STANDARD, "µg": 1e-6 * G_STANDARD},
+    "1": {"ppm": 1e-6, "%": 1e-2},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE, "arcsec": ARCSEC, '"': ARCSEC},
+    "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "°/s": DEGREE, "deg/h": DEGREE_PER_HOUR, "°/h": DEGREE_PER_HOUR},
+}
+
+
+def quantity(text: str, unit: str) -> float:
+    """The SI value of a text such as "3.5ppm" or "20 arcsec", for a quantity of SI unit `unit` ("m/s^2", "1", "rad",
+    "rad/s"). Raises ValueError, one line, for anything else."""
+    number = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
+    name = text[number.end() :].strip() if number else ""
+    if number is None or name not in _READ[unit]:
+        raise ValueError(f"expected a number and one of {', '.join(_READ[unit])}, found {text!r}")
+    return float(number.group()) * _READ[unit][name]
 
 
 def rounded(value: float, u: float) -> tuple[str, str]:

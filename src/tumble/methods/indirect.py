@@ -27,11 +27,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.accuracy import indirect_accelerometer_matrix, indirect_matrix
 from tumble.errors import ProgrammeError
 from tumble.methods.levelling import carried, vertical
 from tumble.observe import Turns
 from tumble.programme import Programme
-from tumble.rotation import rotation_matrix, skew
+from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, Array
 
 GYRO_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
@@ -66,28 +67,9 @@ def programme_matrix(programme: Programme) -> tuple[Array, Array]:
     """H_G and H_A (2T, 9), by which y of the T known turns depends on the errors of gyros and accelerometers, at
     the programmed attitudes: Eq. (6.3) for the turns by 180° of the rough-table programme. Terms of the order of
     Ω T (1.5e-3) are left out, as in the paper."""
-    rows = [_programmed_rows(programme, k) for series in known_turns(programme) for k in series]
-    if not rows:
+    if not known_turns(programme):
         return np.empty((0, 9)), np.empty((0, 9))
-    gyro, accel = zip(*rows, strict=True)
-    return np.concatenate(gyro), np.concatenate(accel)
-
-
-def _programmed_rows(programme: Programme, k: int) -> tuple[Array, Array]:
-    """The two rows of one known turn."""
-    n, angle = programme.moves[k].axis, programme.moves[k].angle
-    assert n is not None
-    assert angle is not None
-    start = programme.positions[k].matrix
-    end = rotation_matrix(angle * n) @ start
-    accel = end @ accelerometer_errors(end[1]) - start @ accelerometer_errors(start[1])
-    return _TILT @ turn_path(n, angle) @ start @ gyro_errors(start.T @ n), _LEVEL @ accel
-
-
-def turn_path(n: Array, angle: float) -> Array:
-    """∫ of the rotation over the angle, (3, 3): the bracket of Eq. (6.2); s π nnᵀ + 2[n×] for Θ = s π."""
-    along = np.outer(n, n)
-    return np.asarray(angle * along + np.sin(angle) * (np.eye(3) - along) + (1.0 - np.cos(angle)) * skew(n))
+    return indirect_matrix(programme), indirect_accelerometer_matrix(programme)
 
 
 def gyro_errors(rate: Array) -> Array:

@@ -68,7 +68,7 @@ def angle_between(above: Array, below: Array, across: Array | float, gravity: Ar
     φ = |arccos(ŵ_η/√(g² − ŵ_ζ²)) − arccos(ŵ_ξ/√(g² − ŵ_ζ²))|.
 
     `across` is the specific force ŵ_ζ along the normal of their plane, the third reading of a triad; with zero the
-    plane is taken for vertical, Eq. (8). Best where the axes stand as `best_elevations` says."""
+    plane is taken for vertical, Eq. (8). Best where the axes stand as `tumble.accuracy.best_elevations` says."""
     in_plane = np.sqrt(gravity**2 - np.asarray(across) ** 2)
     return np.asarray(np.abs(np.arccos(below / in_plane) - np.arccos(above / in_plane)))
 
@@ -78,14 +78,6 @@ def angle_astride(left: Array, right: Array, across: Array | float, gravity: Arr
     the angles. The paper prints the difference only."""
     in_plane = np.sqrt(gravity**2 - np.asarray(across) ** 2)
     return np.asarray(np.arccos(left / in_plane) + np.arccos(right / in_plane))
-
-
-def best_elevations(angle: float) -> tuple[float, float]:
-    """Angles (α, β), rad, from the vertical at which two axes with the angle φ between them should be put, signed
-    within their plane: symmetric about the horizon for φ ≤ π/2, about the vertical for φ > π/2. They minimise the
-    variance (9); for right angles one axis is 45° above, the other 45° below the horizon."""
-    middle = 0.5 * np.pi if angle <= 0.5 * np.pi else 0.0
-    return middle - 0.5 * angle, middle + 0.5 * angle
 
 
 def axis_angles(between_xy: Array, between_xz: Array, between_yz: Array) -> Array:

@@ -1,0 +1,100 @@
+"""Grades of instruments: typical errors before calibration, and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from types import MappingProxyType
+
+from tumble.errors import InputError
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
+
+DEGREE_PER_ROOT_HOUR = DEGREE / 60.0
+"""1 °/√h in rad/s/√Hz."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoiseModel:
+    """Noise of every sensor of a block: density of the white noise, m/s²/√Hz and rad/s/√Hz, and in-run
+    instability, m/s² and rad/s: the standard deviation of a bias drawn anew at every rest and held through
+    the move that follows."""
+
+    accel_white: float = 0.0
+    gyro_white: float = 0.0
+    accel_instability: float = 0.0
+    gyro_instability: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Spread:
+    """Standard deviations of the parameters before calibration, over instruments: bias, m/s² or rad/s; scale-factor
+    error; axis angles, rad."""
+
+    bias: float
+    scale: float
+    axis: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Grade:
+    """Typical errors before calibration, and noise, of a class of instruments."""
+
+    accel: Spread
+    gyro: Spread
+    noise: NoiseModel
+
+
+GRADES: Mapping[str, Grade] = MappingProxyType(
+    {
+        "navigation": Grade(  # fibre-optic or ring-laser gyros, pendulous accelerometers
+            accel=Spread(bias=2e-3, scale=1e-4, axis=20 * ARCSEC),
+            gyro=Spread(bias=0.1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
+            noise=NoiseModel(
+                accel_white=1e-4,
+                gyro_white=0.003 * DEGREE_PER_ROOT_HOUR,
+                accel_instability=5e-6,
+                gyro_instability=0.002 * DEGREE_PER_HOUR,
+            ),
+        ),
+        "tactical": Grade(
+            accel=Spread(bias=2e-2, scale=5e-4, axis=100 * ARCSEC),
+            gyro=Spread(bias=5 * DEGREE_PER_HOUR, scale=5e-4, axis=100 * ARCSEC),
+            noise=NoiseModel(
+                accel_white=3e-4,
+                gyro_white=0.1 * DEGREE_PER_ROOT_HOUR,
+                accel_instability=5e-5,
+                gyro_instability=0.2 * DEGREE_PER_HOUR,
+            ),
+        ),
+        "mems": Grade(
+            accel=Spread(bias=5e-2, scale=6e-3, axis=4e-3),
+            gyro=Spread(bias=1e-2, scale=6e-3, axis=4e-3),
+            noise=NoiseModel(
+                accel_white=1.5e-3,
+                gyro_white=0.01 * DEGREE,
+                accel_instability=3e-4,
+                gyro_instability=5 * DEGREE_PER_HOUR,
+            ),
+        ),
+        "consumer": Grade(
+            accel=Spread(bias=0.3, scale=1.5e-2, axis=1e-2),
+            gyro=Spread(bias=2e-2, scale=1.5e-2, axis=1e-2),
+            noise=NoiseModel(
+                accel_white=3e-3,
+                gyro_white=0.02 * DEGREE,
+                accel_instability=2e-3,
+                gyro_instability=20 * DEGREE_PER_HOUR,
+            ),
+        ),
+    }
+)
+
+
+def grade(name: str) -> Grade:
+    """The grade of this name. Raises InputError for any other name."""
+    if name not in GRADES:
+        near = get_close_matches(name, GRADES, n=1)
+        advice = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(f"grade: expected one of {', '.join(GRADES)}, found {name!r}{advice}")
+    return GRADES[name]

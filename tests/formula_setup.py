@@ -1,0 +1,43 @@
+"""What the tests of accuracy formulas, budget and requirements share: a set-up, and the nonlinear simulation.
+
+The simulation is that of `studies/formulas_against_simulation.py`: exact sensors and readings, TRIAD, integrated
+turns; it uses none of the formulas.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from tumble.budget import Setup
+from tumble.earth import normal_gravity
+from tumble.grades import NoiseModel
+from tumble.programme import programme
+from tumble.units import ARCSEC, DEGREE
+
+LATITUDE = 56.8 * DEGREE
+GRAVITY = normal_gravity(LATITUDE, 250.0)
+SETUP = Setup(latitude=LATITUDE, gravity=GRAVITY)
+SILENT = replace(SETUP, noise=NoiseModel())
+BIAS, SCALE, AXIS = 2e-3 / GRAVITY, 1e-4, 25.0 * ARCSEC
+NINE = np.array([position.matrix for position in programme("nine").positions])
+SEED = 20190211
+
+
+@cache
+def study() -> ModuleType:
+    """The study's simulation, as a module."""
+    path = Path(__file__).parents[1] / "studies" / "formulas_against_simulation.py"
+    spec = importlib.util.spec_from_file_location("formulas_against_simulation", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,108 @@
+"""The commands that plan a calibration: tumble programme, budget and require."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from tumble.cli import main
+from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, quantity
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(main, list(arguments))
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("3.5ppm", "1", 3.5e-6),
+        ("1 %", "1", 0.01),
+        ("20 µg", "m/s^2", 20e-6 * G_STANDARD),
+        ("20ug", "m/s^2", 20e-6 * G_STANDARD),
+        ('5"', "rad", 5 * ARCSEC),
+        ("1e-3 °/h", "rad/s", 1e-3 * DEGREE_PER_HOUR),
+    ],
+)
+def test_a_quantity_is_read_in_its_units(text: str, unit: str, value: float) -> None:
+    assert quantity(text, unit) == pytest.approx(value, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"), [("3kg", "1"), ("ppm", "1"), ("1 ppm", "rad"), ("", "rad/s"), ("1 2 ppm", "1")]
+)
+def test_a_quantity_that_is_none_is_refused(text: str, unit: str) -> None:
+    with pytest.raises(ValueError, match="expected a number and one of"):
+        quantity(text, unit)
+
+
+def test_the_sheet_lists_every_position_and_is_written(tmp_path: Path) -> None:
+    page = tmp_path / "sheet.html"
+    result = run("programme", "rough-table", "-o", str(page))
+    assert result.exit_code == 0, result.stderr
+    assert sum(line.lstrip()[:2].strip().isdigit() for line in result.stdout.splitlines()) == 15
+    assert page.read_text().count("<svg") >= 15
+
+
+def test_the_sheet_of_attitudes_of_ones_own() -> None:
+    result = run("programme", "--attitude", "NUE", "--attitude", "NUE N+45")
+    assert result.exit_code == 0, result.stderr
+    assert "NUE N+45" in result.stdout
+
+
+@pytest.mark.parametrize("arguments", [(), ("nine", "--attitude", "NUE"), ("rough-tabel",), ("--attitude", "NUU")])
+def test_a_programme_that_does_not_exist_is_refused(arguments: tuple[str, ...]) -> None:
+    result = run("programme", *arguments)
+    assert result.exit_code == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_the_budget_has_a_row_for_every_method_pass_and_group() -> None:
+    result = run("budget", "--grade", "navigation")
+    assert result.exit_code == 0, result.stderr
+    rows = [line.split()[:3] for line in result.stdout.splitlines()[1:] if line.strip()]
+    assert len({tuple(row) for row in rows}) == 3 * 2 * 6
+
+
+def test_a_better_table_makes_the_first_pass_of_the_sequential_method_better() -> None:
+    rough, fine = (
+        run(
+            "budget",
+            "--method",
+            "sequential",
+            "--iterations",
+            "1",
+            "--noiseless",
+            "--table-error",
+            e,
+            "--mounting-error",
+            e,
+        )
+        for e in ("2", "0.2")
+    )
+    share = [
+        float(next(line for line in r.stdout.splitlines() if "accel.scale" in line).split("%")[0].split()[-1])
+        for r in (rough, fine)
+    ]
+    assert share[0] == pytest.approx(10.0 * share[1], rel=0.1)
+
+
+def test_what_no_table_can_give_is_named_with_exit_status_1() -> None:
+    result = run("require", "--want", "accel.scale=3ppm", "--want", "gyro.bias=0.0001 °/h")
+    assert result.exit_code == 1
+    assert "no table" in result.stdout
+    assert "instability" in result.stdout
+    feasible = run("require", "--want", "accel.scale=3ppm")
+    assert feasible.exit_code == 0
+    assert "table within ±" in feasible.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments", [(), ("--want", "accel.scale"), ("--want", "accel.scael=1ppm"), ("--relative", "-1")]
+)
+def test_a_requirement_that_cannot_be_read_is_refused(arguments: tuple[str, ...]) -> None:
+    result = run("require", *arguments)
+    assert result.exit_code == 2
+    assert len(result.stderr.strip().splitlines()) == 1
