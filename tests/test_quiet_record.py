@@ -11,10 +11,11 @@ from click.testing import CliRunner
 
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.grades import GRADES
 from tumble.noise import Panel
 from tumble.quiet_record import longest_rest, noise_panels, whole_log
 from tumble.session import read_session
-from tumble.simulate import GRADES, Request, simulate_session
+from tumble.simulate import Request, simulate_session
 from tumble.units import DEGREE
 
 

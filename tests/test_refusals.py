@@ -218,11 +218,8 @@ def test_the_recordings_that_are_spoilt_here_are_sound(recording: Recording, tmp
 
 @pytest.mark.parametrize("course", COURSES)
 @pytest.mark.parametrize("grade", GRADE_NAMES)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_sound_sessions_are_accused_of_nothing(
-    simulated: Simulated, tmp_path: Path, grade: str, course: str, seed: int
-) -> None:
-    accepted(simulated(replace(COURSES[course], grade=grade), seed), tmp_path / "session")
+def test_sound_sessions_are_accused_of_nothing(simulated: Simulated, tmp_path: Path, grade: str, course: str) -> None:
+    accepted(simulated(replace(COURSES[course], grade=grade), 0), tmp_path / "session")
 
 
 @pytest.mark.parametrize("course", ["table", "hand"])
@@ -676,7 +673,7 @@ def _advised(folder: Path, what: str) -> list[str]:
     assert result.exit_code == 1, result.output
     found = re.search(rf"{what} that would help, the most helpful first: (.*)$", result.stderr, re.M)
     assert found is not None, result.stderr
-    return found[1].removesuffix(" (as they stand before the turn)").split(", ")
+    return found[1].split(", ")
 
 
 def _unseen(estimate: Estimate, kind: str) -> int:
@@ -688,8 +685,10 @@ def _unseen(estimate: Estimate, kind: str) -> int:
 FACES = ["X up", "X down", "Y up", "Y down", "Z up", "Z down"]
 
 
-@pytest.mark.parametrize("grade", GRADE_NAMES)
-@pytest.mark.parametrize("start", [["Y up"], ["X up", "Y up", "Z up"], FACES, [*FACES, "X up and Y up"]])
+@pytest.mark.parametrize(
+    ("grade", "start"),
+    [("consumer", ["Y up"]), ("tactical", ["X up", "Y up", "Z up"]), ("navigation", FACES), ("mems", FACES)],
+)
 def test_every_advised_rest_shows_one_combination_more_until_all_are_seen(
     tmp_path: Path, grade: str, start: list[str]
 ) -> None:
@@ -745,7 +744,7 @@ def test_every_advised_turn_shows_more_of_the_gyros_until_all_is_seen(tmp_path: 
     before = _unseen(_estimated(_written(parts, tmp_path / "session")), "gyro")
     assert before > 0
     for number, name in enumerate(_advised(tmp_path / "session", "turns")):
-        found = re.fullmatch(r"180° about ([XYZ]) with ([XYZ]) up", name)
+        found = re.fullmatch(r"180° about ([XYZ]) from ([XYZ]) up", name)
         assert found is not None
         about, up = found.groups()
         time, accel, gyro, _ = _recorded(_turn(about, up), grade, 10 + number)

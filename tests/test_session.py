@@ -261,7 +261,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "programme both": ({"programme": {"name": "nine", "position": [{"attitude": "NUE"}]}}, "found both"),
     "programme name": (
         {"programme": {"name": "rough_table"}},
-        "cube-26, cube-12, found \"rough_table\"; did you mean 'rough-table'?",
+        "cube-26, cube-12, faces-edges-18, found \"rough_table\"; did you mean 'rough-table'?",
     ),
     "no positions": ({"programme": {"position": []}}, "expected one or more tables [[programme.position]], found []"),
     "left-handed attitude": (

@@ -348,7 +348,8 @@ def _systematic(session: Session) -> Mapping[str, float]:
     passport = read_calibration(session.device.systematic)
     if passport.frame != "accelerometer":
         raise CalibrationError(
-            f"{session.device.systematic}: expected a calibration in the frame 'accelerometer', found {passport.frame!r}; "
+            f"{session.device.systematic}: expected a calibration in the frame 'accelerometer', found "
+            f"{passport.frame!r}; "
             "calibrate without --frame to get one"
         )
     return {p.name: p.value for p in passport.parameters}

@@ -1,8 +1,8 @@
 """How uncertain the mean of a stretch of coloured noise is.
 
 The means of short blocks of a rest are joined to about BATCHES batches a rest (so that a correlation time of a
-twentieth of the rest spans several of them), and these, less the mean of the rest, are modelled channel by channel as an
-autoregressive process whose order is chosen by Akaike's criterion, from the autocovariances pooled over all
+twentieth of the rest spans several of them), and these, less the mean of the rest, are modelled channel by channel
+as an autoregressive process whose order is chosen by Akaike's criterion, from the autocovariances pooled over all
 rests. The variance of a mean over K blocks is then
 
     v(K) = (1/K) [γ₀ + 2 Σ_{j<K} (1 − j/K) γ_j]

@@ -448,19 +448,25 @@ def _most_helpful(estimate: Estimate, observations: Observations) -> str:
     null = estimate.null[:, :m]
     if np.abs(null).max(initial=0.0) > SEEN:
         rests = {_standing(u): _rest_rows(observations, u) for u in _directions()}
-        return f"rests that would help, the most helpful first: {', '.join(_telling(null, rests))}"
+        return _advice(estimate, "rests", *_telling(null, rests))
     turns = {
-        f"180° about {'XYZ'[axis]} with {'XYZ'[up]} up": _turn_rows(observations, axis, up)
+        f"180° about {'XYZ'[axis]} from {'XYZ'[up]} up": _turn_rows(observations, axis, up)
         for up in range(3)
         for axis in range(3)
     }
-    found = _telling(estimate.null[:, m:], turns)
-    return f"turns that would help, the most helpful first: {', '.join(found)} (as they stand before the turn)"
+    return _advice(estimate, "turns", *_telling(estimate.null[:, m:], turns))
 
 
-def _telling(null: Array, candidates: Mapping[str, Array]) -> list[str]:
+def _advice(estimate: Estimate, what: str, names: list[str], left: int) -> str:
+    said = [f"{what} that would help, the most helpful first: {', '.join(names)}"] if names else []
+    if left:
+        said.append(f"{left} combinations of them no further {what} would show to the method {estimate.method}")
+    return "; ".join(said)
+
+
+def _telling(null: Array, candidates: Mapping[str, Array]) -> tuple[list[str], int]:
     """Names of candidates whose rows (r, m) together see the combinations `null` (q, m): each time the one that sees
-    most of what is left."""
+    most of what is left. Also how many combinations none of them sees."""
     chosen: list[str] = []
     left = null[np.linalg.norm(null, axis=1) > SEEN]
     while len(left):
@@ -471,7 +477,7 @@ def _telling(null: Array, candidates: Mapping[str, Array]) -> list[str]:
             break
         chosen.append(name)
         left = U[:, seen:].T @ left
-    return chosen
+    return chosen, len(left)
 
 
 def _directions() -> list[Array]:

@@ -93,8 +93,8 @@ def _check_alike(runs: Sequence[Run]) -> None:
     for run in runs[1:]:
         if run.calibration.serial != first.calibration.serial:
             raise InputError(
-                f"{run.session.folder}: expected a launch of device {first.calibration.serial!r} like the first session, "
-                f"found {run.calibration.serial!r}; calibrate each device by itself"
+                f"{run.session.folder}: expected a launch of device {first.calibration.serial!r} like the first "
+                f"session, found {run.calibration.serial!r}; calibrate each device by itself"
             )
     seen: dict[str, Run] = {}
     for run in runs:

@@ -14,7 +14,8 @@ whole:
    averages out over a second raises both floors and their quantities alike, so nothing has to be set by hand.
    The level follows slow drift: it is interpolated between the rests found, and the search repeated.
 3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
-   shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two rests of a file is a turn.
+   shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two
+   rests of a file is a turn.
 4. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
    are those of the movement.
 
