@@ -73,9 +73,9 @@ class Fit:
 class Estimate:
     """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
     only these mean anything; `null` (q, m) are the combinations they do not, in units of the spreads.
-    `converged` says whether the last step was negligible. `rest_residual` (N,) is |corrected reading| − g, m/s²; `rest_sigmas`
-    and `turn_sigmas` say how far each rest and turn is from the fit. `increments` are the parameter changes of each
-    iteration, `fits` the chi-squares by what they judge."""
+    `converged` says whether the last step was negligible. `rest_residual` (N,) is |corrected reading| − g, m/s²;
+    `rest_sigmas` and `turn_sigmas` say how far each rest and turn is from the fit. `increments` are the parameter
+    changes of each iteration, `fits` the chi-squares by what they judge."""
 
     method: str
     names: tuple[str, ...]

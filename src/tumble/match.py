@@ -177,8 +177,8 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array) -> 
         )
     rest = rests[surplus[0]]
     raise ProgrammeError(
-        f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_seen(verticals[surplus[0]])} in "
-        "the body is surplus: list the positions as they were taken under [[programme.position]]"
+        f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_seen(verticals[surplus[0]])} "
+        "in the body is surplus: list the positions as they were taken under [[programme.position]]"
     )
 
 
@@ -186,8 +186,8 @@ def _misplaced(listed: Programme, k: int, rest: RestSpan, vertical: Array, off: 
     others = [j for j, p in enumerate(listed.positions) if _off(vertical, p) <= POSITION_LIMIT]
     like = f", which is that of {_named(listed, others[0])}" if others else ""
     return (
-        f"programme {listed.name}, {_named(listed, k)}: expected the vertical {_seen(listed.positions[k].vertical_b)} in "
-        f"the body, found {_seen(vertical)} at {rest.start:.1f}–{rest.stop:.1f} s, {off / DEGREE:.1f}° off{like}; "
+        f"programme {listed.name}, {_named(listed, k)}: expected the vertical {_seen(listed.positions[k].vertical_b)} "
+        f"in the body, found {_seen(vertical)} at {rest.start:.1f}–{rest.stop:.1f} s, {off / DEGREE:.1f}° off{like}; "
         f"at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
     )
 
@@ -232,8 +232,8 @@ def _check_turns(
                 f"programme {listed.name}, turn from {_named(listed, k)} to {_named(listed, k + 1)}: expected "
                 f"{move.angle / DEGREE:+.0f}° about body {_seen(axis_b)}, the gyros saw "
                 f"{float(turned @ axis_b) / DEGREE:+.0f}° about it and {_across(turned, axis_b) / DEGREE:.0f}° across "
-                f"it ({before.stop:.1f}–{after.start:.1f} s); check the direction of the turn, the unit and the signs of the "
-                "gyros"
+                f"it ({before.stop:.1f}–{after.start:.1f} s); check the direction of the turn, the unit and the "
+                "signs of the gyros"
             )
 
 

@@ -133,6 +133,7 @@ class GyroSamples:
     each sample, as the log gave them while they are few, in a temporary file beyond IN_MEMORY_BYTES."""
 
     _BYTES = 4 * 8  # a sample
+
     def __init__(self) -> None:
         self._chunks: list[tuple[Array, Array]] = []
         self._starts: list[int] = []
