@@ -3,9 +3,9 @@
 The truth is the BChE-501 of Tables 1 to 3, a fibre-optic unit: the sums of both iterations, for the accelerometers
 those of the scalar method. Seven launches on one rough table, as in the paper; table and mounting are off by up to
 0.5–1°, then 1–2°, about each axis, the sensors unstable between rests by 2e-5 m/s² and 0.01 °/h. The paper does not
-say how far its table was off, nor give instability, rests and turns (here 120 s at rest, 20 s a turn). The methods are the package's, on mean
-readings and integrated turns of the simulation in `formulas_against_simulation.py`; as in the paper gyro biases are
-not estimated.
+say how far its table was off, nor give instability, rests and turns (here 120 s at rest, 20 s a turn). The methods
+are the package's, on mean readings and turns of the simulation in `formulas_against_simulation.py`; as in the paper
+gyro biases are not estimated.
 
 A published figure is put beside the middle 95 % of what many tables give. Last, the 7–8 % and 1–2 % of the indirect
 method: what its iterations err by without noise, per degree of the table.
@@ -236,7 +236,7 @@ def print_increments(title: str, published: Array, at: tuple[Array, Array], rows
     print(
         "                 published          one table          2nd of 1st, %     2nd iteration, middle 95 % of tables"
     )
-    print("                 1st      2nd       1st      2nd       published ours    ±0.5–1°             ±1–2°")
+    print("                 1st      2nd       1st      2nd       published ours    ±0.5–1°                ±1–2°")
     outside = [0, 0]
     for i, row in enumerate(rows):
         name, _, unit = ROWS[row]
@@ -247,9 +247,9 @@ def print_increments(title: str, published: Array, at: tuple[Array, Array], rows
             low, high = np.quantile(increments[1, :, i], [0.025, 0.975])
             inside = low <= published[1, i] <= high
             outside[t] += not inside
-            ranges.append(f"{low:8.4f} … {high:7.4f}{' ' if inside else '*'}")
+            ranges.append(f"{low:8.5f} … {high:8.5f}{' ' if inside else '*'}")
         print(
-            f"  {name:<14} {published[0, i]:8.3f} {published[1, i]:8.4f}   {first:8.3f} {second:8.4f}   "
+            f"  {name:<14} {published[0, i]:8.3f} {published[1, i]:8.5f}   {first:8.3f} {second:8.5f}   "
             f"{parts[0]:8.2f} {parts[1]:6.2f}  {'  '.join(ranges)} {unit}"
         )
     print("  * published outside")
@@ -313,10 +313,12 @@ def main(arguments: list[str]) -> int:
     gyros = tuple(increments[..., 9:] for increments in found["sequential"])
     of_scalar = tuple(increments[..., :9] for increments in found["scalar"])
     outside = {
-        "1 (sequential)": print_increments(
+        "Table 1, sequential": print_increments(
             "Table 1, sequential vector method", TABLE_1_SEQUENTIAL, accelerometers, range(9)
         ),
-        "2 and 3": print_increments("Tables 2 and 3, after the sequential method", TABLES_2_AND_3, gyros, range(9, 18)),
+        "Tables 2 and 3": print_increments(
+            "Tables 2 and 3, after the sequential method", TABLES_2_AND_3, gyros, range(9, 18)
+        ),
     }
     print_increments("Table 1, scalar method", TABLE_1_SCALAR, of_scalar, range(9))
     print_second_order()
@@ -325,11 +327,11 @@ def main(arguments: list[str]) -> int:
     print("\nindirect method, no noise, accelerometers known: relative error of gyro parameters")
     print(f"  first iteration   {first[0]:.2f} %/° (scale), {first[1]:.2f} %/° (angles) of rms deviation")
     print(f"  second iteration  {second[0]:.2f} %/°² (scale), {second[1]:.2f} %/°² (angles)")
-    counts = "; ".join(f"Table {name}: {a} and {b} of 9" for name, (a, b) in outside.items())
+    counts = "; ".join(f"{name}: {a} and {b} of 9" for name, (a, b) in outside.items())
     print(
-        "\nDo the published tables come out? Mostly. Second iterations outside the middle 95 % of tables of ±0.5–1° and "
-        f"±1–2°: {counts}. Those of the scalar method in the scale factors are its second order. The methods differ by "
-        f"as much as published if the scalar one has nine orientations and sensors change by "
+        "\nDo the published tables come out? Mostly. Second iterations outside the middle 95 % of tables of ±0.5–1° "
+        f"and ±1–2°: {counts}. Those of the scalar method in the scale factors are its second order. The methods "
+        f"differ by as much as published if the scalar one has nine orientations and sensors change by "
         f"{1e6 * instability:.0f} µm/s² between rests: noise, not convergence. The indirect method errs by "
         f"{first[1]:.1f} % in the angles at 1° rms, the paper's 7–8 %, and by {second[1]:.2f} % after the second "
         "iteration, below its 1–2 %."

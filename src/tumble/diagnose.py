@@ -460,7 +460,7 @@ def _most_helpful(estimate: Estimate, observations: Observations) -> str:
 def _advice(estimate: Estimate, what: str, names: list[str], left: int) -> str:
     said = [f"{what} that would help, the most helpful first: {', '.join(names)}"] if names else []
     if left:
-        said.append(f"{left} combinations of them no further {what} would show to the method {estimate.method}")
+        said.append(f"the others no further {what} would show to the method {estimate.method}")
     return "; ".join(said)
 
 

@@ -364,24 +364,25 @@ class Segmentation:
 
 def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
     """The rests of a reduced log (module docstring)."""
+    coarse = _resolution(reduction.accel_channels, ACCEL_ROUNDING), _resolution(reduction.gyro_channels, GYRO_ROUNDING)
     size = reduction.files[0].size
     window = max(2, round(WINDOW_SECONDS * reduction.rate / size))
     to_body = np.linalg.pinv(accel.axes).T
     specific_force = [f.accel @ to_body for f in reduction.files]
     scatter = [_moving_scatter(a, window) for a in specific_force]
     floor = _floor(np.concatenate(scatter))
-    scatter_limit = (SCATTER_FACTOR if gyro else FLOOR_FACTOR) * floor + ACCEL_ROUNDING
+    scatter_limit = (SCATTER_FACTOR if gyro else FLOOR_FACTOR) * floor + coarse[0]
     calm = [s < scatter_limit for s in scatter]
     if gyro is None:
         step = [_moving_step(a, window) for a in specific_force]
-        step_limit = FLOOR_FACTOR * _floor(np.concatenate(step)) + ACCEL_ROUNDING
+        step_limit = FLOOR_FACTOR * _floor(np.concatenate(step)) + coarse[0]
         spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
-        return _assemble(reduction, specific_force, None, spans, window, scatter_limit, None, [])
+        return _assemble(reduction, specific_force, None, spans, coarse, window, scatter_limit, None, [])
     gyro_to_body = np.linalg.pinv(gyro.axes).T
     rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
-    quiet = [s < QUIET_FACTOR * floor + ACCEL_ROUNDING for s in scatter]
-    spans, rate_limit = _still_spans(rates, calm, quiet, window)
-    unmoved, _ = _still_spans(rates, None, quiet, window)
+    quiet = [s < QUIET_FACTOR * floor + coarse[0] for s in scatter]
+    spans, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
+    unmoved, _ = _still_spans(rates, None, quiet, coarse[1], window)
     restless = [
         Rejected(
             file=f.file,
@@ -393,11 +394,17 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         for i, j in still
         if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
     ]
-    return _assemble(reduction, specific_force, rates, spans, window, scatter_limit, rate_limit, restless)
+    return _assemble(reduction, specific_force, rates, spans, coarse, window, scatter_limit, rate_limit, restless)
+
+
+def _resolution(channels: tuple[ChannelState, ...], rounding: float) -> float:
+    """What the steps of coarse channels may do to a block mean without anything moving."""
+    steps = [channel.step for channel in channels if np.isfinite(channel.step)]
+    return rounding + float(np.linalg.norm(steps))
 
 
 def _still_spans(
-    rates: list[Array], calm: list[BoolArray] | None, quiet: list[BoolArray], window: int
+    rates: list[Array], calm: list[BoolArray] | None, quiet: list[BoolArray], coarse: float, window: int
 ) -> tuple[list[list[tuple[int, int]]], float]:
     """Stretches of blocks in which the body does not turn, per file, and the limit of the rate, rad/s."""
     smooth = [_moving_mean(w, window) for w in rates]
@@ -408,7 +415,7 @@ def _still_spans(
     limit = 0.0
     for _ in range(5):  # the level follows slow drift from rest to rest
         distance = [np.linalg.norm(s - at, axis=1) for s, at in zip(smooth, level, strict=True)]
-        limit = FLOOR_FACTOR * _floor(np.concatenate(distance)[in_quiet]) + 2.0 * EARTH_RATE
+        limit = FLOOR_FACTOR * _floor(np.concatenate(distance)[in_quiet]) + 2.0 * EARTH_RATE + coarse
         still = [d < limit for d in distance]
         if calm is not None:
             still = [a & b for a, b in zip(still, calm, strict=True)]
@@ -436,6 +443,7 @@ def _assemble(
     specific_force: list[Array],
     rates: list[Array] | None,
     spans: list[list[tuple[int, int]]],
+    coarse: tuple[float, float],
     window: int,
     scatter_limit: float,
     rate_limit: float | None,
@@ -444,7 +452,7 @@ def _assemble(
     """Extend the stretches found, take the margins off, and keep those that are long enough."""
     rests: list[RestSpan] = []
     for k, (f, force, found) in enumerate(zip(reduction.files, specific_force, spans, strict=True)):
-        signals = [(force, ACCEL_ROUNDING)] if rates is None else [(force, ACCEL_ROUNDING), (rates[k], GYRO_ROUNDING)]
+        signals = [(force, coarse[0])] if rates is None else [(force, coarse[0]), (rates[k], coarse[1])]
         for first, last in _merged([_extended(signals, i, j, window) for i, j in found]):
             duration = float(f.edges[last] - f.edges[first])
             margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))

@@ -1,0 +1,583 @@
+"""The command line in hostile and in clumsy hands: one clear line and exit status 2 for what cannot be used, nothing
+written, never a traceback. What a recording may suffer from is in test_refusals.py."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import polars as pl
+import pytest
+import tomli_w
+import tomllib
+from click.testing import CliRunner, Result
+
+from tumble import __version__
+from tumble.cli import main
+from tumble.simulate import Request, simulate_session
+
+HAND = Request(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=50.0)
+FEW = Request(grade="mems", positions=3, rest=3.0, rate_deg_s=200.0, sample_rate=20.0)
+QUICK = ("--positions", "3", "--rest", "3", "--sample-rate", "20", "--rate", "200")
+SENSORS = ("ax", "ay", "az", "gx", "gy", "gz")
+
+
+def run(*words: object) -> Result:
+    """A command in this process; an exception is a traceback to the user."""
+    result = CliRunner().invoke(main, [str(word) for word in words], prog_name="tumble")
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise AssertionError(f"tumble {' '.join(map(str, words))}") from result.exception
+    return result
+
+
+def tree(folder: Path) -> dict[str, str]:
+    """Every file below a folder, with its content's digest."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def refused(*words: object, below: Path) -> str:
+    """The one line for which a command is refused; it left everything below a folder as it was."""
+    before = tree(below)
+    result = run(*words)
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert re.fullmatch(r"tumble: [^\n]+\n", result.stderr), result.stderr
+    assert tree(below) == before
+    return result.stderr.removeprefix("tumble: ").rstrip("\n")
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two launches of a device, `one` and `two`, another device, `other`, and a hopeless session, `few`."""
+    folder = tmp_path_factory.mktemp("cli")
+    simulate_session(folder / "one", HAND, seed=7, launch=1)
+    simulate_session(folder / "two", HAND, seed=7, launch=2)
+    simulate_session(folder / "other", HAND, seed=8)
+    simulate_session(folder / "few", FEW, seed=1)
+    return folder
+
+
+@pytest.fixture
+def sessions(made: Path, tmp_path: Path) -> Path:
+    """A copy of them to work in."""
+    return Path(shutil.copytree(made, tmp_path / "sessions"))
+
+
+# -------------------- what the commands are --------------------
+
+
+def commands(
+    command: click.Command = main, words: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], click.Command]]:
+    """Every command with the words that call it."""
+    yield words, command
+    if isinstance(command, click.Group):
+        for name, part in command.commands.items():
+            yield from commands(part, (*words, name))
+
+
+ALL = list(commands())
+
+
+@pytest.mark.parametrize(("words", "command"), ALL, ids=[" ".join(words) or "tumble" for words, _ in ALL])
+def test_every_command_explains_itself_and_each_of_its_options(words: tuple[str, ...], command: click.Command) -> None:
+    result = run(*words, "--help")
+    assert result.exit_code == 0
+    assert result.stdout.startswith(f"Usage: {' '.join(('tumble', *words))} ")
+    assert result.stdout == run(*words, "-h").stdout
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help or isinstance(parameter.type, click.Choice) or parameter.is_eager, parameter.name
+            assert all(option in result.stdout for option in parameter.opts)
+
+
+def test_the_commands_of_the_contract_are_there() -> None:
+    assert {"calibrate", "inspect", "simulate"} <= set(main.commands)
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert run("--version").stdout == f"tumble, version {__version__}\n"
+
+
+HEAVY = ("numpy", "scipy", "polars", "numba", "pydantic", "matplotlib", "rich")
+
+
+@pytest.mark.parametrize("words", [("--help",), ("calibrate", "--help"), ("simulate", "--help"), ("--version",)])
+def test_help_needs_nothing_heavy(words: tuple[str, ...]) -> None:
+    code = (
+        "import sys\n"
+        "from tumble.cli import main\n"
+        f"try: main({list(words)!r})\n"
+        "except SystemExit as done: assert done.code == 0\n"
+        f"print([name for name in {HEAVY!r} if name in sys.modules])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_no_argument_at_all_shows_the_commands() -> None:
+    result = run()
+    assert result.exit_code == 2
+    assert "Commands:" in result.output
+
+
+# -------------------- arguments that cannot be used --------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["calibrat"], "No such command 'calibrat'. Did you mean 'calibrate'?"),
+        (["--verbose"], "No such option '--verbose'; see `tumble --help`"),
+        (["calibrate"], "Missing argument 'SESSION...'; see `tumble calibrate --help`"),
+        (["calibrate", "few", "--ouput", "x.json"], "No such option '--ouput'"),
+        (["calibrate", "few", "--out"], "requires an argument"),
+        (["calibrate", "few", "--out", ""], "expected a path, found an empty one"),
+        (["calibrate", "few", "--out", "."], "is a directory"),
+        (["calibrate", "few", "--out", "no/such/file.json"], "cannot be written: No such file or directory"),
+        (["calibrate", "few", "--method", "jiont"], "'jiont' is not"),
+        (["calibrate", "few", "--iterations", "0", "--method", "scalar"], "0 is not in the range x>=1"),
+        (["calibrate", "few", "--iterations", "3"], "expected none with the method 'staged'"),
+        (["calibrate", ""], "expected a path, found an empty one"),
+        (["calibrate", "none"], "none/session.toml: expected a session folder with a session.toml, found no such folder"),
+        (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none"),
+        (["calibrate", "few/log.parquet"], "expected a session folder or its session.toml, found another file"),
+        (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
+        (["calibrate", "one", "one", "--out", "x.json"], "holds the same log as one"),
+        (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),
+        (["calibrate", "one", "none", "--out", "x.json"], "none/session.toml: expected a session folder"),
+        (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes it"),
+        (["calibrate", "few", "--truth", "few/session.toml"], "session.toml: expected a truth.json"),
+        (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected a truth.json"),
+        (["inspect"], "Missing argument 'SESSION'"),
+        (["inspect", "none"], "none/session.toml: expected a session folder"),
+        (["inspect", "one", "two"], "Got unexpected extra argument (two)"),
+        (["simulate"], "Missing argument 'FOLDER'"),
+        (["simulate", ""], "expected a path, found an empty one"),
+        (["simulate", "few", *QUICK], "few: expected a new folder, found a session in it"),
+        (["simulate", "few/log.parquet", *QUICK], "log.parquet: expected a folder to write to, found: File exists"),
+        (["simulate", "few/log.parquet/x", *QUICK], "expected a folder to write to, found: Not a directory"),
+        (["simulate", "new", "--grade", "navigatoin"], "found 'navigatoin'; did you mean 'navigation'?"),
+        (["simulate", "new", "--grade", "tactial"], "did you mean 'tactical'?"),
+        (["simulate", "new", "--programme", "rough_table"], "found 'rough_table'; did you mean 'rough-table'?"),
+        (["simulate", "new", "--programme", "cube14"], "did you mean 'cube-14'?"),
+        (["simulate", "new", "--positions", "0"], "positions: expected at least 1, found 0"),
+        (["simulate", "new", "--positions", "-3"], "positions: expected at least 1, found -3"),
+        (["simulate", "new", "--positions", "2.5"], "'2.5' is not a valid integer"),
+        (["simulate", "new", "--rest", "-1"], "rest: expected at least two samples"),
+        (["simulate", "new", "--rest", "nan"], "rest: expected at least two samples"),
+        (["simulate", "new", "--rest", "inf"], "rest: expected at least two samples"),
+        (["simulate", "new", "--rest", "1e9"], "session: expected at most 3e+07 samples"),
+        (["simulate", "new", "--rate", "0"], "rate: expected more than 0, in deg/s, found 0"),
+        (["simulate", "new", "--rate", "-10"], "rate: expected more than 0, in deg/s, found -10"),
+        (["simulate", "new", "--rate", "1e-9"], "session: expected at most 3e+07 samples"),
+        (["simulate", "new", "--sample-rate", "0"], "sample rate: expected more than 0, in Hz, found 0"),
+        (["simulate", "new", "--sample-rate", "-50"], "sample rate: expected more than 0, in Hz, found -50"),
+        (["simulate", "new", "--sample-rate", "nan"], "sample rate: expected more than 0, in Hz, found nan"),
+        (["simulate", "new", "--sample-rate", "1e12"], "session: expected at most 3e+07 samples"),
+        (["simulate", "new", "--table-error", "-1"], "table error: expected 0 or more, in deg, found -1"),
+        (["simulate", "new", "--mounting-error", "nan"], "mounting error: expected 0 or more, in deg, found nan"),
+        (["simulate", "new", "--latitude", "91"], "latitude: expected -90 to 90 degrees, found 91"),
+        (["simulate", "new", "--latitude", "nan"], "latitude: expected -90 to 90 degrees, found nan"),
+        (["simulate", "new", "--vibration", "0.05"], "vibration: expected AMPLITUDE@HZ in m/s^2 and Hz"),
+        (["simulate", "new", "--vibration", "-1@5"], "vibration: expected AMPLITUDE@HZ in m/s^2 and Hz"),
+        (["simulate", "new", "--format", "xls"], "'xls' is not one of 'csv', 'parquet'"),
+        (["simulate", "new", "--seed", "-1"], "-1 is not in the range x>=0"),
+        (["simulate", "new", "--seed", "one"], "'one' is not a valid integer range"),
+        (["noise", "none"], "none: expected"),
+        (["noise", "few/log.parquet"], "expected --accel with the columns of the accelerometers"),
+        (["noise", "few/log.parquet", "--accel", "ax,ay,az"], "expected either log.time, a column, or log.rate_hz"),
+        (["noise", "few/log.parquet", "--accel", "ax,ay,q", "--time", "t"], "expected a column 'q'"),
+        (["noise", "few", "--plot", "x.xyz"], "expected a file that ends in .svg, .png or .pdf"),
+        (["programme"], "expected either the NAME of a programme or --attitude"),
+        (["programme", "nin"], "found 'nin'; did you mean 'nine'?"),
+        (["programme", "--attitude", "NUX"], 'expected three of N S E W U D, where body X, Y, Z point, found "NUX"'),
+        (["programme", "nine", "--rest", "-1"], "rest: expected a positive number"),
+        (["programme", "nine", "-o", "x.xyz"], "expected a name that ends in .html or .svg"),
+        (["budget", "--table-error", "-1"], "expected 0 or more"),
+        (["budget", "--rest", "nan"], "expected more than 0"),
+        (["budget", "--programme", "cube-14"], "take rough-table or nine, or another method"),
+        (["require"], "expected --want GROUP=VALUE or --relative PERCENT, found neither"),
+        (["require", "--want", "accel.scale=3furlong"], "expected a number and one of ppm, %"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)  # fmt: skip
+def test_bad_arguments_are_refused_in_one_line(
+    made: Path, words: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(made)
+    assert said in refused(*words, below=made)
+
+
+def test_a_folder_is_simulated_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the disk is full, no session.toml says that there is a session, and it can be tried again."""
+
+    def no_space(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(pl.DataFrame, "write_parquet", no_space)
+        result = run("simulate", tmp_path / "new", *QUICK)
+    assert result.exit_code == 2
+    assert (
+        result.stderr == f"tumble: {tmp_path / 'new'}: expected a folder to write to, found: No space left on device\n"
+    )
+    assert not (tmp_path / "new" / "session.toml").exists()
+    assert run("simulate", tmp_path / "new", *QUICK).exit_code == 0
+
+
+def test_the_same_seed_gives_the_same_session_and_an_existing_one_stays(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert run("simulate", tmp_path / name, *QUICK, "--seed", "5").exit_code == 0
+    assert tree(tmp_path / "a") == tree(tmp_path / "b")
+    assert "found a session in it" in refused("simulate", tmp_path / "a", *QUICK, "--seed", "6", below=tmp_path)
+
+
+# -------------------- truth --------------------
+
+
+def test_truth_is_shown_beside_the_result(sessions: Path) -> None:
+    result = run("calibrate", sessions / "one", "--truth", sessions / "one" / "truth.json")
+    assert result.exit_code == 0, result.stderr
+    assert "(value − truth)/u" in result.stdout
+    assert "truth: 21 parameters, rms of (value − truth)/u " in result.stdout
+
+
+@pytest.mark.parametrize(
+    "text", ["[1]", "7", "hello", '{"accel.bias.x": "much"}', '{"accel.bias.x": NaN}', '{"accel.bias.x": true}', ""]
+)
+def test_a_truth_that_is_none_is_refused_before_anything_is_written(sessions: Path, text: str) -> None:
+    (sessions / "truth.json").write_text(text, encoding="utf-8")
+    assert "truth.json: expected" in refused(
+        "calibrate", sessions / "one", "--truth", sessions / "truth.json", below=sessions
+    )
+
+
+def test_truth_of_other_parameters_is_left_out(sessions: Path) -> None:
+    (sessions / "truth.json").write_text('{"accel.bias.x": 0.0, "mag.bias.x": 1.0}', encoding="utf-8")
+    result = run("calibrate", sessions / "one", "--truth", sessions / "truth.json")
+    assert "truth: 1 parameters" in result.stdout
+
+
+# -------------------- where the results go --------------------
+
+
+def test_results_go_to_standard_output_and_talk_to_standard_error(sessions: Path) -> None:
+    result = run("calibrate", sessions / "one")
+    assert result.exit_code == 0
+    assert "gyro.axis.zy" in result.stdout
+    assert result.stdout.rstrip().endswith("accepted")
+    assert result.stderr == f"written to {sessions / 'one' / 'calibration.json'}\n"
+    shown = run("inspect", sessions / "one")
+    assert shown.exit_code == 0
+    assert shown.stderr == ""
+    assert "vertical in the body" in shown.stdout
+
+
+def test_a_session_may_be_named_by_its_toml(sessions: Path) -> None:
+    assert run("calibrate", sessions / "one" / "session.toml").exit_code == 0
+    assert (sessions / "one" / "calibration.json").exists()
+
+
+def test_launches_are_averaged_into_the_file_that_is_named(sessions: Path) -> None:
+    out = sessions / "mean.json"
+    result = run("calibrate", sessions / "one", sessions / "two", "--out", out)
+    assert result.exit_code == 0, result.stderr
+    assert "run to run" in result.stdout
+    assert [launch["session"] for launch in json.loads(out.read_text(encoding="utf-8"))["launches"]] == ["one", "two"]
+    assert not (sessions / "one" / "calibration.json").exists()
+
+
+def test_a_launch_that_is_refused_refuses_the_mean_and_is_named(sessions: Path) -> None:
+    _edit(sessions / "two", lambda content: content["log"]["accel"].update(columns=["ay", "ax", "az"]))
+    result = run("calibrate", sessions / "one", sessions / "two", "--out", sessions / "mean.json")
+    assert result.exit_code == 1
+    assert "not accepted: two: the gyros do not carry the vertical" in result.stderr
+
+
+def test_names_that_look_like_markup_are_shown_as_they_are(sessions: Path) -> None:
+    names = ("run[red]", "run[bold]two[")
+    for old, new in zip(("one", "two"), names, strict=True):
+        (sessions / old).rename(sessions / new)
+        _edit(sessions / new, lambda content: content["device"].update(serial="A[/red]7", model="[bold]"))
+    result = run("calibrate", *(sessions / name for name in names), "--out", sessions / "mean.json")
+    assert result.exit_code == 0, result.stderr
+    assert "A[/red]7 ([bold])" in result.stdout
+    for name in names:
+        assert name in result.stdout
+
+
+def _edit(folder: Path, change: Any) -> None:
+    content = tomllib.loads((folder / "session.toml").read_text(encoding="utf-8"))
+    change(content)
+    (folder / "session.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
+
+
+# -------------------- sessions and logs that cannot be used --------------------
+
+
+def _log(**changes: Any) -> Any:
+    return lambda content: content["log"].update(changes)
+
+
+def _accel(**changes: Any) -> Any:
+    return lambda content: content["log"]["accel"].update(changes)
+
+
+def _rest_at(start: float, stop: float) -> Any:
+    position = {"attitude": "NUE", "start": start, "stop": stop}
+    return lambda content: content.update(programme={"position": [position]})
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda content: content.clear(), "device: expected the table [device], found none"),
+        (lambda content: content["device"].clear(), "device.serial: expected the serial number"),
+        (lambda content: content.update(formt=1), "unknown key 'formt' at the top level; did you mean 'format'?"),
+        (lambda content: content.update(format=2), "format: expected 1, the format of this file, found 2"),
+        (lambda content: content["site"].update(latitude_deg=145.5), "site.latitude_deg: expected a number from -90 to 90"),
+        (lambda content: content["site"].update(gravity=1.0), "site.gravity: expected a number from 9.7 to 9.9"),
+        (lambda content: content["device"].update(systematic="none.json"), "none.json, found no such file"),
+        (_log(file="none.csv"), "log.file: expected a log at"),
+        (_log(file="session.toml"), "session.toml: expected a file that ends in .csv"),
+        (_log(time="tt"), "log.parquet: expected a column 'tt', found t, ax"),
+        (_log(time="ax"), "column 'ax'"),
+        (_log(rate_hz=50.0), "log.time: expected either log.time, a column, or log.rate_hz, found both"),
+        (_log(time_unit="h"), "log.time_unit: expected one of s, ms, us, ns"),
+        (_log(time_unit="ns"), "expected at least 2 s, found"),
+        (_accel(unit="m/s2"), 'log.accel.unit: expected one of m/s^2, g, mg, m/s, count, V, found "m/s2"; did you mean'),
+        (_accel(columns=["ax", "ay", "aq"]), "expected a column 'aq', found t, ax, ay, az"),
+        (_accel(columns=["ax", "ay", "ay"]), "expected every column once"),
+        (_accel(unit="count"), "log.accel.scale: expected the nominal output per unit"),
+        (_accel(unit="count", scale=[1.0, 0.0, 1.0]), "log.accel.scale: expected numbers other than zero"),
+        (_accel(axes=[[1, 0, 0], [0, 1, 0], [1, 0, 0]]), "log.accel.axes: expected directions that span three dimensions"),
+        (_accel(range=-1.0), "log.accel.range: expected a positive number"),
+        (lambda content: content.update(programme={"name": "nin"}), "programme.name: expected one of rough-table, nine"),
+        (lambda content: content.update(programme={"name": "nine"}), "programme nine"),
+        (_rest_at(1e6, 2e6), "expected"),
+        (_rest_at(-20.0, -10.0), "expected"),
+        (_rest_at(1.0, 1.01), "expected"),
+        (_rest_at(5.0, 5.0), "programme.position[1].start: expected a start before the stop"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("command", ["calibrate", "inspect"])
+def test_a_session_that_cannot_be_used_is_refused_in_one_line(
+    sessions: Path, command: str, change: Any, said: str
+) -> None:
+    folder = sessions / "one"
+    _edit(folder, change)
+    if command == "inspect" and "programme" in tomllib.loads((folder / "session.toml").read_text(encoding="utf-8")):
+        if "programme." not in said:
+            assert run("inspect", folder).exit_code == 0  # what was found, whatever the programme
+            return
+    assert said in refused(command, folder, below=sessions)
+
+
+@pytest.mark.parametrize("text", [b"", b"[", b"\xff\xfe", b"format = 1", b"\x00" * 100, b"format = 1\n[log]\nfile = 3"])
+def test_a_session_toml_that_is_none_is_refused_in_one_line(sessions: Path, text: bytes) -> None:
+    (sessions / "one" / "session.toml").write_bytes(text)
+    assert "session.toml: " in refused("calibrate", sessions / "one", below=sessions)
+
+
+def _csv(folder: Path) -> list[str]:
+    """The log as lines of CSV, and a session that names it."""
+    pl.read_parquet(folder / "log.parquet").write_csv(folder / "log.csv")
+    _edit(folder, _log(file="log.csv"))
+    return (folder / "log.csv").read_text(encoding="utf-8").splitlines()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda lines: [], "found an empty file"),
+        (lambda lines: lines[:1], "found no rows"),
+        (lambda lines: lines[:20], "expected at least 50 samples, found 19"),
+        (lambda lines: [*lines[:500], "1,2,3", *lines[500:]], "row 500 (line 501): expected 7 values, one per column, found 3"),
+        (lambda lines: [*lines[:500], lines[500].replace(lines[500].split(",")[1], "-"), *lines[501:]], "row 500 (line 501), column 'ax': expected a number, found '-'"),
+        (lambda lines: [*lines[:500], lines[500].replace(lines[500].split(",")[2], ""), *lines[501:]], "column 'ay': expected a number, found an empty value"),
+        (lambda lines: [*lines[:500], *lines[490:]], "running backwards"),
+        (lambda lines: [*lines[:500], lines[499], *lines[500:]], "again"),
+        (lambda lines: [*lines[:500], *lines[600:]], "found a gap of"),
+        (lambda lines: [lines[0].replace("az", "ay"), *lines[1:]], "expected one column 'ay', found 2"),
+        (lambda lines: [lines[0].replace(",", ";"), *lines[1:]], "expected a column 't'"),
+        (lambda lines: [line.replace(",", ";") for line in lines], "expected a column 't'"),
+        (lambda lines: lines[1:], "expected a column 't'"),
+    ],
+)  # fmt: skip
+def test_a_log_that_cannot_be_used_is_refused_in_one_line(sessions: Path, spoil: Any, said: str) -> None:
+    folder = sessions / "one"
+    lines = spoil(_csv(folder))
+    (folder / "log.csv").write_text("\n".join(lines) + ("\n" if lines else ""), encoding="utf-8")
+    for command in ("calibrate", "inspect"):
+        message = refused(command, folder, below=sessions)
+        assert message.startswith(f"{folder / 'log.csv'}: ")
+        assert said in message
+
+
+@pytest.mark.parametrize("text", [b"", b"PAR1", b"hello, world", b"PAR1" + bytes(1000) + b"PAR1"])
+def test_a_damaged_parquet_file_is_refused_in_one_line(sessions: Path, text: bytes) -> None:
+    (sessions / "one" / "log.parquet").write_bytes(text)
+    for command in ("calibrate", "inspect"):
+        assert "log.parquet: expected a" in refused(command, sessions / "one", below=sessions)
+
+
+def test_a_log_cut_short_is_refused_in_one_line(sessions: Path) -> None:
+    file = sessions / "one" / "log.parquet"
+    file.write_bytes(file.read_bytes()[:-500])
+    assert "damaged or incomplete" in refused("calibrate", sessions / "one", below=sessions)
+
+
+@pytest.mark.parametrize("interval", [1e-300, 1e-30, 1e300])
+def test_an_absurd_clock_is_refused_in_one_line(sessions: Path, interval: float) -> None:
+    log = pl.read_parquet(sessions / "one" / "log.parquet")
+    log = log.with_columns(pl.Series("t", np.arange(1, log.height + 1) * interval))
+    log.write_parquet(sessions / "one" / "log.parquet")
+    for command in ("calibrate", "inspect"):
+        assert "log.parquet: expected" in refused(command, sessions / "one", below=sessions)
+
+
+# -------------------- at random --------------------
+
+
+def _spoilt(log: pl.DataFrame, rng: np.random.Generator) -> pl.DataFrame:
+    """A log with one thing wrong somewhere."""
+    column = str(rng.choice(["t", *SENSORS]))
+    values = log[column].to_numpy().astype(float).copy()
+    first = int(rng.integers(len(values)))
+    rows = slice(first, first + int(rng.choice([1, 3, 10, 300])))
+    kind = rng.choice(
+        ["put", "shift", "all", "ramp", "noise", "short", "thin", "int", "text", "drop", "repeat", "reverse"]
+    )
+    if kind == "put":
+        values[rows] = rng.choice([np.nan, np.inf, -np.inf, 0.0, 1e-300, 1e8, 1e12, -1e40, 1e300])
+    elif kind == "shift":
+        values[rows] += rng.choice([-5.0, 0.02, 1.0, 50.0, 1e4, 1e8])
+    elif kind == "all":
+        values *= rng.choice([0.0, -1.0, 1e-300, 1e-9, 1e-3, 57.3, 1e3, 1e9])
+    elif kind == "ramp":
+        values += np.linspace(0.0, float(rng.choice([1.0, 100.0, 1e6])), len(values))
+    elif kind == "noise":
+        values = float(rng.choice([1e-3, 1.0, 1e3])) * rng.standard_normal(len(values))
+    elif kind == "reverse":
+        values = values[::-1].copy()
+    log = log.with_columns(pl.Series(column, values))
+    if kind == "short":
+        return log[: int(rng.choice([0, 1, 60, 300, 1500]))]
+    if kind == "thin":
+        return log.gather_every(int(rng.choice([2, 5, 25])))
+    if kind == "int":
+        return log.with_columns((pl.col(column) * 1000).cast(pl.Int64, strict=False))
+    if kind == "text":
+        return log.with_columns(pl.col(column).cast(pl.String))
+    if kind == "drop":
+        return log.drop(column)
+    return pl.concat([log, log]) if kind == "repeat" else log
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_no_damage_to_a_log_leads_to_a_traceback(sessions: Path, seed: int) -> None:
+    """Accepted, refused with reasons that are in the file, or unusable in one line with nothing written. Warnings are
+    errors, so that standard error holds nothing else."""
+    folder, rng = sessions / "one", np.random.default_rng(seed)
+    log = _spoilt(pl.read_parquet(folder / "log.parquet"), rng)
+    log.write_parquet(folder / "log.parquet")
+    result = run("calibrate", folder)
+    if result.exit_code == 2:
+        assert re.fullmatch(r"tumble: [^\n]+\n", result.stderr)
+        assert not (folder / "calibration.json").exists()
+        return
+    assert result.exit_code in (0, 1)
+    reasons = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))["outcome"]["reasons"]
+    lines = result.stderr.splitlines()
+    assert lines[0].startswith("written to ")
+    assert lines[1:] == [f"not accepted: {reason}" for reason in reasons]
+    assert (result.exit_code == 0) == (not reasons)
+
+
+VALUES: tuple[Any, ...] = (
+    "", "x", 0, -1, 1e308, 1e-320, True, [], [1], {}, "NUE", "rad/s", "count", "g", "m/s", 32768.0, 49.0, "ms",
+    float("nan"), float("inf"), ["ax", "ay", "az", "gx"], ["gx", "gy", "gz"], ["ax", "ay", "t"], "log.parquet",
+    ["log.parquet", "log.parquet"], "nine", "rough-table", [[0, 1, 0], [1, 0, 0], [0, 0, 1]], [[1, 0, 0]] * 3,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_no_value_in_session_toml_leads_to_a_traceback(sessions: Path, seed: int) -> None:
+    folder, rng = sessions / "few", np.random.default_rng(seed)
+    content = tomllib.loads((folder / "session.toml").read_text(encoding="utf-8"))
+    tables = [
+        content,
+        content["device"],
+        content["site"],
+        content["log"],
+        content["log"]["accel"],
+        content["log"]["gyro"],
+    ]
+    table = tables[int(rng.integers(len(tables)))]
+    known = (
+        "scale",
+        "offset",
+        "axes",
+        "range",
+        "scale_per",
+        "rate_hz",
+        "time_unit",
+        "programme",
+        "systematic",
+        "model",
+    )
+    key = str(rng.choice([*table, *known]))
+    table[key] = VALUES[int(rng.integers(len(VALUES)))]
+    (folder / "session.toml").write_text(tomli_w.dumps(content), encoding="utf-8")
+    for command in ("calibrate", "inspect"):
+        result = run(command, folder)
+        assert result.exit_code in (0, 1, 2)
+        if result.exit_code == 2:
+            assert re.fullmatch(r"tumble: [^\n]+\n", result.stderr)
+            assert not (folder / "calibration.json").exists()
+
+
+# -------------------- the program as it is installed --------------------
+
+
+def program(*words: object, **settings: Any) -> subprocess.CompletedProcess[str]:
+    """A run of `python -m tumble.cli` in a process of its own."""
+    command = [sys.executable, "-m", "tumble.cli", *map(str, words)]
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True, encoding="utf-8", check=False, **settings)
+
+
+def test_the_exit_status_tells_accepted_from_refused_from_unusable(sessions: Path) -> None:
+    statuses = []
+    for name in ("one", "few", "none"):
+        done = program("calibrate", sessions / name, stdout=subprocess.PIPE)
+        statuses.append(done.returncode)
+        assert "Traceback" not in done.stderr
+        assert "Warning" not in done.stderr
+    assert statuses == [0, 1, 2]
+
+
+def test_a_terminal_without_greek_gets_question_marks_and_no_traceback(sessions: Path) -> None:
+    settings = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = program("calibrate", sessions / "one", stdout=subprocess.PIPE, env=settings)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("device mems-7 ? method staged ? frame accelerometer")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_an_output_that_cannot_be_written_is_said_in_one_line(sessions: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = program("inspect", sessions / "few", stdout=full)
+    assert done.returncode == 2
+    assert done.stderr == "tumble: standard output: No space left on device\n"

@@ -1,0 +1,42 @@
+"""Every study runs and answers its question: in its short form, within seconds."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+STUDIES = sorted((Path(__file__).parents[1] / "studies").glob("*.py"))
+PICTURES = {"readme_picture.py"}
+"""Studies that draw what the documentation shows, and are asked nothing."""
+
+ANSWERS = {
+    "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
+    "paper_device.py": "Do the published tables come out? Mostly.",
+    "rest_noise.py": "too small, and the scatter between rests has to be estimated.",
+    "sequential_against_scalar.py": "When is the scalar method better? After one pass from ±",
+}
+"""What the last line of a study says."""
+
+
+def test_every_study_is_known() -> None:
+    assert {path.name for path in STUDIES} - PICTURES == set(ANSWERS)
+
+
+@pytest.mark.parametrize("path", [p for p in STUDIES if p.name not in PICTURES], ids=lambda path: path.stem)
+def test_study_ends_with_its_answer(path: Path, tmp_path: Path) -> None:
+    environment = os.environ | {"PYTHONIOENCODING": "utf-8"}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(path), "--short"],
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+        timeout=120,
+        cwd=tmp_path,
+        env=environment,
+    )
+    assert done.returncode == 0, done.stderr
+    assert ANSWERS[path.name] in done.stdout.rstrip().splitlines()[-1]
