@@ -149,7 +149,7 @@ def test_the_residual_of_a_rest_is_the_corrected_reading_less_g(content: Any, se
     log = pl.read_parquet(session / "log.parquet")
     gravity = read_session(session).site.gravity
     accel = SensorModel(matrix=np.array(content["accel"]["matrix"]), bias=np.array(content["accel"]["bias"]))
-    _, observations = inspect_session(read_session(session))
+    _, observations, _ = inspect_session(read_session(session))
     assert observations is not None
     assert len(content["rests"]) == len(observations.rests) == 14
     for rest, mean in zip(content["rests"], observations.rests.accel, strict=True):

@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,6 @@ import numpy as np
 import polars as pl
 import pytest
 import tomli_w
-import tomllib
 from click.testing import CliRunner, Result
 
 from tumble import __version__
@@ -59,7 +59,8 @@ def refused(*words: object, below: Path) -> str:
 
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two launches of a device, `one` and `two`, another device, `other`, and a hopeless session, `few`."""
+    """A folder with two launches of a device, `one` and `two`, another device, `other`, and one with too few positions,
+    `few`."""
     folder = tmp_path_factory.mktemp("cli")
     simulate_session(folder / "one", HAND, seed=7, launch=1)
     simulate_session(folder / "two", HAND, seed=7, launch=2)
@@ -139,7 +140,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
     ("words", "said"),
     [
         (["calibrat"], "No such command 'calibrat'. Did you mean 'calibrate'?"),
-        (["--verbose"], "No such option '--verbose'; see `tumble --help`"),
+        (["--force"], "No such option '--force'; see `tumble --help`"),
         (["calibrate"], "Missing argument 'SESSION...'; see `tumble calibrate --help`"),
         (["calibrate", "few", "--ouput", "x.json"], "No such option '--ouput'"),
         (["calibrate", "few", "--out"], "requires an argument"),
@@ -150,14 +151,14 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "few", "--iterations", "0", "--method", "scalar"], "0 is not in the range x>=1"),
         (["calibrate", "few", "--iterations", "3"], "expected none with the method 'staged'"),
         (["calibrate", ""], "expected a path, found an empty one"),
-        (["calibrate", "none"], "none/session.toml: expected a session folder with a session.toml, found no such folder"),
+        (["calibrate", "none"], "none/session.toml: expected a session folder with a session.toml, found no such fol"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none"),
         (["calibrate", "few/log.parquet"], "expected a session folder or its session.toml, found another file"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same log as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),
         (["calibrate", "one", "none", "--out", "x.json"], "none/session.toml: expected a session folder"),
-        (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes it"),
+        (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes"),
         (["calibrate", "few", "--truth", "few/session.toml"], "session.toml: expected a truth.json"),
         (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected a truth.json"),
         (["inspect"], "Missing argument 'SESSION'"),
@@ -347,24 +348,24 @@ def _rest_at(start: float, stop: float) -> Any:
         (lambda content: content["device"].clear(), "device.serial: expected the serial number"),
         (lambda content: content.update(formt=1), "unknown key 'formt' at the top level; did you mean 'format'?"),
         (lambda content: content.update(format=2), "format: expected 1, the format of this file, found 2"),
-        (lambda content: content["site"].update(latitude_deg=145.5), "site.latitude_deg: expected a number from -90 to 90"),
+        (lambda content: content["site"].update(latitude_deg=145.5), "site.latitude_deg: expected a number from -90"),
         (lambda content: content["site"].update(gravity=1.0), "site.gravity: expected a number from 9.7 to 9.9"),
         (lambda content: content["device"].update(systematic="none.json"), "none.json, found no such file"),
         (_log(file="none.csv"), "log.file: expected a log at"),
         (_log(file="session.toml"), "session.toml: expected a file that ends in .csv"),
         (_log(time="tt"), "log.parquet: expected a column 'tt', found t, ax"),
-        (_log(time="ax"), "column 'ax'"),
+        (_log(time="ax"), 'log.accel.columns: expected every column once, found "ax" in log.time too'),
         (_log(rate_hz=50.0), "log.time: expected either log.time, a column, or log.rate_hz, found both"),
         (_log(time_unit="h"), "log.time_unit: expected one of s, ms, us, ns"),
         (_log(time_unit="ns"), "expected at least 2 s, found"),
-        (_accel(unit="m/s2"), 'log.accel.unit: expected one of m/s^2, g, mg, m/s, count, V, found "m/s2"; did you mean'),
+        (_accel(unit="m/s2"), 'log.accel.unit: expected one of m/s^2, g, mg, m/s, count, V, found "m/s2"; did you'),
         (_accel(columns=["ax", "ay", "aq"]), "expected a column 'aq', found t, ax, ay, az"),
         (_accel(columns=["ax", "ay", "ay"]), "expected every column once"),
         (_accel(unit="count"), "log.accel.scale: expected the nominal output per unit"),
         (_accel(unit="count", scale=[1.0, 0.0, 1.0]), "log.accel.scale: expected numbers other than zero"),
-        (_accel(axes=[[1, 0, 0], [0, 1, 0], [1, 0, 0]]), "log.accel.axes: expected directions that span three dimensions"),
+        (_accel(axes=[[1, 0, 0], [0, 1, 0], [1, 0, 0]]), "log.accel.axes: expected directions that span three"),
         (_accel(range=-1.0), "log.accel.range: expected a positive number"),
-        (lambda content: content.update(programme={"name": "nin"}), "programme.name: expected one of rough-table, nine"),
+        (lambda content: content.update(programme={"name": "nin"}), "programme.name: expected one of rough-table"),
         (lambda content: content.update(programme={"name": "nine"}), "programme nine"),
         (_rest_at(1e6, 2e6), "expected"),
         (_rest_at(-20.0, -10.0), "expected"),
@@ -378,10 +379,10 @@ def test_a_session_that_cannot_be_used_is_refused_in_one_line(
 ) -> None:
     folder = sessions / "one"
     _edit(folder, change)
-    if command == "inspect" and "programme" in tomllib.loads((folder / "session.toml").read_text(encoding="utf-8")):
-        if "programme." not in said:
-            assert run("inspect", folder).exit_code == 0  # what was found, whatever the programme
-            return
+    written = (folder / "session.toml").read_text(encoding="utf-8")
+    if command == "inspect" and "[programme]" in written and "programme." not in said:
+        assert run("inspect", folder).exit_code == 0  # it shows what was found, whatever the programme
+        return
     assert said in refused(command, folder, below=sessions)
 
 
@@ -398,15 +399,25 @@ def _csv(folder: Path) -> list[str]:
     return (folder / "log.csv").read_text(encoding="utf-8").splitlines()
 
 
+def _value(text: str) -> Any:
+    """Another text in the second column of row 500."""
+
+    def put(lines: list[str]) -> list[str]:
+        values = lines[500].split(",")
+        return [*lines[:500], ",".join([values[0], text, *values[2:]]), *lines[501:]]
+
+    return put
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda lines: [], "found an empty file"),
+        (lambda _: [], "found an empty file"),
         (lambda lines: lines[:1], "found no rows"),
         (lambda lines: lines[:20], "expected at least 50 samples, found 19"),
-        (lambda lines: [*lines[:500], "1,2,3", *lines[500:]], "row 500 (line 501): expected 7 values, one per column, found 3"),
-        (lambda lines: [*lines[:500], lines[500].replace(lines[500].split(",")[1], "-"), *lines[501:]], "row 500 (line 501), column 'ax': expected a number, found '-'"),
-        (lambda lines: [*lines[:500], lines[500].replace(lines[500].split(",")[2], ""), *lines[501:]], "column 'ay': expected a number, found an empty value"),
+        (lambda lines: [*lines[:500], "1,2,3", *lines[500:]], "row 500 (line 501): expected 7 values, one per column"),
+        (_value("-"), "row 500 (line 501), column 'ax': expected a number, found '-'"),
+        (_value(""), "row 500 (line 501), column 'ax': expected a number, found an empty value"),
         (lambda lines: [*lines[:500], *lines[490:]], "running backwards"),
         (lambda lines: [*lines[:500], lines[499], *lines[500:]], "again"),
         (lambda lines: [*lines[:500], *lines[600:]], "found a gap of"),
@@ -439,7 +450,7 @@ def test_a_log_cut_short_is_refused_in_one_line(sessions: Path) -> None:
     assert "damaged or incomplete" in refused("calibrate", sessions / "one", below=sessions)
 
 
-@pytest.mark.parametrize("interval", [1e-300, 1e-30, 1e300])
+@pytest.mark.parametrize("interval", [1e-300, 1e-30])
 def test_an_absurd_clock_is_refused_in_one_line(sessions: Path, interval: float) -> None:
     log = pl.read_parquet(sessions / "one" / "log.parquet")
     log = log.with_columns(pl.Series("t", np.arange(1, log.height + 1) * interval))
@@ -493,6 +504,7 @@ def test_no_damage_to_a_log_leads_to_a_traceback(sessions: Path, seed: int) -> N
     folder, rng = sessions / "one", np.random.default_rng(seed)
     log = _spoilt(pl.read_parquet(folder / "log.parquet"), rng)
     log.write_parquet(folder / "log.parquet")
+    assert run("inspect", folder).exit_code in (0, 2)
     result = run("calibrate", folder)
     if result.exit_code == 2:
         assert re.fullmatch(r"tumble: [^\n]+\n", result.stderr)

@@ -264,7 +264,7 @@ def figures_of_the_recording(folder: Path) -> list[str]:
     exact = calibrate(replace(session, site=replace(session.site, gravity=9.81744, gravity_u=0.0)))
     assert exact.accel is not None
     assert exact.gyro is not None
-    _, observations = inspect_session(session)
+    _, observations, _ = inspect_session(session)
     assert observations is not None
     rests = observations.rests
     force = exact.accel.apply(rests.accel)

@@ -662,7 +662,7 @@ def _written(parts: list[Part], folder: Path) -> Path:
 
 
 def _estimated(folder: Path) -> Estimate:
-    _, observations = inspect_session(read_session(folder))
+    _, observations, _ = inspect_session(read_session(folder))
     assert observations is not None
     return staged(observations)
 

@@ -389,16 +389,21 @@ def _estimated(
     return method(observations), observations
 
 
-def inspect_session(session: Session, *, progress: Progress = Log.chunks) -> tuple[Segmentation, Observations | None]:
-    """The rests and turns of a session as `tumble inspect` shows them, without matching them to a programme."""
+def inspect_session(
+    session: Session, *, progress: Progress = Log.chunks
+) -> tuple[Segmentation, Observations | None, list[str]]:
+    """The rests and turns of a session as `tumble inspect` shows them, without matching them to a programme, and what
+    is wrong with the recording."""
     log = open_log(session)
     reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+    faults = recording_faults(reduction, session)
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
         if not segmentation.rests:
-            return segmentation, None
+            return segmentation, None, faults
         match = Match(rests=segmentation.rests, programme=None, position=None)
-        return segmentation, observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+        found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    return segmentation, found, faults or sense_faults(found, session, reduction.rate)
 
 
 def _provenance(log_sha256: str) -> dict[str, str]:
@@ -412,6 +417,14 @@ def _provenance(log_sha256: str) -> dict[str, str]:
 def _bridged(log: Log) -> tuple[str, ...]:
     """What was bridged in the log, as notes."""
     return tuple(f"bridged: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what}" for g in log.gaps)
+
+
+def _unchecked(estimate: Estimate) -> tuple[str, ...]:
+    """What no redundancy checks, as notes."""
+    fit = estimate.fits["accelerometers"]
+    if fit.degrees >= 0.5 or estimate.unobservable:
+        return ()
+    return ("as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed",)
 
 
 def _without_result(
@@ -478,6 +491,6 @@ def _result(
         ),
         turn_sigmas=tuple(float(s) for s in estimate.turn_sigmas),
         fits=estimate.fits,
-        notes=_bridged(log),
+        notes=_bridged(log) + _unchecked(estimate),
         provenance=provenance,
     )

@@ -164,9 +164,9 @@ def _finite(value: object) -> bool:
 @click.option("--programme", default="rough-table", show_default=True, help="Built-in programme to go through.")
 @click.option("--positions", type=int, help="Hand-held instead: this many positions in any attitude.")
 @click.option("--grade", default="navigation", show_default=True, help="navigation, tactical, mems or consumer.")
-@click.option("--rest", type=float, help="Duration of a rest, s.")
-@click.option("--rate", type=float, help="Rate of the turns, °/s.")
-@click.option("--sample-rate", type=float, help="Samples per second.")
+@click.option("--rest", type=float, help="Duration of a rest, s; default 60, by hand 5.")
+@click.option("--rate", type=float, help="Rate of the turns, °/s; default 10, by hand 80.")
+@click.option("--sample-rate", type=float, help="Samples per second; default 100.")
 @click.option("--table-error", type=float, default=1.0, show_default=True, help="Largest error of a position, °.")
 @click.option("--mounting-error", type=float, default=1.0, show_default=True, help="Largest error of the mounting, °.")
 @click.option("--latitude", type=float, default=56.84, show_default=True, help="Latitude of the site, °.")
@@ -220,8 +220,10 @@ def inspect(session: Path) -> None:
     from tumble.session import read_session
     from tumble.text import inspection_report, print_report
 
-    segmentation, observations = inspect_session(read_session(session), progress=_with_progress)
+    segmentation, observations, faults = inspect_session(read_session(session), progress=_with_progress)
     print_report(inspection_report(segmentation, observations))
+    for fault in faults:
+        click.echo(f"fault: {fault}", err=True)
 
 
 @main.command()
@@ -252,6 +254,8 @@ def noise(
     from tumble.session import read_session
     from tumble.text import noise_report, print_report
 
+    if not recording.exists():
+        raise InputError(f"{recording}: expected a session folder or a log, found no such file")
     if recording.is_dir() or recording.suffix == ".toml":
         record = longest_rest(read_session(recording))
     else:
@@ -274,8 +278,8 @@ def noise(
 @click.option("--attitude", "attitudes", multiple=True, help="Instead of NAME: a position's attitude code; repeat.")
 @click.option("--rest", type=float, default=60.0, show_default=True, help="Duration of a rest, s.")
 @click.option("--rate", type=float, default=10.0, show_default=True, help="Rate of the turns, °/s.")
-@click.option("-o", "--output", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
-def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: float, output: Path | None) -> None:
+@click.option("-o", "--out", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
+def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: float, out: Path | None) -> None:
     """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
     from tumble.programme import from_attitudes
     from tumble.programme import programme as built_in
@@ -286,10 +290,11 @@ def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: f
     if (name is None) == (not attitudes):
         raise InputError("expected either the NAME of a programme or --attitude for each position")
     listed = from_attitudes(list(attitudes)) if name is None else built_in(name)
-    print_report(sheet_table(listed, rest=rest, rate=rate * DEGREE))
-    if output is not None:
-        write_sheet(output, listed, rest=rest, rate=rate * DEGREE)
-        click.echo(f"written to {output}", err=True)
+    table = sheet_table(listed, rest=rest, rate=rate * DEGREE)
+    if out is not None:
+        write_sheet(out, listed, rest=rest, rate=rate * DEGREE)
+        click.echo(f"written to {out}", err=True)
+    print_report(table)
 
 
 def _setup_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -357,7 +362,7 @@ def budget(methods: tuple[str, ...], iterations: int, **options: Any) -> None:
 @click.option("--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. accel.scale=3.5ppm; repeat.")
 @click.option("--relative", type=float, metavar="PERCENT", help="Wanted of every group: part of its spread, %.")
 @click.option("--method", type=click.Choice(METHODS), default="sequential", show_default=True, help="Method to use.")
-@click.option("--iteration", type=click.IntRange(1, 5), default=1, show_default=True, help="After this pass.")
+@click.option("--iterations", type=click.IntRange(1, 5), default=1, show_default=True, help="After so many passes.")
 @click.option(
     "--gyro-bias",
     type=click.Choice(["programme", "vertical", "polar"]),
@@ -366,7 +371,7 @@ def budget(methods: tuple[str, ...], iterations: int, **options: Any) -> None:
     help="From all rests, or from one with the axis vertical or along the Earth's axis.",
 )
 def require(
-    wanted: tuple[str, ...], relative: float | None, method: str, iteration: int, gyro_bias: str, **options: Any
+    wanted: tuple[str, ...], relative: float | None, method: str, iterations: int, gyro_bias: str, **options: Any
 ) -> None:
     """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
     from tumble.require import require, wanted_of
@@ -374,7 +379,7 @@ def require(
 
     setup = _setup(options)
     asked = wanted_of(wanted, relative, setup)
-    needs = require(asked, setup, method=method, iteration=iteration, gyro_bias=gyro_bias)  # type: ignore[arg-type]
+    needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)  # type: ignore[arg-type]
     print_report(requirements_report(needs))
     sys.exit(0 if needs.feasible else 1)
 

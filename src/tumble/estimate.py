@@ -31,8 +31,9 @@ SEEN = 1e-3
 RELATIVE_RANK = 1e-11
 """Singular values below this part of the largest are rounding."""
 
-SCATTER_PROBABILITY = 1e-3
-"""Scatter is estimated where chi-square would be exceeded by chance less often than this."""
+SCATTER_PROBABILITY = 0.5
+"""Scatter is estimated where chance alone would exceed chi-square less often than this: where it is above its median.
+With a stricter limit a scatter that is there, but not beyond doubt, would be missing from u."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -243,11 +243,12 @@ def _accel_covariance(series: list[Array], block: Block) -> Array:
     A rest in which the body slowly tilts shows it in the horizontal directions, where it would pass for sensor
     noise; the vertical, and for n > 3 the directions that no specific force explains, are free of it to first
     order. The two kinds of direction therefore have noises of their own. Channels are first divided by their
-    noise from block to block."""
+    noise from block to block; a rough bias is taken off first, lest it should turn the directions."""
     size = np.sqrt(np.median([np.diff(s, axis=0).var(axis=0) for s in series], axis=0))
     size = np.where(size > 0.0, size, 1.0)
     mean = np.array([s.mean(axis=0) for s in series])
     force = mean @ np.linalg.pinv(block.axes).T
+    force = force - _rough_bias(force)
     tilted = np.einsum("pk,ijk->ipj", block.axes, tangent_basis(force / np.linalg.norm(force, axis=1, keepdims=True)))
     basis, _ = np.linalg.qr(tilted / size[:, None], mode="complete")
     rotated = [s / size @ q for s, q in zip(series, basis, strict=True)]
@@ -260,6 +261,15 @@ def _accel_covariance(series: list[Array], block: Block) -> Array:
     scaled = basis * size[:, None]
     covariance = scaled * variance[:, None, :] @ np.swapaxes(scaled, 1, 2)
     return np.asarray(covariance + ACCEL_FLOOR**2 * np.eye(mean.shape[1]))
+
+
+def _rough_bias(force: Array) -> Array:
+    """The centre (3,) of the sphere through specific forces (N, 3) at rest; zero where they do not tell."""
+    rows = np.column_stack([2.0 * force, np.ones(len(force))])
+    solution, _, rank, singular = np.linalg.lstsq(rows, (force**2).sum(axis=1))
+    size = float(np.linalg.norm(force, axis=1).mean())
+    seen = rank == 4 and len(force) >= 6 and singular[-1] > 0.1
+    return np.asarray(solution[:3]) if seen and float(np.linalg.norm(solution[:3])) < 0.5 * size else np.zeros(3)
 
 
 def _gyro_covariance(series: list[Array], fit: ColouredNoise | None) -> Array:
