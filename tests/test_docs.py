@@ -296,15 +296,12 @@ def figures_of_the_recording(folder: Path) -> list[str]:
             f"| `accel.scale.{axis}` | {signed(1e6 * a.value, 0)}({1e6 * a.u:.0f}) ppm "
             f"| {signed(1e6 * b.value, 0)}({1e6 * b.u:.0f}) ppm | {signed(1e6 * (b.value - a.value), 0)} ppm |"
         )
-    chance, birge = 100.0 * fit.probability, np.sqrt(fit.chi_square / fit.degrees)
     return [
         f"miss g by {1e3 * np.sqrt(np.mean(residual**2)):.2f} mm/s² (rms)",
         f"would be known to {1e3 * np.median(white):.2f} mm/s² (median)",
         f"chi-square would be {np.sum((residual / white) ** 2) / fit.degrees:.0f} per degree",
         f"finds {1e3 * np.median(coloured):.2f} mm/s² for the mean of a rest",
-        f"then {fit.chi_square:.1f} for {fit.degrees:.0f} degrees of freedom, {birge**2:.2f} for each",
-        f"exceeds that in {chance:.1f} of 100 recordings",
-        f"would be about {birge:.1f} times as large",
+        f"a scatter between rests of {1e3 * fit.scatter:.2f} mm/s² is estimated",
         f"scatter by {gyro_fit.scatter / DEGREE_PER_HOUR:.0f} °/h",
         *rows,
         f"| tumble, 1 + k | {in_brackets(length['accel'], sizes['accel'] * scale_u['accel'], 3)} "

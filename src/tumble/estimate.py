@@ -23,7 +23,11 @@ SPREAD = {
     "gyro.scale": 0.1,
     "gyro.axis": 0.1,
 }
-"""How far a parameter may reasonably be from nominal (SI): what the data must at least halve to count as seen."""
+"""How far a parameter may reasonably be from nominal (SI)."""
+
+DETERMINED = 10.0
+"""How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
+that is hardly better known wanders while the estimate is iterated, and takes the others with it."""
 
 SEEN = 1e-3
 """A parameter is unobservable when more than this part of it (in units of its spread) is in the null space."""
@@ -129,10 +133,10 @@ def spreads(block: Block) -> Array:
 
 def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
     """Smallest step that minimises |residual − jacobian · step|², both whitened; singular combinations, which the
-    data determine no better than their spread, are left alone."""
+    data determine no better than DETERMINED times their spread, are left alone."""
     Q, R = np.linalg.qr(jacobian * spread)
     U, s, Vt = np.linalg.svd(R)
-    rank = int(np.sum(s > max(1.0, RELATIVE_RANK * s[0])))
+    rank = int(np.sum(s > max(DETERMINED, RELATIVE_RANK * s[0])))
     seen, null = Vt[:rank], Vt[rank:]
     gain = spread[:, None] * (seen.T / s[:rank]) @ (Q @ U[:, :rank]).T
     covariance = gain @ gain.T + (spread[:, None] * null.T) @ (null * spread)
