@@ -788,6 +788,16 @@ def test_what_cannot_be_observed_is_absent_and_named(tmp_path: Path) -> None:
     assert len(content["covariance"]) == len(there)
 
 
+def test_an_estimate_that_breaks_down_is_a_refusal(
+    hand: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: object) -> Estimate:
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr("tumble.calibration.METHODS", {"staged": broken})
+    assert reason(hand, tmp_path / "session").startswith("the estimate broke down (SVD did not converge)")
+
+
 # -------------------- at the end of a chain of faults --------------------
 
 

@@ -386,7 +386,11 @@ def _estimated(
     else:
         observations = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
     observations = replace(observations, start=start)
-    return method(observations), observations
+    try:
+        return method(observations), observations
+    except np.linalg.LinAlgError as error:
+        said = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
+        return Outcome(reasons=(said,))
 
 
 def inspect_session(

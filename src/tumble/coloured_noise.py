@@ -25,6 +25,7 @@ from tumble.units import Array
 BATCHES = 120
 MAX_ORDER = 32
 LEVEL_SIGMAS = 5.0
+LEAST = 1e-3  # of what white noise of the same variance would give: quantisation gives more, rounding may give less
 NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 
 
@@ -75,7 +76,8 @@ def _variance_of_mean(autocovariance: Array, batches: float) -> Array:
     lags = min(max(1, int(batches)), autocovariance.shape[-1])
     weights = 2.0 * (1.0 - np.arange(lags) / batches)
     weights[0] = 1.0
-    return np.asarray(autocovariance[..., :lags] @ weights / batches)
+    variance = autocovariance[..., :lags] @ weights / batches
+    return np.asarray(np.maximum(variance, LEAST * autocovariance[..., 0] / batches))
 
 
 def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:

@@ -36,6 +36,9 @@ SMALL_SCALE_ERROR = 0.1
 UPRIGHT = 20.0 * DEGREE
 """How far a rest may be from its position of the programme to count as that position, or as it upside down."""
 
+FASTEST_TURN = 10.0
+"""rad/s: by hand or on a table."""
+
 BIAS_LIMIT = 100.0
 """rad/s: what no gyro measures, let alone as its bias."""
 
@@ -262,11 +265,12 @@ def _lost(observations: Observations, k: int, miss: float) -> str:
 
 
 def _turned(observations: Observations, gyro: SensorModel) -> Array:
-    """About how far (K,) each turn went at the usual rate, rad, whole revolutions included."""
+    """About how far (K,) each turn went at the usual rate, rad, whole revolutions included; nothing where that rate is
+    none that a device is turned with."""
     with np.errstate(invalid="ignore", over="ignore"):
         turns = observations.turns_about(gyro)
-        path = np.nan_to_num(np.sqrt((turns.M**2).sum(axis=(1, 2, 3))))
-    return np.asarray(turns.duration * np.median(path / turns.duration))
+        rate = float(np.median(np.nan_to_num(np.sqrt((turns.M**2).sum(axis=(1, 2, 3)))) / turns.duration))
+    return turns.duration * (rate if rate < FASTEST_TURN else 0.0)
 
 
 def _misses(observations: Observations, gyro: SensorModel) -> Array:

@@ -432,12 +432,14 @@ def _add_turn(design: _Design, state: _State, turns: Turns, j: int, rows: slice)
     """C û_last − exp([ω T×]) û_first, across the vertical."""
     a, b, T, C = int(turns.first[j]), int(turns.last[j]), float(turns.duration[j]), turns.C[j]
     u, known = state.vertical[a], float(state.known[a])
-    carried = rotation_matrix(T * (state.up_rate * u + known * (state.rate[a] - u * (u @ state.rate[a]))))
+    horizontal = np.eye(3) - np.outer(u, u)
+    earth = T * (state.up_rate * u + known * horizontal @ state.rate[a])
+    carried = rotation_matrix(earth)
     back = C @ state.vertical[b]
     across = tangent_basis(back)
     by_angle = across @ skew(back)
     by_matrix = np.einsum("ipq,pqm->im", turns.M[j], state.derivative[:, :3]) + turns.B[j] @ state.derivative[:, 3]
-    by_earth = T * across @ skew(u)
+    by_earth = T * across @ carried @ skew(u) @ (np.eye(3) - 0.5 * skew(earth)) @ horizontal
     design.residual[rows] = -across @ (back - carried @ u)
     design.jacobian[rows] = by_angle @ by_matrix - known * by_earth @ _by_values(state, state.rate[a])
     design.by_vertical[rows, b] += across @ C
