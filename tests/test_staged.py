@@ -152,8 +152,8 @@ def observations(
     u_accel, u_gyro = noise.accel / np.sqrt(noise.seconds), noise.gyro / np.sqrt(noise.seconds)
     rests = Rests(
         file=np.zeros(N, dtype=np.int64),
-        start=100.0 * np.arange(N),
-        stop=100.0 * np.arange(N) + noise.seconds,
+        start=np.linspace(0.0, 100.0 * (N - 1), N),
+        stop=np.linspace(0.0, 100.0 * (N - 1), N) + noise.seconds,
         accel=accel.predict(force) + np.hypot(u_accel, noise.accel_scatter) * rng.standard_normal((N, na)),
         accel_covariance=np.tile((u_accel**2 + observing.ACCEL_FLOOR**2) * np.eye(na), (N, 1, 1)),
         accel_drift=np.zeros((N, na)),
@@ -213,7 +213,7 @@ def error_of(estimate: Estimate, device: Unit) -> Array:
 def test_noiseless_parameters_are_recovered(axes: Array, sizes: Sequence[float]) -> None:
     """All 21, on a rough table and in the hand."""
     rng = np.random.default_rng(71)
-    for way in (rough_table(rng), in_the_hand(rng)):
+    for way in (rough_table(rng), in_the_hand(rng, 15)):
         for gyro_axes in (TRIAD, axes):
             device = unit(rng, sizes, axes, gyro_axes)
             estimate = staged(observations(device, way, rng))
@@ -226,7 +226,7 @@ def test_noiseless_parameters_are_recovered(axes: Array, sizes: Sequence[float])
 def test_four_noiseless_accelerometers_are_recovered() -> None:
     """Eight more parameters than a triad has; each rest says two things."""
     rng = np.random.default_rng(72)
-    for way in (rough_table(rng), in_the_hand(rng)):
+    for way in (rough_table(rng), in_the_hand(rng, 15)):
         device = unit(rng, COARSE, TETRAD)
         estimate = staged(observations(device, way, rng))
         assert len(estimate.values) == 4 + 4 + 5 + 12
@@ -305,12 +305,14 @@ class Trials:
     fits: Array
 
 
-def trials(count: int, seed: int, noise: Noise, *, hand: bool = False) -> Trials:
+def trials(count: int, seed: int, noise: Noise, *, hand: int = 0) -> Trials:
+    """Sessions on a rough table, or in the hand with so many positions."""
     rng = np.random.default_rng(seed)
     normalised, distance, fits = [], [], []
     for _ in range(count):
         device = unit(rng, COARSE if hand else FINE)
-        estimate = staged(observations(device, in_the_hand(rng) if hand else rough_table(rng), rng, noise))
+        way = in_the_hand(rng, hand) if hand else rough_table(rng)
+        estimate = staged(observations(device, way, rng, noise))
         error = error_of(estimate, device)
         normalised.append(error / estimate.u)
         distance.append(error @ np.linalg.solve(estimate.covariance, error))
@@ -351,38 +353,34 @@ def test_chi_squares_have_the_mean_of_their_degrees(table_trials: Trials) -> Non
     """Accelerometers, gyros at rest, turns. The Earth's rate over the horizon counts as random, which on a table it is
     not: the rests' chi-square scatters less than it should."""
     chi_square, degrees, _ = table_trials.fits.mean(axis=0).T
-    np.testing.assert_allclose(degrees[0], 6.0)
-    np.testing.assert_allclose(chi_square - degrees, 0.0, atol=5.5 * np.sqrt(2.0 * degrees / 300))
+    assert degrees[0] == pytest.approx(6.0)
+    assert np.all(np.abs(chi_square - degrees) < 5.5 * np.sqrt(2.0 * degrees / 300))
 
 
 def test_noise_in_the_hand_is_honest_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """MEMS, 60 sessions of 12 positions; the standard error of an rms is 0.09."""
+    """MEMS, 50 sessions of 12 positions; the standard error of an rms is 0.1."""
     monkeypatch.setattr(method, "SCATTER_PROBABILITY", 0.0)
-    monkeypatch.setitem(globals(), "in_the_hand", lambda rng: _in_the_hand(rng, 12))
-    found = trials(60, 77, MEMS, hand=True)
+    found = trials(50, 77, MEMS, hand=12)
     rms = np.sqrt((found.normalised**2).mean(axis=0))
-    np.testing.assert_allclose(rms, 1.0, atol=5.5 / np.sqrt(2 * 60))
-    assert found.distance.mean() == pytest.approx(21.0, abs=5.5 * np.sqrt(42 / 60))
-
-
-_in_the_hand = in_the_hand
+    np.testing.assert_allclose(rms, 1.0, atol=5.5 / np.sqrt(2 * 50))
+    assert found.distance.mean() == pytest.approx(21.0, abs=5.5 * np.sqrt(42 / 50))
 
 
 def test_looking_for_scatter_where_there_is_none_costs_little() -> None:
-    """60 sessions as the method comes."""
-    found = trials(60, 78, NAVIGATION)
+    """30 sessions as the method comes."""
+    found = trials(30, 78, NAVIGATION)
     assert 0.8 < np.sqrt((found.normalised**2).mean()) < 1.1
 
 
 @pytest.mark.parametrize("times", [3.0, 20.0])
 def test_scatter_between_rests_is_found_and_counts(times: float) -> None:
-    """Biases that differ from rest to rest by so many times the noise of a mean: 40 sessions. Six degrees of freedom
+    """Biases that differ from rest to rest by so many times the noise of a mean: 25 sessions. Six degrees of freedom
     know the scatter of the accelerometers to 30 %, so that their errors are Student's: rms 1.22."""
     u_accel, u_gyro = NAVIGATION.accel / np.sqrt(60.0), NAVIGATION.gyro / np.sqrt(60.0)
     noise = replace(NAVIGATION, accel_scatter=times * u_accel, gyro_scatter=times * u_gyro)
-    found = trials(40, 79, noise)
+    found = trials(25, 79, noise)
     accel, rests, _ = found.fits[:, :, 2].T
-    assert np.mean(accel) / (times * u_accel) == pytest.approx(0.92, abs=0.3)
+    assert np.mean(accel) / (times * u_accel) == pytest.approx(0.92, abs=0.35)
     assert np.mean(rests) / (times * u_gyro) == pytest.approx(1.0, abs=0.15)
     assert np.all(rests > 0.0)
     rms = np.sqrt((found.normalised**2).mean(axis=0))
@@ -391,8 +389,8 @@ def test_scatter_between_rests_is_found_and_counts(times: float) -> None:
 
 
 def test_scatter_of_turns_is_found_and_counts() -> None:
-    """Turns off by 20″, thirty times their noise: 30 sessions."""
-    found = trials(30, 80, replace(NAVIGATION, turn_scatter=20 * ARCSEC))
+    """Turns off by 20″, thirty times their noise: 20 sessions."""
+    found = trials(20, 80, replace(NAVIGATION, turn_scatter=20 * ARCSEC))
     turns = found.fits[:, 2, 2]
     assert np.mean(turns) == pytest.approx(20 * ARCSEC, rel=0.25)
     assert 0.8 < np.sqrt((found.normalised[:, 9:] ** 2).mean()) < 1.3

@@ -325,7 +325,7 @@ def requirements_report(requirements: Requirements) -> RenderableType:
         f"together: table within ±{requirements.table_error / DEGREE:.2f}°, mounting within "
         f"±{requirements.mounting_error / DEGREE:.2f}°, rests of at least {requirements.rest:.3g} s"
     )
-    return Group(table, Text(""), Text(together))
+    return Group(table, Text(""), Text(together)) if any(row.feasible for row in requirements.rows) else table
 
 
 def _within(angle: float, limited: bool) -> str:
