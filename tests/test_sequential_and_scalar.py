@@ -326,7 +326,8 @@ def test_the_turntable_recording_is_recovered(data: Path, pipeline: Pipeline) ->
     assert max(found.rest_sigmas.max(), found.turn_sigmas.max()) < 4.0
 
 
-def test_scatter_between_rests_is_found_and_counted() -> None:
+def test_scatter_between_rests_is_found_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tumble.methods.iterations.SCATTER_PROBABILITY", 1e-3)  # beyond doubt, so that quiet means none
     rng = np.random.default_rng(9)
     values = drawn_values(1, rng)[0]
     quiet, noisy = (sequential(observations(values, rng, noise=n), iterations=4) for n in (1.0, 10.0))

@@ -60,6 +60,7 @@ _BRIDGED_MOST = 10_000
 _SHORTEST_ROWS = 50
 _SHORTEST_TIME = 2.0
 _RATE_TOLERANCE = 0.1
+_SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-6, 10.0
 
 _FIRST_PIECE_BYTES = 1 << 18
 _PIECE_BYTES = 1 << 24
@@ -164,6 +165,11 @@ def open_log(session: Session) -> Log:
                 f"{1 / intervals[0]:.6g} Hz, found {1 / interval:.6g} Hz; give a log of another rate its own "
                 "session"
             )
+    if not _SHORTEST_INTERVAL <= intervals[0] <= _LONGEST_INTERVAL:
+        raise LogError(
+            f"{sources[0].path}: expected samples from {_SHORTEST_INTERVAL:g} to {_LONGEST_INTERVAL:g} s apart, found "
+            f"{intervals[0]:.3g} s; check log.time, log.time_unit or log.rate_hz"
+        )
     rate = 1.0 / intervals[0] if session.log.rate is None else session.log.rate
     return Log(session=session, rate=rate, _sources=sources, _intervals=intervals)
 

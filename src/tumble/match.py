@@ -22,6 +22,7 @@ from tumble.units import DEGREE, Array, IntArray
 POSITION_LIMIT = 7.0 * DEGREE
 """How far a vertical may be from the programme's: table and mounting errors of up to 5° each, and bias."""
 
+BIAS_LIMIT = 0.15  # of g: beyond, the difference is the programme, not the sensors
 TURN_LIMIT = 25.0 * DEGREE
 SAME_ATTITUDE = 2.0 * DEGREE
 SHORTEST_STATED = 1.0
@@ -141,7 +142,8 @@ def _verticals(readings: Array, listed: Programme, gravity: float) -> Array:
     expected = np.array([p.vertical_b for p in listed.positions])
     unit = readings / np.linalg.norm(readings, axis=1, keepdims=True)
     nearest = expected[np.argmax(unit @ expected.T, axis=1)]
-    free = readings - np.median(readings - gravity * nearest, axis=0)
+    bias = np.median(readings - gravity * nearest, axis=0)
+    free = readings - bias if np.linalg.norm(bias) < BIAS_LIMIT * gravity else readings
     return np.asarray(free / np.linalg.norm(free, axis=1, keepdims=True))
 
 

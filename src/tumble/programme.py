@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from itertools import permutations, product
 from types import MappingProxyType
 
@@ -116,7 +117,9 @@ def _turn(code: str, turn: str) -> tuple[Array, float]:
 def programme(name: str) -> Programme:
     """The built-in programme of this name. Raises ProgrammeError for any other name."""
     if name not in BUILT_IN:
-        raise ProgrammeError(f"programme: expected one of {', '.join(BUILT_IN)}, found {name!r}")
+        near = get_close_matches(name, BUILT_IN, n=1)
+        advice = f"; did you mean {near[0]!r}?" if near else ""
+        raise ProgrammeError(f"programme: expected one of {', '.join(BUILT_IN)}, found {name!r}{advice}")
     return BUILT_IN[name]()
 
 
