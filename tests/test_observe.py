@@ -191,6 +191,12 @@ def test_four_gyros_carry_the_body_as_three_do() -> None:
     assert three.turns is not None
     assert four.turns is not None
     np.testing.assert_allclose(four.turns.C, three.turns.C, atol=1e-12)
+    assert three.turn_readings is None
+    assert four.turn_readings is not None
+    for k, rest in enumerate(four.rests.stop[:-1]):
+        between = slice(round(rest * 100.0), round(four.rests.start[k + 1] * 100.0))
+        expected = true[between].sum(axis=0) @ TETRAD_AXES.T / 100.0
+        np.testing.assert_allclose(four.turn_readings.integral[k], expected, atol=1e-11)
 
 
 def test_no_turn_goes_from_one_file_to_the_next() -> None:

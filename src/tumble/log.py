@@ -65,7 +65,7 @@ _SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-6, 10.0
 _FIRST_PIECE_BYTES = 1 << 18
 _PIECE_BYTES = 1 << 24
 _LINE_BYTES = 1 << 20
-_PARQUET_ROWS = 1 << 16
+_PARQUET_ROWS = 1 << 15
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

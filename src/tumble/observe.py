@@ -129,6 +129,15 @@ def _batch(increments: list[Array], intervals: list[Array], pieces: list[tuple[i
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class TurnReadings:
+    """Integrals (K, n) of the gyro readings over the turns, rad, and their covariance (K, n, n) from noise: what a
+    redundant block says beyond the rotation of the body."""
+
+    integral: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Observations:
     """All that a method sees of a session. `position` (N,) is the index in the programme of each rest's position,
     where there is one."""
@@ -143,6 +152,8 @@ class Observations:
     position: IntArray | None
     start: Mapping[str, float] = field(default_factory=dict)
     """Parameter values to start from, by name; zero where there is none."""
+    turn_readings: TurnReadings | None = None
+    """Only where there are more than three gyros."""
 
     def start_values(self, block: Block) -> Array:
         """Start values of a block's parameters, in their order."""
@@ -217,9 +228,10 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         gyro_noise=_density(gyro_covariance, durations),
         temperature=np.array(temperatures) if temperatures else None,
     )
-    turns, samples = None, None
+    turns, samples, readings = None, None, None
     if gyro is not None and gyro_fit is not None and reduction.samples is not None:
         turns, samples = _turns(reduction.samples, by_file, spans, gyro, gyro_fit, block_seconds)
+        readings = _turn_readings(by_file, spans, turns, gyro_fit, block_seconds) if gyro.size > 3 else None
     return Observations(
         accel_block=accel,
         gyro_block=gyro,
@@ -229,6 +241,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         turn_samples=samples,
         programme=match.programme,
         position=match.position,
+        turn_readings=readings,
     )
 
 
@@ -322,6 +335,23 @@ def _turns(
     covariance = _carried(samples, np.array(density).reshape(-1, 3, 3)) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(first=first, last=last, duration=duration, C=C, M=M, B=B, covariance=covariance)
     return turns, samples
+
+
+def _turn_readings(
+    by_file: dict[int, FileBlocks],
+    spans: tuple[RestSpan, ...],
+    turns: Turns,
+    noise: ColouredNoise,
+    block_seconds: float,
+) -> TurnReadings:
+    """The readings of every gyro between the rests, from the blocks."""
+    channels = noise.autocovariance.shape[0]
+    integral, covariance = np.zeros((len(turns), channels)), np.zeros((len(turns), channels, channels))
+    for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
+        blocks, between = by_file[spans[i].file], slice(spans[i].last, spans[j].first)
+        integral[k] = np.diff(blocks.edges)[between] @ _gyro_of(blocks)[between]
+        covariance[k] = T**2 * noise.covariance_of_mean(max(T / block_seconds, 1.0))
+    return TurnReadings(integral=integral, covariance=covariance + TURN_FLOOR**2 * np.eye(channels))
 
 
 def _carried(samples: TurnSamples, density: Array) -> Array:

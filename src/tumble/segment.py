@@ -55,7 +55,7 @@ MARGIN_SECONDS = (0.2, 1.0)
 TILT_LIMIT = 2.0 * DEGREE
 ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
 GYRO_ROUNDING = 1e-7  # rad/s
-IN_MEMORY_BYTES = 32 * 2**20
+IN_MEMORY_BYTES = 16 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

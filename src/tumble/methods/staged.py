@@ -12,7 +12,8 @@ Stage 2, with û = S⁻¹(y − b)/g from stage 1:
 The first is the dot-product invariant û·ω̂ = Ω sin B where the noise is small against Ω, and the mean of the rests
 where it is large; the second is the indirect method for turns of any kind. ω_i, the Earth's rate in the body, is
 the measured one, shrunk towards the vertical part in proportion to its noise. Turns are integrated again about
-the updated parameters until the second-order effect of an update is below 1e-7 rad.
+the updated parameters until the second-order effect of an update is below 1e-7 rad. More than three gyros also say
+n − 3 things of themselves at every rest and in every turn: their readings must be those of one rate.
 
 Uncertainty: noise of rests (accelerometers and gyros) and of turns, their scatter, what stage 1 leaves, and the
 uncertainty of g, all propagated; rests shared by two turns make their rows correlated, and the whole covariance
@@ -313,7 +314,8 @@ def _gyro_rows(
     """Residuals with their first-order dependence on everything uncertain; `turns` integrated about `values`."""
     state = _State.of(observations, accel, values, scatter)
     rests = len(observations.rests)
-    size = 3 * rests + 2 * len(turns)
+    spare = state.model.matrix.shape[0] - 3 if observations.turn_readings else 0
+    size = 3 * rests + 2 * len(turns) + spare * (rests + len(turns))
     design = _Design(
         residual=np.zeros(size),
         jacobian=np.zeros((size, len(values))),
@@ -328,6 +330,8 @@ def _gyro_rows(
         _add_rest(design, state, i)
     for j in range(len(turns)):
         _add_turn(design, state, turns, j, slice(3 * rests + 2 * j, 3 * rests + 2 * j + 2))
+    if spare:
+        _add_spare(design, state, observations, values)
     return _with_covariance(state, design)
 
 
@@ -449,6 +453,29 @@ def _add_turn(design: _Design, state: _State, turns: Turns, j: int, rows: slice)
     design.turning[rows, rows] = by_angle @ turns.covariance[j] @ by_angle.T
     design.by_turn_scatter[rows, rows] = by_angle @ by_angle.T
     design.by_rest_scatter[rows, rows] = T**2 * by_angle @ by_angle.T
+
+
+def _add_spare(design: _Design, state: _State, observations: Observations, values: Array) -> None:
+    """What n gyros say of themselves: y − b, at rest or integrated over a turn, has nothing in the directions that
+    no rate explains."""
+    block, rests, turns = observations.gyro_block, observations.rests, observations.turns
+    readings = observations.turn_readings
+    assert block is not None
+    assert turns is not None
+    assert readings is not None
+    basis, _ = np.linalg.qr(state.model.matrix, mode="complete")
+    free, inverse, derivative = basis[:, 3:].T, state.model.inverse(), block.jacobian(values)
+    seconds = np.concatenate([np.ones(len(rests)), turns.duration])
+    readings_of_all = np.concatenate([rests.gyro, readings.integral]) - np.outer(seconds, state.model.bias)
+    covariances = np.concatenate([rests.gyro_covariance, readings.covariance])
+    first, size = 3 * len(rests) + 2 * len(turns), len(free)
+    for i, (y, covariance) in enumerate(zip(readings_of_all, covariances, strict=True)):
+        rows = slice(first + size * i, first + size * (i + 1))
+        design.residual[rows] = free @ y
+        design.jacobian[rows] = free @ np.einsum("pqm,q->pm", derivative, np.append(inverse @ y, seconds[i]))
+        design.turning[rows, rows] = free @ covariance @ free.T
+        scatter = design.by_rest_scatter if i < len(rests) else design.by_turn_scatter
+        scatter[rows, rows] = np.eye(size)
 
 
 def _with_covariance(state: _State, design: _Design) -> _Rows:
