@@ -1,0 +1,70 @@
+"""`tumble calibrate`: from sessions to a calibration file."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, METHODS, with_progress
+from tumble.errors import InputError
+
+
+@click.command()
+@click.argument("sessions", metavar="SESSION...", type=EXISTING_FOLDER, nargs=-1, required=True)
+@click.option("--method", type=click.Choice(METHODS), default=METHODS[0], show_default=True, help="How to estimate.")
+@click.option("--iterations", type=click.IntRange(min=1), help="Passes of sequential and scalar; default 2.")
+@click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
+@click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
+@click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
+def calibrate(
+    sessions: tuple[Path, ...], method: str, iterations: int | None, out: Path | None, force: bool, truth: Path | None
+) -> None:
+    """Calibrate the device of SESSION, a folder with session.toml and a log.
+
+    Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
+    launch to launch, and --out is required.
+    """
+    from tumble.calibration import calibrate
+    from tumble.launches import Run, mean_of_launches
+    from tumble.session import read_session
+    from tumble.text import calibration_report, print_report
+
+    if len(sessions) > 1 and out is None:
+        raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
+    known = _read_truth(truth) if truth else None
+    described = [read_session(session) for session in sessions]
+    runs = [
+        Run(
+            session=session,
+            calibration=calibrate(session, method=method, iterations=iterations, progress=with_progress),
+        )
+        for session in described
+    ]
+    result = mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
+    target = out or described[0].folder / "calibration.json"
+    result.write(target, force=force)
+    print_report(calibration_report(result, known))
+    click.echo(f"written to {target}", err=True)
+    for reason in result.outcome.reasons:
+        click.echo(f"not accepted: {reason}", err=True)
+    sys.exit(0 if result.outcome.accepted else 1)
+
+
+def _read_truth(path: Path) -> dict[str, float]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error}") from error
+    if not isinstance(content, dict) or not all(map(_finite, content.values())):
+        raise InputError(f"{path}: expected an object of parameter names and numbers, found something else")
+    return content
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,23 @@
+"""`tumble inspect`: what was found in a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import EXISTING_FOLDER, with_progress
+
+
+@click.command()
+@click.argument("session", type=EXISTING_FOLDER)
+def inspect(session: Path) -> None:
+    """Show the rests and turns found in SESSION, and what was rejected and why."""
+    from tumble.calibration import inspect_session
+    from tumble.session import read_session
+    from tumble.text import inspection_report, print_report
+
+    segmentation, observations, faults = inspect_session(read_session(session), progress=with_progress)
+    print_report(inspection_report(segmentation, observations))
+    for fault in faults:
+        click.echo(f"fault: {fault}", err=True)

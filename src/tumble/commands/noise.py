@@ -1,0 +1,58 @@
+"""`tumble noise`: Allan deviations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tumble.commands.arguments import EXISTING_FOLDER, FILE
+from tumble.errors import InputError
+
+
+@click.command()
+@click.argument("recording", metavar="SESSION|LOG", type=EXISTING_FOLDER)
+@click.option("--plot", type=FILE, help="Draw the Allan deviations into this .svg, .png or .pdf.")
+@click.option("--accel", metavar="COLUMNS", help="LOG: columns of the accelerometers, with commas between them.")
+@click.option("--accel-unit", default="m/s^2", show_default=True, help="LOG: their unit.")
+@click.option("--gyro", metavar="COLUMNS", help="LOG: columns of the gyros.")
+@click.option("--gyro-unit", default="rad/s", show_default=True, help="LOG: their unit.")
+@click.option("--time", "time_column", metavar="COLUMN", help="LOG: column of the time, s.")
+@click.option("--rate-hz", type=float, help="LOG: sample rate, where there is no time column.")
+def noise(
+    recording: Path,
+    plot: Path | None,
+    accel: str | None,
+    accel_unit: str,
+    gyro: str | None,
+    gyro_unit: str,
+    time_column: str | None,
+    rate_hz: float | None,
+) -> None:
+    """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
+
+    LOG is a .csv (.gz, .zst) or .parquet file; it needs --accel, and --time or --rate-hz.
+    """
+    from tumble.noise import plot as draw
+    from tumble.quiet_record import longest_rest, noise_panels, whole_log
+    from tumble.session import read_session
+    from tumble.text import noise_report, print_report
+
+    if not recording.exists():
+        raise InputError(f"{recording}: expected a session folder or a log, found no such file")
+    if recording.is_dir() or recording.suffix == ".toml":
+        record = longest_rest(read_session(recording))
+    else:
+        if accel is None:
+            raise InputError(f"{recording}: expected --accel with the columns of the accelerometers, found none")
+        layout: dict[str, Any] = {"accel": {"columns": accel.split(","), "unit": accel_unit}}
+        layout |= {"gyro": {"columns": gyro.split(","), "unit": gyro_unit}} if gyro else {}
+        layout |= {"time": time_column} if time_column else {}
+        layout |= {"rate_hz": rate_hz} if rate_hz is not None else {}
+        record = whole_log(recording, layout)
+    panels = noise_panels(record)
+    if plot is not None:
+        draw(panels, plot)
+        click.echo(f"written to {plot}", err=True)
+    print_report(noise_report(record.source, panels))

@@ -1,0 +1,34 @@
+"""`tumble programme`: the operator's sheet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import FILE
+from tumble.errors import InputError
+
+
+@click.command()
+@click.argument("name", metavar="[NAME]", required=False)
+@click.option("--attitude", "attitudes", multiple=True, help="Instead of NAME: a position's attitude code; repeat.")
+@click.option("--rest", type=float, default=60.0, show_default=True, help="Duration of a rest, s.")
+@click.option("--rate", type=float, default=10.0, show_default=True, help="Rate of the turns, °/s.")
+@click.option("-o", "--out", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
+def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: float, out: Path | None) -> None:
+    """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
+    from tumble.programme import from_attitudes
+    from tumble.programme import programme as built_in
+    from tumble.sheet import sheet_table, write_sheet
+    from tumble.text import print_report
+    from tumble.units import DEGREE
+
+    if (name is None) == (not attitudes):
+        raise InputError("expected either the NAME of a programme or --attitude for each position")
+    listed = from_attitudes(list(attitudes)) if name is None else built_in(name)
+    table = sheet_table(listed, rest=rest, rate=rate * DEGREE)
+    if out is not None:
+        write_sheet(out, listed, rest=rest, rate=rate * DEGREE)
+        click.echo(f"written to {out}", err=True)
+    print_report(table)

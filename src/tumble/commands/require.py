@@ -1,0 +1,37 @@
+"""`tumble require`: what a wanted accuracy needs."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from tumble.commands.arguments import METHODS, setup_of, setup_options
+
+
+@click.command()
+@setup_options
+@click.option("--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. accel.scale=3.5ppm; repeat.")
+@click.option("--relative", type=float, metavar="PERCENT", help="Wanted of every group: part of its spread, %.")
+@click.option("--method", type=click.Choice(METHODS), default="sequential", show_default=True, help="Method to use.")
+@click.option("--iterations", type=click.IntRange(1, 5), default=1, show_default=True, help="After so many passes.")
+@click.option(
+    "--gyro-bias",
+    type=click.Choice(["programme", "vertical", "polar"]),
+    default="programme",
+    show_default=True,
+    help="From all rests, or from one with the axis vertical or along the Earth's axis.",
+)
+def require(
+    wanted: tuple[str, ...], relative: float | None, method: str, iterations: int, gyro_bias: str, **options: Any
+) -> None:
+    """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
+    from tumble.require import require, wanted_of
+    from tumble.text import print_report, requirements_report
+
+    setup = setup_of(options)
+    asked = wanted_of(wanted, relative, setup)
+    needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)  # type: ignore[arg-type]
+    print_report(requirements_report(needs))
+    sys.exit(0 if needs.feasible else 1)
