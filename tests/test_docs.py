@@ -37,7 +37,14 @@ from tumble.session import read_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 ROOT = Path(__file__).parents[1]
-RUN = ("README.md", "docs/tutorial.md", "docs/rough-table.md", "docs/conventions.md", "docs/xsens.md")
+RUN = (
+    "README.md",
+    "docs/tutorial.md",
+    "docs/rough-table.md",
+    "docs/conventions.md",
+    "docs/xsens.md",
+    "docs/recordings.md",
+)
 RECORDINGS = {"docs/xsens.md": "xsens-mti"}
 """Pages that need a recording: the folder of the shared data that is copied into the empty one."""
 

@@ -667,3 +667,13 @@ def _empty_value(place: str) -> LogError:
 
 def _in_column(column: str | None) -> str:
     return "" if column is None else f", column '{column}'"
+
+
+def log_columns(path: Path) -> tuple[str, ...]:
+    """The names of a log's columns in order."""
+    return _source(path).names
+
+
+def log_head(path: Path, column: str, rows: int) -> Array:
+    """The first numbers of a column of a log, at most `rows`."""
+    return _source(path).head(column, rows)

@@ -1,0 +1,235 @@
+"""A first session.toml: what is guessed is right, and what is not known is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner, Result
+
+from tumble.cli import main
+from tumble.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
+from tumble.session import Session, read_session
+from tumble.simulate import Request, simulate_session
+from tumble.units import ACCEL_UNITS, GYRO_UNITS
+
+
+def named(*stems: str, unit: str = "") -> list[str]:
+    return [f"{stem}{axis}{unit}" for stem in stems for axis in "xyz"]
+
+
+@pytest.mark.parametrize(
+    ("names", "time", "time_unit", "accel", "accel_unit", "gyro", "gyro_unit"),
+    [
+        (["t", *named("a", "g")], "t", None, "ax", None, "gx", None),
+        (["TimeUS", "AccX", "AccY", "AccZ", "GyrX", "GyrY", "GyrZ", "T"], "TimeUS", "us", "AccX", None, "GyrX", None),
+        (
+            ["timestamp [ns]", *named("w_RS_S_", unit=" [rad s^-1]"), *named("a_RS_S_", unit=" [m s^-2]")],
+            "timestamp [ns]",
+            "ns",
+            "a_RS_S_x [m s^-2]",
+            "m/s^2",
+            "w_RS_S_x [rad s^-1]",
+            "rad/s",
+        ),
+        (
+            ["time", *named("acc_", unit="_g"), *named("gyr_", unit="_dps"), "temp_C"],
+            "time",
+            None,
+            "acc_x_g",
+            "g",
+            "gyr_x_dps",
+            "deg/s",
+        ),
+        (
+            ["field.header.stamp", *named("field.angular_velocity."), *named("field.linear_acceleration.")],
+            "field.header.stamp",
+            None,
+            "field.linear_acceleration.x",
+            None,
+            "field.angular_velocity.x",
+            None,
+        ),
+        (
+            ["Time (s)", *(f"Accel {a} (g)" for a in "XYZ"), *(f"Gyro {a} (deg/s)" for a in "XYZ")],
+            "Time (s)",
+            "s",
+            "Accel X (g)",
+            "g",
+            "Gyro X (deg/s)",
+            "deg/s",
+        ),
+        (
+            ["xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "time_boot_ms"],
+            "time_boot_ms",
+            "ms",
+            "xacc",
+            None,
+            "xgyro",
+            None,
+        ),
+        (named("f", "w"), None, None, "fx", None, "wx", None),
+        (["a1", "a2", "a3", "w1", "w2", "w3"], None, None, "a1", None, "w1", None),
+        (
+            ["timestamp", *(f"imu/accel[{i}]" for i in range(3)), *(f"imu/gyro[{i}]" for i in range(3))],
+            "timestamp",
+            None,
+            "imu/accel[0]",
+            None,
+            "imu/gyro[0]",
+            None,
+        ),
+    ],
+)  # fmt: skip
+def test_columns_are_known_by_their_names(
+    names: list[str],
+    time: str | None,
+    time_unit: str | None,
+    accel: str,
+    accel_unit: str | None,
+    gyro: str,
+    gyro_unit: str | None,
+) -> None:
+    found = columns_by_name(names)
+    assert (found.time, found.time_unit) == (time, time_unit)
+    assert (found.triads[ACCEL].columns[0], found.triads[ACCEL].unit) == (accel, accel_unit)
+    assert (found.triads[GYRO].columns[0], found.triads[GYRO].unit) == (gyro, gyro_unit)
+    assert MAGNETOMETER not in found.triads
+
+
+def test_magnetometers_and_temperature_are_known_by_their_names() -> None:
+    found = columns_by_name(["t", *named("acc_"), *named("mag_", unit="_uT"), "temperature"])
+    assert found.triads[MAGNETOMETER].unit == "uT"
+    assert found.temperature == "temperature"
+
+
+def test_a_second_imu_in_the_same_log_is_named_and_angular_accelerations_are_nobodys() -> None:
+    found = columns_by_name([*named("imu0_acc_"), *named("imu1_acc_"), *named("angular_acceleration_")])
+    assert found.triads[ACCEL].columns[0] == "imu0_acc_x"
+    assert found.others == ("imu1_acc",)
+    assert GYRO not in found.triads
+
+
+# -------------------- logs --------------------
+
+
+@pytest.fixture(scope="module")
+def handheld(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
+    """A recording by hand in SI, columns t, ax … gz."""
+    folder = tmp_path_factory.mktemp("draft") / "s"
+    simulate_session(folder, Request(grade="mems", positions=12, rest=3.0), seed=3)
+    return pl.read_parquet(folder / "log.parquet")
+
+
+def new(*words: str | Path) -> Result:
+    return CliRunner().invoke(main, ["new", *map(str, words)])
+
+
+def drafted(log: pl.DataFrame, folder: Path, *words: str) -> tuple[Session, str]:
+    log.write_parquet(folder / "in.parquet")
+    result = new(folder / "session", "--log", folder / "in.parquet", *words)
+    assert result.exit_code == 0, result.stderr
+    return read_session(folder / "session"), result.stderr
+
+
+def scaled(log: pl.DataFrame, accel: float, gyro: float) -> pl.DataFrame:
+    return log.with_columns(pl.col("ax", "ay", "az") * accel, pl.col("gx", "gy", "gz") * gyro)
+
+
+@pytest.mark.parametrize(
+    ("accel", "gyro"),
+    [
+        ("m/s^2", "rad/s"),
+        ("g", "deg/s"),
+        ("mg", "deg/h"),
+        ("m/s", "rad"),
+        ("m/s", "deg"),
+        ("m/s^2", "arcsec"),
+    ],
+)
+def test_units_are_found_from_gravity_and_from_the_vertical_the_gyros_carry(
+    accel: str, gyro: str, handheld: pl.DataFrame, tmp_path: Path
+) -> None:
+    interval = 0.01
+    per = {"rate": 1.0, "increment": interval, "raw": 1.0}
+    a, g = ACCEL_UNITS[accel], GYRO_UNITS[gyro]
+    log = scaled(handheld, per[a.kind] / a.factor, per[g.kind] / g.factor)
+    session, said = drafted(log, tmp_path)
+    assert session.log.accel.unit_name == accel
+    assert session.log.gyro is not None
+    assert session.log.gyro.unit_name == gyro
+    assert f"in {accel} " in said
+    assert "look at this" not in said
+
+
+@pytest.mark.parametrize(("unit", "size"), [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
+def test_the_unit_of_the_time_is_found_from_its_steps(
+    unit: str, size: float, handheld: pl.DataFrame, tmp_path: Path
+) -> None:
+    session, said = drafted(handheld.with_columns(pl.col("t") / size), tmp_path)
+    assert session.log.time_factor == size
+    assert f"in {unit} (by its steps), 100 samples per second" in said
+
+
+def test_a_log_in_counts_gets_a_rough_scale_and_offset_and_the_user_is_told(
+    handheld: pl.DataFrame, tmp_path: Path
+) -> None:
+    log = handheld.with_columns(pl.col("ax", "ay", "az") * 415.0 + 32768.0, pl.col("gx", "gy", "gz") * 4770.0 + 32000.0)
+    session, said = drafted(log, tmp_path)
+    assert session.log.accel.unit_name == "count"
+    np.testing.assert_allclose(session.log.accel.scale, 415.0, rtol=0.05)
+    np.testing.assert_allclose(session.log.accel.offset, 32768.0, atol=0.05 * 415.0 * 9.8)
+    assert session.log.gyro is not None
+    np.testing.assert_allclose(session.log.gyro.offset, 32000.0, atol=0.05 * 4770.0)  # the bias
+    assert "put those of the data sheet there" in said
+    assert "look at this: the gyros" in said
+
+
+def test_a_log_without_times_or_gyros_is_drafted_and_says_so(handheld: pl.DataFrame, tmp_path: Path) -> None:
+    session, said = drafted(handheld.select("ax", "ay", "az"), tmp_path, "--programme", "cube-14")
+    assert session.log.gyro is None
+    assert session.log.rate == 100.0
+    assert session.programme is not None
+    assert session.programme.name == "cube-14"
+    assert "rate_hz = 100 is a guess" in said
+    assert "the accelerometers alone" in said
+
+
+def test_a_drafted_session_calibrates_once_its_place_is_filled_in(handheld: pl.DataFrame, tmp_path: Path) -> None:
+    drafted(handheld, tmp_path)
+    path = tmp_path / "session" / "session.toml"
+    path.write_text(path.read_text().replace("# latitude_deg = 0.0", "latitude_deg = 56.84"))
+    result = CliRunner().invoke(main, ["calibrate", str(tmp_path / "session")])
+    assert result.exit_code == 0, result.output
+
+
+def test_a_recording_of_another_format_becomes_a_log_of_the_session(handheld: pl.DataFrame, tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    log = {name: handheld[name].to_numpy() for name in handheld.columns}
+    savemat(tmp_path / "r.mat", {"imu": {"time_s": log.pop("t"), **log}})
+    result = new(tmp_path / "session", "--log", tmp_path / "r.mat")
+    assert result.exit_code == 0, result.stderr
+    session = read_session(tmp_path / "session")
+    assert session.log.files == (tmp_path / "session" / "log.parquet",)
+    read = pl.read_parquet(session.log.files[0])
+    np.testing.assert_array_equal(read["imu/gz"].to_numpy(), handheld["gz"].to_numpy())
+
+
+def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, tmp_path: Path) -> None:
+    drafted(handheld, tmp_path)
+    log = tmp_path / "in.parquet"
+    pl.DataFrame({"depth": [1.0, 2.0]}).write_parquet(tmp_path / "other.parquet")
+    for words, said in [
+        ((tmp_path / "session", "--log", log), "expected a folder without a session"),
+        ((tmp_path / "n", "--log", tmp_path / "none.csv"), "expected a log, found no such file"),
+        ((tmp_path / "n", "--log", log, "--programme", "wobble"), "--programme: expected one of"),
+        ((tmp_path / "n", "--log", tmp_path / "other.parquet"), "expected columns named as accelerometers are"),
+    ]:
+        result = new(*words)
+        assert result.exit_code == 2
+        assert said in result.stderr
+        assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "n" / "session.toml").exists()

@@ -1,0 +1,279 @@
+"""Recordings of other programs: each format is written by another library or by hand from its published layout, and
+must come back as the same numbers."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import polars as pl
+import pytest
+from mcap_ros2.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
+
+from tumble.errors import InputError
+from tumble.formats import Message, as_log, messages
+from tumble.units import Array
+
+RATE = 100
+START = 1_700_000_000_000_000_000  # ns
+NAMES = ["accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z"]
+
+
+@pytest.fixture(scope="module")
+def record() -> Array:
+    """300 samples of accelerometers and gyros, with no two numbers alike."""
+    return np.random.default_rng(1).normal(size=(300, 6))
+
+
+def stamps(count: int) -> list[int]:
+    return [START + i * 10**9 // RATE for i in range(count)]
+
+
+# -------------------- writers --------------------
+
+IMU_DEFINITION = """std_msgs/Header header
+geometry_msgs/Quaternion orientation
+float64[9] orientation_covariance
+geometry_msgs/Vector3 angular_velocity
+float64[9] angular_velocity_covariance
+geometry_msgs/Vector3 linear_acceleration
+float64[9] linear_acceleration_covariance
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+================================================================================
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+"""
+
+
+def vector(values: Array) -> dict[str, float]:
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def write_mcap(path: Path, record: Array) -> None:
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        schema = writer.register_msgdef("sensor_msgs/msg/Imu", IMU_DEFINITION)
+        for stamp, row in zip(stamps(len(record)), record, strict=True):
+            message = {
+                "header": {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": "imu"},
+                "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+                "orientation_covariance": [0.0] * 9,
+                "angular_velocity": vector(row[3:]),
+                "angular_velocity_covariance": [0.0] * 9,
+                "linear_acceleration": vector(row[:3]),
+                "linear_acceleration_covariance": [0.0] * 9,
+            }
+            writer.write_message("/imu", schema, message, log_time=stamp, publish_time=stamp)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def imu_message(store: object, row: Array, stamp: int, *, ros1: bool) -> object:
+    types = store.types  # type: ignore[attr-defined]
+    time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+    extra = {"seq": 0} if ros1 else {}
+    three, no = types["geometry_msgs/msg/Vector3"], np.zeros(9)
+    return types["sensor_msgs/msg/Imu"](
+        header=types["std_msgs/msg/Header"](stamp=time, frame_id="imu", **extra),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=no,
+        angular_velocity=three(**vector(row[3:])),
+        angular_velocity_covariance=no,
+        linear_acceleration=three(**vector(row[:3])),
+        linear_acceleration_covariance=no,
+    )
+
+
+def write_bag1(path: Path, record: Array) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Bag1Writer(path) as bag:
+        topic = bag.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        for stamp, row in zip(stamps(len(record)), record, strict=True):
+            message = imu_message(store, row, stamp, ros1=True)
+            bag.write(topic, stamp + 1234, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
+
+
+def write_bag2(path: Path, record: Array, topics: dict[str, Array] | None = None) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
+        for name, rows in (topics or {"/imu": record}).items():
+            topic = bag.add_connection(name, "sensor_msgs/msg/Imu", typestore=store)
+            for stamp, row in zip(stamps(len(rows)), rows, strict=True):
+                message = imu_message(store, row, stamp, ros1=False)
+                bag.write(topic, stamp, store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
+
+
+def ulog_message(kind: str, content: bytes) -> bytes:
+    return struct.pack("<HB", len(content), ord(kind)) + content
+
+
+def write_ulog(path: Path, record: Array) -> None:
+    """By the published layout of ULog: header, flags, formats, subscriptions, data."""
+    layout = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float temperature;"
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 10)
+    out += ulog_message("B", bytes(40))
+    out += ulog_message("F", f"sensor_accel:{layout}".encode()) + ulog_message("F", f"sensor_gyro:{layout}".encode())
+    out += ulog_message("A", struct.pack("<BH", 0, 0) + b"sensor_accel")
+    out += ulog_message("A", struct.pack("<BH", 0, 1) + b"sensor_gyro")
+    for i, row in enumerate(record):
+        taken = 5_000_000 + i * 10**6 // RATE
+        out += ulog_message("D", struct.pack("<HQQ4f", 0, taken + 300, taken, *row[:3], 25.0))
+        out += ulog_message("D", struct.pack("<HQQ4f", 1, taken + 400, taken, *row[3:], 26.0))
+    path.write_bytes(out)
+
+
+def write_bin(path: Path, record: Array) -> None:
+    """By the published layout of ArduPilot logs: FMT messages, then data, each after the two bytes A3 95."""
+
+    def kind_of(number: int, name: str, types: str, columns: str) -> bytes:
+        length = 3 + struct.calcsize("<" + types.replace("Q", "q"))
+        return b"\xa3\x95\x80" + struct.pack(
+            "<BB4s16s64s", number, length, name.encode(), types.encode(), columns.encode()
+        )
+
+    out = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 0x80, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
+    out += kind_of(7, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    for i, row in enumerate(record):
+        for instance in (0, 1):
+            shown = row + instance
+            out += b"\xa3\x95\x07" + struct.pack("<QB6f", 10**6 + i * 10**6 // RATE, instance, *shown[3:], *shown[:3])
+    path.write_bytes(out)
+
+
+def write_mat(path: Path, record: Array) -> None:
+    time = np.arange(len(record)) / RATE
+    savemat(path, {"imu": {"time": time, "acc": record[:, :3], "gyro": record[:, 3:].T}, "note": "as recorded"})
+
+
+def write_hdf5(path: Path, record: Array) -> None:
+    with h5py.File(path, "w") as file:
+        file["imu/timestamp_us"] = np.arange(len(record)) * (10**6 // RATE)
+        file["imu/accel"] = record[:, :3]
+        for j, name in enumerate(("gyr_x", "gyr_y", "gyr_z")):
+            file[f"imu/{name}"] = record[:, 3 + j]
+
+
+Writer = Callable[[Path, Array], None]
+WRITERS: dict[str, Writer] = {
+    "r.mcap": write_mcap,
+    "r.bag": write_bag1,
+    "ros2": write_bag2,
+    "r.ulg": write_ulog,
+    "r.bin": write_bin,
+    "r.mat": write_mat,
+    "r.h5": write_hdf5,
+}
+SINGLE = ("r.ulg", "r.bin")  # float32
+
+
+def sensors(found: list[Message]) -> tuple[Message, Message]:
+    accel = next(m for m in found if m.accel)
+    return accel, accel if accel.gyro else next(m for m in found if m.gyro)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_recording_comes_back_as_it_was_written(name: str, record: Array, tmp_path: Path) -> None:
+    WRITERS[name](tmp_path / name, record)
+    accel, gyro = sensors(messages(tmp_path / name))
+    as_log(tmp_path / "log.parquet", accel, gyro)
+    table = pl.read_parquet(tmp_path / "log.parquet")
+    assert accel.accel is not None
+    assert gyro.gyro is not None
+    read = table.select(*accel.accel.columns, *gyro.gyro.columns).to_numpy()
+    np.testing.assert_allclose(read, record, rtol=1e-6 if name in SINGLE else 0.0, atol=0.0)
+    np.testing.assert_allclose(table["t"].to_numpy(), np.arange(len(record)) / RATE, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["r.mcap", "r.bag", "ros2", "r.ulg", "r.bin"])
+def test_formats_that_define_their_units_say_them(name: str, record: Array, tmp_path: Path) -> None:
+    WRITERS[name](tmp_path / name, record)
+    accel, gyro = sensors(messages(tmp_path / name))
+    assert (accel.accel and accel.accel.unit, gyro.gyro and gyro.gyro.unit) == ("m/s^2", "rad/s")
+
+
+def test_sensors_of_two_topics_become_one_log_at_the_times_of_the_gyros(record: Array, tmp_path: Path) -> None:
+    force, rate = record.copy(), record.copy()
+    force[:, :3] = np.arange(len(record))[:, None] * [1.0, 2.0, 3.0]  # linear in time: interpolation is exact
+    force[:, 3:], rate[:, :3] = 0.0, 0.0
+    write_bag2(tmp_path / "two", record, {"/accel/sample": force, "/gyro/sample": rate[5:-5]})
+    found = messages(tmp_path / "two")
+    assert [(m.name, bool(m.accel), bool(m.gyro)) for m in found] == [
+        ("/accel/sample", True, False),
+        ("/gyro/sample", False, True),
+    ]
+    as_log(tmp_path / "log.parquet", *found)
+    table = pl.read_parquet(tmp_path / "log.parquet")
+    assert table.height == len(record) - 10
+    np.testing.assert_allclose(table["accel_z"].to_numpy(), 3.0 * RATE * table["t"].to_numpy(), rtol=1e-12, atol=1e-9)
+    np.testing.assert_array_equal(table["gyro_x"].to_numpy(), rate[5:-5, 3])
+
+
+def test_every_instance_of_a_flight_log_is_offered_with_what_its_autopilot_did(record: Array, tmp_path: Path) -> None:
+    write_bin(tmp_path / "r.bin", record)
+    first, second = messages(tmp_path / "r.bin")
+    assert (first.name, second.name) == ("IMU.0", "IMU.1")
+    assert "INS_ACCOFFS" in first.remark
+    read = pl.concat(second.rows()).select("gyro_y").to_numpy()[:, 0]
+    np.testing.assert_allclose(read, record[:, 4] + 1.0, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_damaged_recording_is_refused_in_one_line(name: str, record: Array, tmp_path: Path) -> None:
+    path = tmp_path / name
+    WRITERS[name](path, record)
+    if path.is_dir():
+        (path / "metadata.yaml").write_text("rosbag2_bagfile_information: 3\n")
+    else:
+        path.write_bytes(b"\x07" * 100)
+    with pytest.raises(InputError) as refused:
+        messages(path)
+    assert str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_recording_without_inertial_sensors_is_refused(tmp_path: Path) -> None:
+    savemat(tmp_path / "r.mat", {"depth": np.arange(50.0)})
+    with pytest.raises(InputError, match="expected messages with accelerometers, found no arrays named"):
+        messages(tmp_path / "r.mat")
+    with pytest.raises(InputError, match="expected a recording that ends in"):
+        messages(tmp_path / "r.xyz")
+    with pytest.raises(InputError, match="found no such file"):
+        messages(tmp_path / "none.mat")
+
+
+@pytest.mark.parametrize(
+    ("module", "name"), [("rosbags", "r.mcap"), ("pyulog", "r.ulg"), ("pymavlink", "r.bin"), ("h5py", "r.h5")]
+)
+def test_a_missing_extra_is_named(module: str, name: str, record: Array, tmp_path: Path) -> None:
+    WRITERS[name](tmp_path / name, record)
+    code = (
+        f"import sys; sys.modules[{module!r}] = None; from tumble.formats import messages; from pathlib import Path\n"
+    )
+    code += f"from tumble.errors import InputError\ntry: messages(Path({str(tmp_path / name)!r}))\n"
+    code += "except InputError as error: print(error)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert f"needs {module}, which is not installed; pip install 'tumble[formats]'" in said
