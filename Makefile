@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN = .venv/bin
 INSTALL = $(shell command -v uv >/dev/null 2>&1 && echo "uv pip install -q --python $(BIN)/python" || echo "$(BIN)/python -m pip install -q --disable-pip-version-check")
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench docs clean
 
 demo: .venv/demo
 	rm -rf demo
@@ -18,6 +18,10 @@ lint: .venv/test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+docs: .venv/test
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "site/index.html"
 
 bench: .venv/test
 	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
@@ -34,4 +38,4 @@ bench: .venv/test
 	touch $@ .venv/demo
 
 clean:
-	rm -rf .venv demo
+	rm -rf .venv demo site

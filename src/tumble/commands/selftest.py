@@ -1,0 +1,29 @@
+"""`tumble selftest`: the reference cases on this machine."""
+
+from __future__ import annotations
+
+import getpass
+import sys
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import FILE
+
+
+@click.command()
+@click.option("-o", "--out", type=FILE, help="Write the record, JSON, with versions, machine, figures and hashes.")
+@click.option("--by", metavar="NAME", help="Who runs it and stands for it; default: the name of the user.")
+def selftest(out: Path | None, by: str | None) -> None:
+    """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
+    from tumble.selftest import record_table, selftest
+    from tumble.text import print_report
+
+    record = selftest(by=by or getpass.getuser(), progress=lambda name: click.echo(f"running: {name}", err=True))
+    print_report(record_table(record))
+    click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
+    click.echo("passed" if record.passed else "FAILED")
+    if out is not None:
+        record.write(out)
+        click.echo(f"written to {out}", err=True)
+    sys.exit(0 if record.passed else 1)

@@ -1,0 +1,266 @@
+"""The reference cases on the user's machine, and a record of them: what software validation after ISO/IEC 17025 (7.11)
+asks to be kept.
+
+Each case compares a figure with a value known from elsewhere (published, closed form, simulated truth) and states the
+limit that the difference must keep. The record names the machine, the versions, a hash of every source file of the
+program, and who ran it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import polars as pl
+from rich.table import Table
+
+from tumble import __version__
+from tumble.calibration import Calibration, calibrate, read_calibration
+from tumble.earth import normal_gravity
+from tumble.noise import allan_deviation
+from tumble.quadric import fit_many
+from tumble.simulate import Request, simulate_session
+from tumble.units import DEGREE, G_STANDARD
+from tumble.whole_file import whole_file
+
+LIBRARIES = ("numpy", "scipy", "numba", "polars", "pydantic")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Case:
+    """A reference case: what is compared with what, the figure found and the least and largest it may be."""
+
+    name: str
+    source: str
+    figure: float
+    low: float
+    high: float
+    unit: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the figure keeps its limits; one that is not a number does not."""
+        return self.low <= self.figure <= self.high
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Record:
+    """All cases, with who ran them, when, on what and with what."""
+
+    by: str
+    date: str
+    software: str
+    machine: dict[str, str]
+    versions: dict[str, str]
+    source_sha256: dict[str, str]
+    cases: tuple[Case, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every case passed."""
+        return all(case.passed for case in self.cases)
+
+    def write(self, path: Path) -> None:
+        """Write the record as JSON, whole or not at all; its last key is the SHA-256 of all before it."""
+        content = self._content()
+        content["sha256"] = digest(content)
+        with whole_file(path) as temporary:
+            temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+    def _content(self) -> dict[str, Any]:
+        content = asdict(self)
+        content["cases"] = [asdict(case) | {"passed": case.passed} for case in self.cases]
+        return content | {"passed": self.passed}
+
+
+def digest(content: dict[str, Any]) -> str:
+    """SHA-256 of a record's content: of its JSON without blanks, keys in order, in UTF-8."""
+    text = json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def selftest(*, by: str, progress: Callable[[str], None]) -> Record:
+    """Run all cases; `progress` is told the name of each before it runs."""
+    cases: list[Case] = []
+    for run in (_gravity, _allan_deviation, _cube, _noiseless_table, _noiseless_hand, _noisy_table, _exchanged_columns):
+        assert run.__doc__ is not None
+        progress(run.__doc__)
+        cases.extend(run())
+    return Record(
+        by=by,
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        software=f"tumble {__version__}",
+        machine={
+            "system": platform.platform(),
+            "processor": platform.processor() or platform.machine(),
+            "python": f"{platform.python_implementation()} {platform.python_version()}",
+            "byte_order": sys.byteorder,
+        },
+        versions={name: version(name) for name in LIBRARIES},
+        source_sha256=dict(_sources()),
+        cases=tuple(cases),
+    )
+
+
+def _sources() -> Iterator[tuple[str, str]]:
+    """Every source file of the program with its SHA-256."""
+    package = Path(__file__).parent
+    for path in sorted(package.rglob("*.py")):
+        yield path.relative_to(package).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# -------------------- the cases --------------------
+
+
+def _gravity() -> Iterator[Case]:
+    """normal gravity at the equator and at the pole"""
+    for place, latitude, published in (("equator", 0.0, 9.7803253359), ("pole", 90.0, 9.8321849379)):
+        yield _difference(
+            f"normal gravity at the {place}",
+            "WGS 84 (NIMA TR8350.2), derived constants",
+            normal_gravity(latitude * DEGREE, 0.0) - published,
+            1e-9,
+            "m/s^2",
+        )
+
+
+def _allan_deviation() -> Iterator[Case]:
+    """Allan deviation of a published set of 1000 numbers"""
+    numbers = [1234567890]
+    for _ in range(999):
+        numbers.append(16807 * numbers[-1] % 2147483647)
+    found = allan_deviation(np.array(numbers)[:, None] / 2147483647, 1.0)
+    for tau, published in ((1.0, 2.922319e-01), (10.0, 9.159953e-02)):
+        yield _difference(
+            f"overlapping Allan deviation at τ = {tau:g}",
+            "Riley, NIST SP 1065 (2008), 1000-point test suite",
+            float(found.deviation[found.tau == tau, 0][0]) - published,
+            1e-7,
+            "1",
+        )
+
+
+def _cube() -> Iterator[Case]:
+    """an accelerometer triad from 14 positions of a cube, without noise"""
+    matrix = np.diag([-1.45, -1.43, -1.47]) @ np.array([[1.0, 6e-3, -2e-3], [0.0, 1.0, 4e-3], [0.0, 0.0, 1.0]])
+    bias = np.array([0.003, -0.002, 0.001])
+    faces = np.vstack([np.eye(3), -np.eye(3)])
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
+    readings = np.vstack([faces, corners]) @ matrix.T + bias
+    fitted = fit_many(readings[None])
+    true = np.linalg.inv(matrix @ matrix.T)
+    yield _difference(
+        "ellipsoid through 14 positions: centre and quadratic form",
+        "closed form",
+        float(max(np.abs(fitted.centre[0] - bias).max(), np.abs(fitted.shape[0] - true).max())),
+        1e-12,
+        "1",
+    )
+
+
+def _noiseless_table() -> Iterator[Case]:
+    """a simulated device on a rough table, without noise"""
+    yield from _recovered("rough table", Request(noiseless=True, rest=4.0, rate_deg_s=30.0), 1e-9)
+
+
+def _noiseless_hand() -> Iterator[Case]:
+    """a simulated device in the hand, without noise"""
+    yield from _recovered("by hand", Request(grade="mems", positions=15, rest=3.0, noiseless=True), 1e-9)
+
+
+def _recovered(name: str, request: Request, limit: float) -> Iterator[Case]:
+    calibration, truth = _simulated(request)
+    worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
+    yield _difference(
+        f"{name}, no noise: worst of {len(calibration.parameters)} parameters", "truth", worst, limit, "SI"
+    )
+
+
+def _noisy_table() -> Iterator[Case]:
+    """a simulated device on a rough table, with noise, and the file of its calibration"""
+    calibration, truth = _simulated(Request(rest=20.0))
+    z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u])
+    yield Case(
+        name=f"rough table: rms of (value − truth)/u of {len(z)} parameters",
+        source="truth; chi-square, 1 of 10 000 either way",
+        figure=float(np.sqrt(np.mean(z**2))),
+        low=0.5,
+        high=1.6,
+        unit="1",
+    )
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "calibration.json"
+        calibration.write(path)
+        again = read_calibration(path)
+    worst = max(abs(again[p.name].value - p.value) for p in calibration.parameters)
+    yield _difference("calibration file written and read: worst difference", "identity", worst, 0.0, "SI")
+    yield from _applied(calibration)
+
+
+def _applied(calibration: Calibration) -> Iterator[Case]:
+    """A reading of the model corrected again."""
+    assert calibration.accel is not None
+    true = G_STANDARD * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8]])
+    readings = true @ calibration.accel.matrix.T + calibration.accel.bias
+    worst = float(np.abs(calibration.accel.apply(readings) - true).max())
+    yield _difference("readings of the model, corrected", "identity", worst, 1e-13 * G_STANDARD, "m/s^2")
+
+
+def _exchanged_columns() -> Iterator[Case]:
+    """a recording with two exchanged gyro columns, which must be refused"""
+    with TemporaryDirectory() as folder:
+        place = Path(folder) / "session"
+        simulate_session(place, Request(grade="mems", positions=12, rest=3.0), seed=1)
+        log = pl.read_parquet(place / "log.parquet")
+        log.with_columns(gx=pl.col("gy"), gy=pl.col("gx")).write_parquet(place / "log.parquet")
+        refused = not calibrate(place).outcome.accepted
+    yield Case(
+        name="exchanged gyro columns are refused",
+        source="must be 1",
+        figure=float(refused),
+        low=1.0,
+        high=1.0,
+        unit="1",
+    )
+
+
+def _simulated(request: Request) -> tuple[Calibration, dict[str, float]]:
+    """The calibration of a simulated session, and its truth."""
+    with TemporaryDirectory() as folder:
+        place = Path(folder) / "session"
+        simulate_session(place, request, seed=1)
+        return calibrate(place), json.loads((place / "truth.json").read_text(encoding="utf-8"))
+
+
+def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> Case:
+    return Case(name=name, source=source, figure=abs(difference), low=0.0, high=limit, unit=unit)
+
+
+# -------------------- on paper --------------------
+
+
+def record_table(record: Record) -> Table:
+    """The cases of a record."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("case", "compared with"):
+        table.add_column(heading)
+    for heading in ("found", "allowed"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("")
+    for case in record.cases:
+        allowed = f"{case.low:g} … {case.high:g}" if case.low > 0.0 else f"≤ {case.high:g}"
+        verdict = "passed" if case.passed else "FAILED"
+        table.add_row(
+            case.name, case.source, f"{case.figure:.3g}", f"{allowed} {case.unit}".removesuffix(" 1"), verdict
+        )
+    return table
