@@ -27,8 +27,12 @@ import numpy as np
 
 from tumble.accuracy import scalar_scale_error
 from tumble.budget import Setup
+from tumble.calibration import Calibration, Launch, Parameter
+from tumble.calibration_text import calibration_report
 from tumble.earth import earth_rate, normal_gravity
+from tumble.estimate import Outcome
 from tumble.grades import NoiseModel
+from tumble.launches import difference_percent
 from tumble.methods.compensation import ACCEL_ANGLES, compensated, perfect, triad_model, triad_parameters
 from tumble.methods.four_stages import Course, Method, accelerometer_pass, gyro_bias_pass, gyro_matrix_pass
 from tumble.methods.indirect import RecordedTurn, known_turns, programme_matrix
@@ -38,6 +42,7 @@ from tumble.methods.sequential import check_positions
 from tumble.model import SensorModel
 from tumble.programme import Programme
 from tumble.rotation import rotation_matrix
+from tumble.text import print_report
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 LAUNCHES = 7
@@ -184,7 +189,7 @@ class Sets:
     def differences(self, method: str) -> Array:
         """Of the mean accelerometer parameters (S, 9), sequential less `method`, % of the latter."""
         a, b = (self.values[name][1].mean(axis=1)[:, ACCELEROMETERS] for name in ("sequential", method))
-        return np.asarray(100.0 * (a - b) / b)
+        return difference_percent(a, b)
 
 
 def device() -> Array:
@@ -216,17 +221,48 @@ def simulate(sets: int, degrees: tuple[float, float], rng: np.random.Generator) 
 # -------------------- the tables --------------------
 
 
+def calibration_of(found: Sets, method: str, rows: range) -> Calibration:
+    """The launches of one set as a calibration of the program; uncertainties are those that the scatter from launch to
+    launch tells."""
+    values, increments = found.values[method][1, 0] * UNITS, found.increments(method)[:, 0] * UNITS
+    spread = values.std(axis=0, ddof=1)
+
+    def parameter(i: int, value: float, u: float, run_to_run: float | None = None) -> Parameter:
+        name = ROWS[i][0]
+        unit = {"bias": "m/s^2", "scale": "1", "axis": "rad"}[name.split(".")[1]]
+        return Parameter(name=name, value=value, u=u, unit=unit, run_to_run=run_to_run)
+
+    return Calibration(
+        serial="BChE-501",
+        model="simulated, seven launches on one table",
+        method=method,
+        frame="accelerometer",
+        parameters=tuple(parameter(i, values[:, i].mean(), spread[i] / math.sqrt(LAUNCHES), spread[i]) for i in rows),
+        covariance=None,
+        accel=None,
+        gyro=None,
+        outcome=Outcome(),
+        iterations=tuple({ROWS[i][0]: step[i] for i in rows} for step in increments),
+        launches=tuple(
+            Launch(
+                session=f"launch {n}",
+                parameters=tuple(parameter(i, launch[i], spread[i]) for i in rows),
+                covariance=None,
+                log_sha256="",
+            )
+            for n, launch in enumerate(values, start=1)
+        ),
+    )
+
+
 def print_launches(found: Sets) -> None:
-    """Seven launches of one set."""
-    true = device()[[*range(9), *range(12, 21)]] / UNITS
-    for method, rows in (("sequential", range(18)), ("scalar", range(9))):
-        print(f"\none table, method {method}, both iterations: each launch, mean, run-to-run deviation, true value")
-        values = found.values[method][1, 0]
-        for i in rows:
-            name, _, unit = ROWS[i]
-            launches = " ".join(f"{v:8.3f}" for v in values[:, i])
-            mean, spread = values[:, i].mean(), values[:, i].std(ddof=1)
-            print(f"  {name:<14} {launches} | {mean:8.3f} {spread:6.3f} {true[i]:8.3f}  {unit}")
+    """Seven launches of one set, as `tumble calibrate` prints them: both methods, and the gyros after the sequential
+    one, beside the truth."""
+    truth = dict(zip((name for name, _, _ in ROWS), device()[[*range(9), *range(12, 21)]], strict=True))
+    by_scalar = calibration_of(found, "scalar", range(9))
+    print_report(calibration_report(by_scalar, truth, [calibration_of(found, "sequential", range(9))]))
+    print()
+    print_report(calibration_report(calibration_of(found, "sequential", range(18)), truth))
 
 
 def print_increments(title: str, published: Array, at: tuple[Array, Array], rows: range) -> list[int]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tumble.engine import Executor
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and tests run side by side
 
@@ -20,3 +23,12 @@ def data() -> Path:
             pytest.fail(said)
         pytest.skip(said)
     return folder
+
+
+@pytest.fixture(scope="session")
+def processes() -> Iterator[Executor]:
+    """Two processes of a local cluster: they take seconds to start, so all tests share them."""
+    from tumble.cluster import executor_for
+
+    with executor_for(workers=2) as executor:
+        yield executor

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from tumble.model import Block
 from tumble.units import Array
 
 IntArray = npt.NDArray[np.int64]
@@ -36,3 +37,18 @@ def _turn(angle: Array, dt: Array, start: int, stop: int) -> tuple[Array, Array,
 def allan_sums(phase: Array, sizes: IntArray) -> Array:
     """Sums of the squared second differences of `phase` over each size: see `tumble._kernels.allan_sums`."""
     return np.array([np.sum((phase[2 * m :] - 2 * phase[m:-m] + phase[: -2 * m]) ** 2) for m in sizes])
+
+
+def fit_statics(readings: Array, gravity: float, steps: int) -> tuple[Array, Array]:
+    """Values (9,) and variances (9,) of one triad from its mean readings (N, 3): see `tumble.statics.fit_statics`."""
+    block, values = Block(kind="accel", axes=np.eye(3)), np.zeros(9)
+    for _ in range(steps):
+        model, derivative = block.model(values), block.jacobian(values)
+        rows, residual = np.empty((len(readings), 9)), np.empty(len(readings))
+        for i, reading in enumerate(readings):
+            a = np.linalg.solve(model.matrix, reading - model.bias)
+            normal = np.linalg.solve(model.matrix.T, a / np.linalg.norm(a))
+            rows[i] = normal @ np.einsum("pqm,q->pm", derivative, np.append(a, 1.0)) / np.linalg.norm(normal)
+            residual[i] = (np.linalg.norm(a) - gravity) / np.linalg.norm(normal)
+        values = values + np.linalg.lstsq(rows, residual)[0]
+    return values, np.diag(np.linalg.inv(rows.T @ rows))

@@ -270,7 +270,7 @@ def test_psins_truth_is_recovered_once_the_quadratic_terms_are_taken_out(data: P
     gravity, is not known to better than 10 m: 3 ppm common to the accelerometers."""
     result = psins(data, tmp_path, compensated=True)
     assert len(result.rests) == 19
-    assert len(result.turn_sigmas) == 18
+    assert len(result.turns) == 18
     assert result.outcome.accepted
     for axis, size in zip("xyz", (1.0, 2.0, 3.0), strict=True):
         assert result[f"gyro.bias.{axis}"].value / DEGREE_PER_HOUR == pytest.approx(-0.1 * size, abs=2e-4)

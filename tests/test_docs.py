@@ -42,6 +42,7 @@ RUN = (
     "docs/tutorial.md",
     "docs/rough-table.md",
     "docs/conventions.md",
+    "docs/cube.md",
     "docs/xsens.md",
     "docs/recordings.md",
 )

@@ -22,7 +22,7 @@ from tumble.errors import InputError
 from tumble.grades import GRADES, NoiseModel
 from tumble.model import Block
 from tumble.programme import from_attitudes, programme
-from tumble.rotation import rotation_matrix
+from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.session import read_session
 from tumble.simulate import (
     HandHeld,
@@ -33,7 +33,6 @@ from tumble.simulate import (
     Scenario,
     Site,
     Vibration,
-    _rotation_vector,
     draw_parameters,
     record,
     simulate_session,
@@ -217,7 +216,7 @@ def closure(made: Scenario, found: Recording, i: int) -> float:
     increments = found.gyro[start - 1 : stop].astype(np.longdouble) / np.longdouble(fs)
     earth = rotation_matrix(-(stop - start) / fs * np.array(earth_rate(made.site.latitude)))
     product = earth @ found.attitudes[i] @ coning(increments) @ found.attitudes[i + 1].T
-    return float(np.linalg.norm(_rotation_vector(product.astype(float))))
+    return float(np.linalg.norm(rotation_vector(product.astype(float))))
 
 
 @pytest.mark.parametrize(
@@ -279,7 +278,7 @@ def test_attitudes_are_the_programme_with_one_mounting_error_and_an_error_at_eve
     table = run(scenario(only_table)).attitudes @ np.swapaxes(nominal, -1, -2)
     mounting = np.swapaxes(nominal, -1, -2) @ run(scenario(only_mounting)).attitudes
     np.testing.assert_allclose(mounting, mounting[:1].repeat(15, axis=0), atol=1e-15)
-    errors = np.array([_rotation_vector(R) for R in (*table, mounting[0])])
+    errors = np.array([rotation_vector(R) for R in (*table, mounting[0])])
     assert np.abs(errors).max() < 2 * DEGREE
     assert np.abs(errors).max(axis=0).min() > 1 * DEGREE
     assert np.linalg.matrix_rank(errors[:15] - errors[0]) == 3
@@ -307,13 +306,13 @@ def test_hand_held_positions_have_any_orientation() -> None:
 
 @given(st.lists(st.floats(-math.pi / 3**0.5, math.pi / 3**0.5), min_size=3, max_size=3))
 def test_rotation_vectors_are_recovered_up_to_half_a_turn(vector: list[float]) -> None:
-    np.testing.assert_allclose(_rotation_vector(rotation_matrix(np.array(vector))), vector, atol=1e-14)
+    np.testing.assert_allclose(rotation_vector(rotation_matrix(np.array(vector))), vector, atol=1e-14)
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-12, 1e-8, 1e-4])
 def test_rotation_vectors_are_accurate_near_half_a_turn(off: float) -> None:
     axis = np.array([0.36, -0.48, 0.8])
-    found = _rotation_vector(rotation_matrix((math.pi - off) * axis))
+    found = rotation_vector(rotation_matrix((math.pi - off) * axis))
     assert min(np.linalg.norm(found - (math.pi - off) * s * axis) for s in (1, -1)) < 5e-15
 
 

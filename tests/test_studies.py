@@ -14,10 +14,16 @@ PICTURES = {"readme_picture.py"}
 """Studies that draw what the documentation shows, and are asked nothing."""
 
 ANSWERS = {
+    "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",
+    "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
+    "kalman_filter.py": "Does the Kalman filter win? In accuracy",
     "paper_device.py": "Do the published tables come out? Mostly.",
+    "platform_drift.py": "Does the drift of the platform win? No",
+    "registry_interruptions.py": "Does a registry lose anything when its writer is killed? No.",
     "rest_noise.py": "too small, and the scatter between rests has to be estimated.",
     "sequential_against_scalar.py": "When is the scalar method better? After one pass from ±",
+    "table_errors_as_unknowns.py": "Is anything gained by the tilts as unknowns? No: converged, it is the scalar",
 }
 """What the last line of a study says."""
 

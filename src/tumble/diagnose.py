@@ -6,19 +6,20 @@ the vertical from rest to rest, and `verdict` turns an estimate into an outcome.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import permutations, product
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.estimate import SEEN, Estimate, Outcome, spreads
+from tumble.estimate import FIT_SIGMAS, SEEN, Estimate, Outcome, spreads
 from tumble.model import SensorModel
 from tumble.observe import Observations
 from tumble.programme import from_attitudes, programme
 from tumble.rotation import skew, tangent_basis
 from tumble.segment import ChannelState, Reduction, Segmentation
 from tumble.session import Channels, Session
+from tumble.telling import faces_and_edges, most_telling, standing
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TIME_UNITS, Array, Unit
 
 UNIT_TOLERANCE = 0.25
@@ -45,7 +46,6 @@ BIAS_LIMIT = 100.0
 REST_SHARE = 0.2
 """At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
 
-FIT_SIGMAS = 5.0
 SCATTER_LIMIT = 1e-3 * G_STANDARD
 TURN_SCATTER_LIMIT = 1.0 * DEGREE
 IMPOSSIBLE = 1e10
@@ -396,11 +396,11 @@ def _described(transform: Array) -> str:
 
 def verdict(estimate: Estimate, observations: Observations) -> Outcome:
     """Whether an estimate may be used."""
-    reasons = []
+    reasons = list(estimate.reasons)
     missing = estimate.unobservable
-    if missing:
+    if missing and not reasons:
         reasons.append(f"not observable in this session: {', '.join(missing)}; {_most_helpful(estimate, observations)}")
-    elif not estimate.converged:
+    elif not missing and not estimate.converged:
         reasons.append(
             "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
         )
@@ -451,14 +451,14 @@ def _most_helpful(estimate: Estimate, observations: Observations) -> str:
     m = len(observations.accel_block.names)
     null = estimate.null[:, :m]
     if np.abs(null).max(initial=0.0) > SEEN:
-        rests = {_standing(u): _rest_rows(observations, u) for u in _directions()}
-        return _advice(estimate, "rests", *_telling(null, rests))
+        rests = {standing(u): _rest_rows(observations, u) for u in faces_and_edges()}
+        return _advice(estimate, "rests", *most_telling(null, rests))
     turns = {
         f"180° about {'XYZ'[axis]} from {'XYZ'[up]} up": _turn_rows(observations, axis, up)
         for up in range(3)
         for axis in range(3)
     }
-    return _advice(estimate, "turns", *_telling(estimate.null[:, m:], turns))
+    return _advice(estimate, "turns", *most_telling(estimate.null[:, m:], turns))
 
 
 def _advice(estimate: Estimate, what: str, names: list[str], left: int) -> str:
@@ -466,33 +466,6 @@ def _advice(estimate: Estimate, what: str, names: list[str], left: int) -> str:
     if left:
         said.append(f"the others no further {what} would show to the method {estimate.method}")
     return "; ".join(said)
-
-
-def _telling(null: Array, candidates: Mapping[str, Array]) -> tuple[list[str], int]:
-    """Names of candidates whose rows (r, m) together see the combinations `null` (q, m): each time the one that sees
-    most of what is left. Also how many combinations none of them sees."""
-    chosen: list[str] = []
-    left = null[np.linalg.norm(null, axis=1) > SEEN]
-    while len(left):
-        name = max(candidates, key=lambda name: float(np.linalg.norm(left @ candidates[name].T)))
-        U, s, _ = np.linalg.svd(left @ candidates[name].T)
-        seen = int(np.sum(s > SEEN * np.linalg.norm(candidates[name])))
-        if seen == 0:
-            break
-        chosen.append(name)
-        left = U[:, seen:].T @ left
-    return chosen, len(left)
-
-
-def _directions() -> list[Array]:
-    """Verticals of the faces and edges of a cube."""
-    return [np.array(s) / np.linalg.norm(s) for s in product((1.0, 0.0, -1.0), repeat=3) if any(s) and not all(s)]
-
-
-def _standing(vertical: Array) -> str:
-    """Which body axes point up and down, in words."""
-    parts = [f"{'XYZ'[p]} {'up' if vertical[p] > 0 else 'down'}" for p in range(3) if abs(vertical[p]) > 1e-9]
-    return parts[0] if len(parts) == 1 else f"{' and '.join(parts)} (45° each)"
 
 
 def _rest_rows(observations: Observations, vertical: Array) -> Array:

@@ -40,6 +40,10 @@ SCATTER_PROBABILITY = 0.5
 With a stricter limit a scatter that is there, but not beyond doubt, would be missing from u."""
 
 
+FIT_SIGMAS = 5.0
+"""A rest or turn further than this from the fit does not fit."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome:
     """Whether an estimate can be used, and if not, why: sentences with cause and remedy."""
@@ -97,6 +101,8 @@ class Estimate:
     increments: tuple[Array, ...]
     fits: Mapping[str, Fit]
     converged: bool
+    reasons: tuple[str, ...] = ()
+    """What the method itself has against the result."""
 
     @property
     def unobservable(self) -> tuple[str, ...]:

@@ -11,15 +11,21 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
+from typing import TypeVar
 
 import numpy as np
 
 from tumble.calibration import Calibration, Launch, Parameter
+from tumble.ellipsoid import TRIAD
 from tumble.errors import InputError
 from tumble.estimate import Outcome
+from tumble.frames import Convention, frame_of
+from tumble.methods.magnetometer import NAMES
 from tumble.model import Block, SensorModel
 from tumble.session import Session
 from tumble.units import Array
+
+_Any = TypeVar("_Any")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,13 +65,16 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         first,
         parameters=parameters,
         covariance=covariance,
-        accel=_mean_model(runs[0].session.accel_block, means),
-        gyro=_mean_model(runs[0].session.gyro_block, means),
+        accel=_mean_model(first.frame, runs[0].session.accel_block, means),
+        gyro=_mean_model(first.frame, runs[0].session.gyro_block, means),
+        mag=_mean_magnetometer(means),
         outcome=Outcome(reasons=reasons, unobservable=missing),
         iterations=_mean_increments(runs, common),
         rests=(),
-        turn_sigmas=(),
+        turns=(),
         fits={},
+        site=_common([run.calibration.site for run in runs]),
+        programme=_common([run.calibration.programme for run in runs]),
         notes=tuple(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
         launches=tuple(
             Launch(
@@ -73,11 +82,20 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
                 parameters=run.calibration.parameters,
                 covariance=run.calibration.covariance,
                 log_sha256=digest,
+                site=run.calibration.site,
+                rests=run.calibration.rests,
+                turns=run.calibration.turns,
+                fits=run.calibration.fits,
             )
             for run, digest in zip(runs, digests, strict=True)
         ),
         provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
     )
+
+
+def _common(values: Sequence[_Any]) -> _Any | None:
+    """What all launches share; None where they differ."""
+    return values[0] if all(value == values[0] for value in values) else None
 
 
 def _name(run: Run) -> str:
@@ -135,14 +153,28 @@ def _by_gravity(run: Run, names: list[str]) -> Array:
     )
 
 
-def _mean_model(block: Block | None, values: Mapping[str, float]) -> SensorModel | None:
+def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:
     """The sensor model of the mean parameters; None where a launch lacks one of them."""
-    if block is None or not set(block.names) <= set(values):
+    if block is None:
         return None
-    return block.model(np.array([values[name] for name in block.names]))
+    convention = Convention(frame=frame_of(frame), block=block)
+    if not set(convention.names) <= set(values):
+        return None
+    return convention.model(np.array([values[name] for name in convention.names]))
+
+
+def _mean_magnetometer(values: Mapping[str, float]) -> SensorModel | None:
+    """The model of the mean parameters of the magnetometer, where all launches have them."""
+    names = [name for name in NAMES if name in values]
+    return TRIAD.model(np.array([values[name] for name in names])) if len(names) == len(NAMES) else None
 
 
 def _mean_increments(runs: Sequence[Run], names: list[str]) -> tuple[Mapping[str, float], ...]:
     """Mean increment of each parameter in each iteration; a launch that needed fewer has none in the last ones."""
     steps = zip_longest(*(run.calibration.iterations for run in runs), fillvalue={})
     return tuple({name: sum(step.get(name, 0.0) for step in at) / len(runs) for name in names} for at in steps)
+
+
+def difference_percent(value: Array | float, reference: Array | float) -> Array:
+    """How far values are from those of another method, % of the latter: the last column of the paper's Table 1."""
+    return np.asarray(100.0 * (np.asarray(value) - reference) / reference)

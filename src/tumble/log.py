@@ -71,7 +71,8 @@ _PARQUET_ROWS = 1 << 15
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Chunk:
     """Consecutive samples of one file, `file` being its index in session.log.files: end time and interval of
-    each sample, s; accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperature, K."""
+    each sample, s; accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperature, K; magnetometer (m, 3) in its
+    unit."""
 
     file: int
     time: Array
@@ -79,6 +80,7 @@ class Chunk:
     accel: Array
     gyro: Array | None
     temperature: Array | None
+    magnetometer: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -143,6 +145,7 @@ class Log:
                 accel=spec.accel.to_si(values[0], dt),
                 gyro=spec.gyro.to_si(values[1], dt) if spec.gyro else None,
                 temperature=values[-1][:, 0] + _ZERO_CELSIUS if spec.temperature else None,
+                magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
             )
 
 
@@ -182,6 +185,7 @@ def _part(chunk: Chunk, rows: slice) -> Chunk:
         accel=chunk.accel[rows],
         gyro=None if chunk.gyro is None else chunk.gyro[rows],
         temperature=None if chunk.temperature is None else chunk.temperature[rows],
+        magnetometer=None if chunk.magnetometer is None else chunk.magnetometer[rows],
     )
 
 
@@ -235,7 +239,7 @@ def _check_time(source: _Source, spec: LogSpec, first: int, time: Array) -> None
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Rows:
     """Consecutive rows of a file: the number of the first, times (m,), s, and the numbers of accelerometers
-    (m, na), gyros (m, ng) and temperature (m, 1) as the file has them."""
+    (m, na), gyros (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them."""
 
     first: int
     time: Array
@@ -266,6 +270,7 @@ def _rows(source: _Source, spec: LogSpec) -> Iterator[_Rows]:
     """The rows of a file; without a time column sample k, counted from 1, ends at k / rate."""
     groups = [spec.accel.columns]
     groups += [spec.gyro.columns] if spec.gyro else []
+    groups += [spec.magnetometer.columns] if spec.magnetometer else []
     groups += [(spec.temperature,)] if spec.temperature else []
     first = 1
     for table in source.tables(spec.columns):

@@ -2,7 +2,8 @@
 
 Verticals are compared (bias taken off by the median difference), for programmes in order also the turns as the
 gyros saw them. Rests that follow each other without a turn between them are one position; without gyros, rests in a
-row with one vertical are the positions in a row that have it. A rest that cannot be the programme's position, a
+row with one vertical are the positions in a row that have it; in a programme in any order rests in a row with one
+vertical are one position. A rest that cannot be the programme's position, a
 missing or a surplus one, is a `ProgrammeError` that names the position.
 """
 
@@ -244,16 +245,43 @@ def _across(vector: Array, axis: Array) -> float:
 
 
 def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array) -> IntArray:
-    """The position of every rest; every position must have one."""
+    """The position of every rest. Every position must have one, and once: rests that follow each other in it, as of a
+    cube turned on its face, count as one."""
     off = np.array([[_off(v, p) for v in verticals] for p in listed.positions])
+    nearest = np.argmin(off, axis=0)
     for j, rest in enumerate(rests):
-        if off[:, j].min() > POSITION_LIMIT:
-            k = int(np.argmin(off[:, j]))
-            raise ProgrammeError(_misplaced(listed, k, rest, verticals[j], float(off[k, j])))
-    for k in range(len(listed.positions)):
-        if off[k].min() > POSITION_LIMIT:
+        k = int(nearest[j])
+        if off[k, j] > POSITION_LIMIT:
             raise ProgrammeError(
-                f"programme {listed.name}: no rest for {_named(listed, k)}; expected one of {len(rests)} rests within "
-                f"{POSITION_LIMIT / DEGREE:.0f}° of it"
+                f"programme {listed.name}: the rest at {rest.start:.1f}–{rest.stop:.1f} s is in none of the "
+                f"{len(listed.positions)} positions; expected the vertical {_seen(listed.positions[k].vertical_b)} in "
+                f"the body as in the nearest, {_named(listed, k)}, found {_seen(verticals[j])}, "
+                f"{off[k, j] / DEGREE:.1f}° off; at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
             )
-    return np.asarray(np.argmin(off, axis=0))
+    _check_once(listed, rests, nearest)
+    return np.asarray(nearest)
+
+
+def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArray) -> None:
+    """Every position was taken, and left only once."""
+    taken: dict[int, list[RestSpan]] = {}
+    for k, members in groupby(range(len(rests)), key=position.tolist().__getitem__):
+        taken.setdefault(k, []).append(rests[next(members)])
+    missing = [_named(listed, k) for k in range(len(listed.positions)) if k not in taken]
+    doubled = [
+        f"{_named(listed, k)} was taken {len(times)} times, at {' s, '.join(f'{rest.start:.1f}' for rest in times)} s"
+        for k, times in taken.items()
+        if len(times) > 1
+    ]
+    count = f"programme {listed.name}: expected {len(listed.positions)} positions, each once, found {len(taken)}"
+    if missing:
+        also = f"; {doubled[0]}" if doubled else ""
+        raise ProgrammeError(
+            f"{count}; no rest for {' and '.join(missing)}{also}: was it skipped or shorter than 3 s? "
+            "`tumble inspect` shows what was found and rejected"
+        )
+    if doubled:
+        raise ProgrammeError(
+            f"{count}; {doubled[0]}: one of these rests is surplus; cut it from the log, or leave [programme] out to "
+            "use every rest as it is found"
+        )

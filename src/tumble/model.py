@@ -16,6 +16,7 @@ to it, the body axis with the smallest component in d). `accel.axis.3.1` is θ�
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -66,22 +67,12 @@ class Block:
     @property
     def triad(self) -> bool:
         """Whether the sensors are three, each along a body axis (in any order and with either sign)."""
-        if self.axes.shape != (3, 3):
-            return False
-        return bool(np.array_equal(np.sort(np.abs(self.axes), axis=1), [[0, 0, 1]] * 3)) and bool(
-            abs(np.linalg.det(self.axes)) > 0.5
-        )
+        return _along_body_axes(np.asarray(self.axes, dtype=float).tobytes())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
-        sensors = ["x", "y", "z"] if self.triad else [str(p) for p in range(self.size)]
-        kinds = [f"{what}.{s}" for what in ("bias", "scale") for s in sensors]
-        if self.triad:
-            kinds += [f"axis.{pair}" for pair in _FREE_PAIRS[self.kind]]
-        else:
-            kinds += [f"axis.{p}.{1 + j}" for p, j in self._free_angles()]
-        return tuple(f"{self.kind}.{name}" for name in kinds)
+        return _names(self.kind, self.size, self.triad)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -150,9 +141,7 @@ class Block:
 
     def _free_angles(self) -> list[tuple[int, int]]:
         """(sensor, 0 or 1) of every axis angle that is a parameter."""
-        if self.kind == "gyro":
-            return [(p, j) for p in range(self.size) for j in (0, 1)]
-        return [(1, 0)] + [(p, j) for p in range(2, self.size) for j in (0, 1)]
+        return _free_angles(self.kind, self.size)
 
     def _perpendiculars(self) -> Array:
         """t₁ and t₂ of every sensor, shape (n, 2, 3)."""
@@ -190,6 +179,34 @@ class Block:
             ratio = 1.0 if angle == 0.0 else angle / np.sin(angle)
             out.append(ratio * (sine @ t[p, j]))
         return np.array(out)
+
+
+@lru_cache(maxsize=256)
+def _along_body_axes(axes: bytes) -> bool:
+    """Whether sensing axes (n, 3), float64, are three, each along a body axis."""
+    rows = np.frombuffer(axes).reshape(-1, 3)
+    return rows.shape == (3, 3) and bool(
+        np.array_equal(np.sort(np.abs(rows), axis=1), [[0, 0, 1]] * 3) and abs(np.linalg.det(rows)) > 0.5
+    )
+
+
+@lru_cache(maxsize=64)
+def _names(kind: SensorKind, size: int, triad: bool) -> tuple[str, ...]:
+    """Parameter names of a block of so many sensors."""
+    sensors = ["x", "y", "z"] if triad else [str(p) for p in range(size)]
+    kinds = [f"{what}.{s}" for what in ("bias", "scale") for s in sensors]
+    if triad:
+        kinds += [f"axis.{pair}" for pair in _FREE_PAIRS[kind]]
+    else:
+        kinds += [f"axis.{p}.{1 + j}" for p, j in _free_angles(kind, size)]
+    return tuple(f"{kind}.{name}" for name in kinds)
+
+
+def _free_angles(kind: SensorKind, size: int) -> list[tuple[int, int]]:
+    """(sensor, 0 or 1) of every axis angle of a numbered block that is a parameter."""
+    if kind == "gyro":
+        return [(p, j) for p in range(size) for j in (0, 1)]
+    return [(1, 0)] + [(p, j) for p in range(2, size) for j in (0, 1)]
 
 
 def _axes_derivative(six: dict[str, float], pair: str) -> Array:

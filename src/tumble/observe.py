@@ -43,7 +43,8 @@ TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a si
 class Rests:
     """N rests: file, start and stop (s), mean readings and their covariances in SI; drift is the change of a
     reading over the rest (slope times duration) and noise its density, unit/√Hz. The gyro arrays are empty
-    (N, 0) where there are no gyros."""
+    (N, 0) where there are no gyros; the magnetometer's mean readings and their covariances are in its unit, None where
+    there is none."""
 
     file: IntArray
     start: Array
@@ -57,6 +58,8 @@ class Rests:
     gyro_drift: Array
     gyro_noise: Array
     temperature: Array | None
+    magnetometer: Array | None = None
+    magnetometer_covariance: Array | None = None
 
     def __len__(self) -> int:
         return len(self.start)
@@ -190,10 +193,10 @@ def _integrate(samples: TurnSamples, turns: int, transform: Array, offset: Array
     M, B = np.zeros((turns, 3, 3, 3)), np.zeros((turns, 3, 3))
     for increments, intervals, turn, start, stop in samples.pieces():
         pieces = _kernels.preintegrate(increments, intervals, start, stop, transform, offset)
-        for k, piece_C, piece_M, piece_B in zip(turn, *pieces, strict=True):
-            M[k] += np.tensordot(C[k], piece_M, axes=1)
-            B[k] += C[k] @ piece_B
-            C[k] = C[k] @ piece_C
+        piece_C, piece_M, piece_B = pieces  # no turn has two pieces in a batch
+        M[turn] += (C[turn] @ piece_M.reshape(-1, 3, 9)).reshape(-1, 3, 3, 3)
+        B[turn] += C[turn] @ piece_B
+        C[turn] = C[turn] @ piece_C
     return C, M, B
 
 
@@ -214,6 +217,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
     temperatures = [
         f.temperature[s.first : s.last].mean() for f, s in zip(blocks, spans, strict=True) if f.temperature is not None
     ]
+    magnetometer, magnetometer_covariance = _magnetometer(reduction, blocks, spans)
     rests = Rests(
         file=np.array([s.file for s in spans]),
         start=np.array([s.start for s in spans]),
@@ -227,6 +231,8 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         gyro_drift=_drift(gyro_series),
         gyro_noise=_density(gyro_covariance, durations),
         temperature=np.array(temperatures) if temperatures else None,
+        magnetometer=magnetometer,
+        magnetometer_covariance=magnetometer_covariance,
     )
     turns, samples, readings = None, None, None
     if gyro is not None and gyro_fit is not None and reduction.samples is not None:
@@ -248,6 +254,21 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
 def _gyro_of(f: FileBlocks) -> Array:
     """Gyro block means of a file, (K, 0) without gyros."""
     return f.gyro if f.gyro is not None else np.empty((len(f.accel), 0))
+
+
+def _magnetometer(
+    reduction: Reduction, blocks: list[FileBlocks], spans: tuple[RestSpan, ...]
+) -> tuple[Array, Array] | tuple[None, None]:
+    """Mean readings (N, 3) of the magnetometer in the rests and their covariances (N, 3, 3), in its unit."""
+    series = [
+        f.magnetometer[s.first : s.last] for f, s in zip(blocks, spans, strict=True) if f.magnetometer is not None
+    ]
+    if not series:
+        return None, None
+    mean = np.array([f.magnetometer_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
+    noise = fit_coloured_noise(series)
+    covariance = np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series)])
+    return mean, covariance + _unresolved(reduction.magnetometer_channels)
 
 
 def _accel_covariance(series: list[Array], block: Block) -> Array:

@@ -5,6 +5,8 @@ Frames: b body X, Y, Z; n geographic N (north), U (up), E (east), right-handed i
 
 from __future__ import annotations
 
+from math import cos, sin
+
 import numpy as np
 
 from tumble.units import Array
@@ -30,15 +32,34 @@ def rotation_matrix(vector: Array) -> Array:
     return np.asarray(np.eye(3) + sine_ratio * K + cosine_ratio * (K @ K))
 
 
+def rotation_vector(matrix: Array) -> Array:
+    """Rotation vectors (..., 3), rad, up to π, of rotation matrices (..., 3, 3): `rotation_matrix` inverted, accurate
+    everywhere, by way of the quaternion from the largest column of 4qqᵀ."""
+    R = np.asarray(matrix, dtype=float)
+    trace = np.trace(R, axis1=-2, axis2=-1)[..., None, None]
+    vee = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    outer = np.empty((*R.shape[:-2], 4, 4))
+    outer[..., 0, 0] = 1.0 + trace[..., 0, 0]
+    outer[..., 0, 1:] = outer[..., 1:, 0] = vee
+    outer[..., 1:, 1:] = R + np.swapaxes(R, -1, -2) + (1.0 - trace) * np.eye(3)
+    largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    column = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
+    q = column / np.linalg.norm(column, axis=-1, keepdims=True)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, np.abs(q[..., :1]))
+    ratio = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)
+    return np.asarray(np.where(q[..., :1] >= 0.0, ratio, -ratio) * q[..., 1:])
+
+
 def axes_matrix(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float) -> Array:
     """Directions of three nearly orthogonal sensing axes in the body frame as unit rows, Eq. (1).
 
     Each angle γ_pq (rad) is how far the axis of sensor p leans towards body axis q."""
     return np.array(
         [
-            [np.cos(xy) * np.cos(xz), np.sin(xy), np.cos(xy) * np.sin(xz)],
-            [np.cos(yz) * np.sin(yx), np.cos(yz) * np.cos(yx), np.sin(yz)],
-            [np.sin(zx), np.cos(zx) * np.sin(zy), np.cos(zx) * np.cos(zy)],
+            [cos(xy) * cos(xz), sin(xy), cos(xy) * sin(xz)],
+            [cos(yz) * sin(yx), cos(yz) * cos(yx), sin(yz)],
+            [sin(zx), cos(zx) * sin(zy), cos(zx) * cos(zy)],
         ]
     )
 

@@ -104,7 +104,7 @@ class Tail:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FileBlocks:
     """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the
-    accelerometers (K, n) and gyros (K, n) in SI, and of the temperature."""
+    accelerometers (K, n) and gyros (K, n) in SI, of the temperature, and of the magnetometer (K, 3) in its unit."""
 
     file: int
     first_sample: int
@@ -116,6 +116,8 @@ class FileBlocks:
     temperature: Array | None
     accel_tail: Tail
     gyro_tail: Tail | None
+    magnetometer: Array | None = None
+    magnetometer_tail: Tail | None = None
 
     def accel_mean(self, first: int, last: int) -> Array:
         """Mean accelerometer reading (n,) over blocks first … last − 1, and over the tail where they end the file."""
@@ -126,6 +128,12 @@ class FileBlocks:
         if self.gyro is None or self.gyro_tail is None:
             return np.empty(0)
         return self.gyro_tail.mean(self.gyro, first, last)
+
+    def magnetometer_mean(self, first: int, last: int) -> Array:
+        """Mean magnetometer reading (3,), likewise; empty without one."""
+        if self.magnetometer is None or self.magnetometer_tail is None:
+            return np.empty(0)
+        return self.magnetometer_tail.mean(self.magnetometer, first, last)
 
 
 class GyroSamples:
@@ -187,6 +195,7 @@ class Reduction:
     accel_channels: tuple[ChannelState, ...]
     gyro_channels: tuple[ChannelState, ...]
     samples: GyroSamples | None
+    magnetometer_channels: tuple[ChannelState, ...] = ()
 
 
 class _Channels:
@@ -241,13 +250,21 @@ class Reducer:
     """Takes a log chunk by chunk and keeps what segmentation and reduction need."""
 
     def __init__(
-        self, *, rate: float, accel: Block, gyro: Block | None, increments: tuple[bool, bool] = (False, False)
+        self,
+        *,
+        rate: float,
+        accel: Block,
+        gyro: Block | None,
+        increments: tuple[bool, bool] = (False, False),
+        magnetometer: bool = False,
     ) -> None:
-        """`increments`: whether accelerometers and gyros came as increments per sample."""
+        """`increments`: whether accelerometers and gyros came as increments per sample; `magnetometer`: whether there
+        is one."""
         self.rate = rate
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
         self._accel = _Channels(accel.size, self.size, increments[0])
         self._gyro = _Channels(gyro.size, self.size, increments[1]) if gyro else None
+        self._magnetometer = _Channels(3, self.size, increments=False) if magnetometer else None
         self._to_body = np.linalg.pinv(gyro.axes).T if gyro else np.eye(3)
         self._along_body = np.array_equal(self._to_body, np.eye(3))
         self._temperature: list[Array] = []
@@ -270,6 +287,8 @@ class Reducer:
             self._gyro.feed(chunk.gyro, chunk.time, chunk.dt)
             body = chunk.gyro if self._along_body else chunk.gyro @ self._to_body
             self._stored.append(body, chunk.dt)
+        if self._magnetometer and chunk.magnetometer is not None:
+            self._magnetometer.feed(chunk.magnetometer, chunk.time, chunk.dt)
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
         self._times.append(chunk.time[ends])
         if chunk.temperature is not None:
@@ -283,6 +302,7 @@ class Reducer:
         edges = np.concatenate([[self._start], *self._times, [self._stop]])
         accel, accel_tail = self._accel.end_file(edges)
         gyro, gyro_tail = self._gyro.end_file(edges) if self._gyro else (None, None)
+        field, field_tail = self._magnetometer.end_file(edges) if self._magnetometer else (None, None)
         self._files.append(
             FileBlocks(
                 file=self._file,
@@ -294,6 +314,8 @@ class Reducer:
                 temperature=np.concatenate(self._temperature) if self._temperature else None,
                 accel_tail=accel_tail,
                 gyro_tail=gyro_tail,
+                magnetometer=field,
+                magnetometer_tail=field_tail,
             )
         )
         self._times, self._temperature = [], []
@@ -308,6 +330,7 @@ class Reducer:
             accel_channels=self._accel.states(),
             gyro_channels=self._gyro.states() if self._gyro else (),
             samples=self._stored,
+            magnetometer_channels=self._magnetometer.states() if self._magnetometer else (),
         )
 
 
@@ -315,7 +338,13 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
     """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress."""
     spec = log.session.log
     kinds = [channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)]
-    reducer = Reducer(rate=log.rate, accel=accel, gyro=gyro, increments=(kinds[0], kinds[1]))
+    reducer = Reducer(
+        rate=log.rate,
+        accel=accel,
+        gyro=gyro,
+        increments=(kinds[0], kinds[1]),
+        magnetometer=spec.magnetometer is not None,
+    )
     for chunk in _one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
     return reducer.finish()

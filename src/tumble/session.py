@@ -28,12 +28,15 @@ from tumble import programme
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import ProgrammeError, SessionError
 from tumble.model import Block
-from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TIME_UNITS, Array, Unit
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, MAGNETIC_UNITS, TIME_UNITS, Array, Unit
 
 SESSION_FILE = "session.toml"
 
 UNKNOWN_SITE_GRAVITY_U = 0.03
 """Standard uncertainty of standard gravity as a value of local gravity at an unknown place on Earth, m/s²."""
+
+_TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4}
+_FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
 
 _FAULTS_SHOWN = 3
 _UNIT_NORM_TOLERANCE = 1e-6
@@ -56,12 +59,13 @@ class Device:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Site:
     """Where the session was recorded: geodetic latitude, rad; height, m; gravity and its standard
-    uncertainty, m/s²."""
+    uncertainty, m/s²; modulus of the magnetic field in the unit of the magnetometer, None where it is not known."""
 
     latitude: float | None
     height: float
     gravity: float
     gravity_u: float
+    field: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -93,6 +97,14 @@ class Channels:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Magnetometer:
+    """The three channels of a magnetometer and their unit, which is that of the site's field too."""
+
+    columns: tuple[str, ...]
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LogSpec:
     """The log's files and columns. Either `time`, a column in units of `time_factor` s, or `rate`, Hz."""
 
@@ -103,12 +115,14 @@ class LogSpec:
     accel: Channels
     gyro: Channels | None
     temperature: str | None
+    magnetometer: Magnetometer | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Every column that is read: time, accelerometers, gyros, temperature."""
+        """Every column that is read: time, accelerometers, gyros, magnetometer, temperature."""
         gyro = self.gyro.columns if self.gyro else ()
-        columns = (self.time, *self.accel.columns, *gyro, self.temperature)
+        magnetometer = self.magnetometer.columns if self.magnetometer else ()
+        columns = (self.time, *self.accel.columns, *gyro, *magnetometer, self.temperature)
         return tuple(column for column in columns if column is not None)
 
 
@@ -234,6 +248,7 @@ class _Site(_Table):
         default=None, ge=9.7, le=9.9, description="a number from 9.7 to 9.9 (m/s^2, on Earth)"
     )
     gravity_u: float | None = Field(default=None, ge=0, le=0.1, description="a number from 0 to 0.1 (m/s^2)")
+    field: float | None = Field(default=None, gt=0, description="a positive number, in the unit of [log.magnetometer]")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -342,6 +357,16 @@ class _Temperature(_Table):
     unit: Literal["degC"] = Field(default="degC", description='"degC"')
 
 
+class _Magnetometer(_Table):
+    columns: list[str] = Field(min_length=3, max_length=3, description="a list of three column names")
+    unit: str = Field(description="the name of a unit, a string")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_known("unit", self.unit, MAGNETIC_UNITS)
+        return self
+
+
 class _Log(_Table):
     file: str | list[str] = Field(min_length=1, description="a file name or a list of file names")
     time: str | None = Field(default=None, min_length=1, description="a column name")
@@ -349,6 +374,7 @@ class _Log(_Table):
     rate_hz: float | None = Field(default=None, gt=0, description="a positive number")
     accel: _Accel = Field(description="the table [log.accel]")
     gyro: _Gyro | None = Field(default=None, description="the table [log.gyro]")
+    magnetometer: _Magnetometer | None = Field(default=None, description="the table [log.magnetometer]")
     temperature: _Temperature | None = Field(default=None, description="the table [log.temperature]")
 
     @property
@@ -376,6 +402,7 @@ class _Log(_Table):
             "time": [self.time] if self.time is not None else [],
             "accel.columns": self.accel.columns,
             "gyro.columns": self.gyro.columns if self.gyro else [],
+            "magnetometer.columns": self.magnetometer.columns if self.magnetometer else [],
             "temperature.columns": self.temperature.columns if self.temperature else [],
         }
         for column in _repeated(c for columns in keys.values() for c in columns):
@@ -436,6 +463,21 @@ class _Document(_Table):
     log: _Log = Field(description="the table [log]")
     programme: _Programme | None = Field(default=None, description="the table [programme]")
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        magnetometer = self.log.magnetometer
+        if self.site.field is None:
+            return self
+        if magnetometer is None:
+            raise ValueError("site.field: expected only with [log.magnetometer], found no magnetometer")
+        low, high = (limit / _TESLA[magnetometer.unit] for limit in _FIELD_ON_EARTH)
+        if not low <= self.site.field <= high:
+            raise ValueError(
+                f"site.field: expected the field on Earth, from {low:g} to {high:g} {magnetometer.unit}, the unit of "
+                f"[log.magnetometer], found {self.site.field:g}"
+            )
+        return self
+
 
 _TABLES: Mapping[str, type[_Table]] = {
     "device": _Device,
@@ -443,6 +485,7 @@ _TABLES: Mapping[str, type[_Table]] = {
     "log": _Log,
     "accel": _Accel,
     "gyro": _Gyro,
+    "magnetometer": _Magnetometer,
     "temperature": _Temperature,
     "programme": _Programme,
     "position": _Position,
@@ -559,6 +602,7 @@ def _site(site: _Site) -> Site:
         height=site.height_m,
         gravity=gravity,
         gravity_u=u if site.gravity_u is None else site.gravity_u,
+        field=site.field,
     )
 
 
@@ -571,7 +615,12 @@ def _log(log: _Log, folder: Path) -> LogSpec:
         accel=_channels(log.accel, log.rate_hz),
         gyro=None if log.gyro is None else _channels(log.gyro, log.rate_hz),
         temperature=None if log.temperature is None else log.temperature.columns[0],
+        magnetometer=None if log.magnetometer is None else _magnetometer(log.magnetometer),
     )
+
+
+def _magnetometer(given: _Magnetometer) -> Magnetometer:
+    return Magnetometer(columns=tuple(given.columns), unit=given.unit)
 
 
 def _channels(sensors: _Sensors, rate: float | None) -> Channels:

@@ -68,7 +68,7 @@ def sheet_rows(programme: Programme, *, rest: float = REST, rate: float = RATE, 
             number=number,
             position=position,
             move=reached,
-            how="start" if number == 1 else move_text(reached),
+            how=_how(programme, position, reached, number),
             attitude=_short(position.attitude),
             points=_points(position),
             start=float(start),
@@ -78,6 +78,17 @@ def sheet_rows(programme: Programme, *, rest: float = REST, rate: float = RATE, 
             zip(programme.positions, moves, times, strict=True), 1
         )
     )
+
+
+def _how(programme: Programme, position: Position, move: Move, number: int) -> str:
+    """How a position is reached; in a programme in any order, what the block is stood on: "on a corner"."""
+    if not programme.ordered:
+        upright = np.count_nonzero(np.abs(position.vertical_b) > _OFF_THE_HORIZON)
+        return ("on a face", "on an edge", "on a corner")[upright - 1]
+    return "start" if number == 1 else move_text(move)
+
+
+_OFF_THE_HORIZON = 0.1
 
 
 def move_text(move: Move) -> str:

@@ -33,7 +33,7 @@ from tumble.grades import NoiseModel
 from tumble.grades import grade as typical
 from tumble.model import Block, SensorModel
 from tumble.programme import ANY_MOVE, BUILT_IN, Move, Programme, programme
-from tumble.rotation import rotation_matrix
+from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.session import write_session
 from tumble.units import DEGREE, Array
 
@@ -172,18 +172,47 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
     """Run a scenario in memory. Attitudes and times do not depend on the noise.
 
     Raises InputError, one line, if the scenario is impossible or too long."""
-    _check(scenario)
     geometry, noise = rng.spawn(2)
-    positions, attitudes, nominal = _attitudes(scenario.course, geometry)
-    moves = np.array([_move(a, b, m) for a, b, m in zip(attitudes[:-1], attitudes[1:], nominal, strict=True)])
-    moves = moves.reshape(-1, 3)
-    rests = _timetable(scenario.profile, moves)
-    samples = rests[-1, 1] * scenario.profile.sample_rate
+    way = itinerary(scenario, geometry)
+    samples = way.rests[-1, 1] * scenario.profile.sample_rate
     if not samples <= _MAX_SAMPLES:
         raise InputError(f"session: expected at most {_MAX_SAMPLES:g} samples, found {samples:.3g}")
-    time, accel, gyro = _readings(scenario, attitudes, moves, rests, noise)
+    time, accel, gyro = _readings(scenario, way.attitudes, way.moves, way.rests, noise)
     return Recording(
-        time=time, accel=accel, gyro=gyro, attitudes=attitudes, rests=rests, moves=moves, positions=positions
+        time=time,
+        accel=accel,
+        gyro=gyro,
+        attitudes=way.attitudes,
+        rests=way.rests,
+        moves=way.moves,
+        positions=way.positions,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Itinerary:
+    """Where a simulated device rests and how it gets there: `attitudes`, `rests`, `moves` and `positions` as in a
+    `Recording`; `programmed` (R − 1,): whether the programme prescribes the turn."""
+
+    attitudes: Array
+    rests: Array
+    moves: Array
+    positions: tuple[int, ...]
+    programmed: tuple[bool, ...]
+
+
+def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
+    """Attitudes, moves and times of a scenario. Raises InputError, one line, if the scenario is impossible."""
+    _check(scenario)
+    positions, attitudes, nominal = _attitudes(scenario.course, rng)
+    moves = np.array([_move(a, b, m) for a, b, m in zip(attitudes[:-1], attitudes[1:], nominal, strict=True)])
+    moves = moves.reshape(-1, 3)
+    return Itinerary(
+        attitudes=attitudes,
+        rests=_timetable(scenario.profile, moves),
+        moves=moves,
+        positions=positions,
+        programmed=tuple(move.axis is not None for move in nominal),
     )
 
 
@@ -214,30 +243,13 @@ def _random_rotations(n: int, rng: np.random.Generator) -> Array:
 def _move(start: Array, end: Array, nominal: Move) -> Array:
     """Rotation vector, geographic frame, rad, of the rotation from one true attitude to the next: of the two
     ways round, the one nearer to the nominal move, or the shorter one if any movement will do."""
-    vector = _rotation_vector(end @ start.T)
+    vector = rotation_vector(end @ start.T)
     angle = float(np.linalg.norm(vector))
     if nominal.axis is None or nominal.angle is None or angle == 0.0:
         return vector
     other = vector * (1.0 - 2.0 * np.pi / angle)
     wanted = nominal.angle * nominal.axis
     return min(vector, other, key=lambda way: float(np.linalg.norm(way - wanted)))
-
-
-def _rotation_vector(matrix: Array) -> Array:
-    """Logarithm of a rotation matrix, rad, up to π, accurate everywhere: by way of the quaternion, from the
-    largest column of 4qqᵀ."""
-    R, trace = matrix, np.trace(matrix)
-    outer = np.empty((4, 4))
-    outer[0, 0] = 1.0 + trace
-    outer[0, 1:] = outer[1:, 0] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    outer[1:, 1:] = R + R.T + (1.0 - trace) * np.eye(3)
-    column = outer[np.argmax(np.diag(outer))]
-    q = column / np.linalg.norm(column)
-    sine = float(np.linalg.norm(q[1:]))
-    if sine == 0.0:
-        return np.zeros(3)
-    sign = 1.0 if q[0] >= 0.0 else -1.0
-    return np.asarray(sign * 2.0 * math.atan2(sine, abs(q[0])) / sine * q[1:])
 
 
 def _timetable(profile: Profile, moves: Array) -> Array:

@@ -1,11 +1,11 @@
-"""Results as text on a terminal: tables of parameters, rests and turns."""
+"""Results as text on a terminal: rests and turns found, noise, budgets. `calibration_text` has the calibrations."""
 
 from __future__ import annotations
 
 import io
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +13,10 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from tumble.calibration import Calibration, Parameter
+from tumble.calibration import Parameter
 from tumble.observe import Observations
 from tumble.segment import Segmentation
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, BoolArray, engineering, rounded
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, BoolArray, engineering
 
 if TYPE_CHECKING:
     from tumble.budget import Budget
@@ -26,130 +26,21 @@ if TYPE_CHECKING:
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
 
-def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None = None) -> Table:
-    """Parameters with uncertainties in engineering units; where there are any, with deviations from the systematic
-    values and from launch to launch; with `truth`, also true values and the distance from them in units of u."""
-    several = bool(calibration.launches)
-    passport = any(p.deviation is not None for p in calibration.parameters)
-    headings = ["mean" if several else "value", "u (k=1)"]
-    headings += (["run to run"] if several else []) + (["deviation"] if passport else [])
-    table = Table(box=None, pad_edge=False)
-    table.add_column("parameter")
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("unit")
-    for heading in () if truth is None else ("truth", "(value − truth)/u"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    units = {group: _group_unit(calibration.parameters, group) for group in map(_group, calibration.parameters)}
-    for p in calibration.parameters:
-        size, unit = units[_group(p)]
-        numbers = [p.value, *([p.run_to_run] if several else []), *([p.deviation] if passport else [])]
-        row = [_shown(number, p.u, size) for number in numbers]
-        row.insert(1, rounded(p.value / size, (p.u or 0.0) / size)[1])
-        table.add_row(p.name, *row, unit, *(_against(p, truth, size) if truth is not None else []))
-    return table
-
-
-def _shown(value: float | None, u: float | None, size: float) -> str:
-    """A number of a parameter to the digits of its uncertainty; nothing where there is none."""
-    return "" if value is None else rounded(value / size, (u or 0.0) / size)[0]
-
-
-def _against(parameter: Parameter, truth: Mapping[str, float], size: float) -> list[str]:
-    if parameter.name not in truth or not parameter.u:
-        return ["", ""]
-    true = truth[parameter.name]
-    return [_shown(true, parameter.u, size), f"{(parameter.value - true) / parameter.u:+.2f}"]
-
-
 def _group(parameter: Parameter) -> str:
     return ".".join(parameter.name.split(".")[:2])
 
 
-def _group_unit(parameters: tuple[Parameter, ...], group: str) -> tuple[float, str]:
-    """One unit for all parameters of a kind, by their root mean square."""
-    values = [p for p in parameters if _group(p) == group]
-    return engineering(values[0].unit, math.sqrt(sum(p.value**2 for p in values) / len(values)))
-
-
-def launch_table(calibration: Calibration) -> Table:
-    """The value of every parameter in every launch."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("parameter")
-    for launch in calibration.launches:
-        table.add_column(Text(launch.session), justify="right")
-    table.add_column("unit")
-    units = {group: _group_unit(calibration.parameters, group) for group in map(_group, calibration.parameters)}
-    for parameter in calibration.parameters:
-        size, unit = units[_group(parameter)]
-        row = [parameter.name]
-        for launch in calibration.launches:
-            own = next(p for p in launch.parameters if p.name == parameter.name)
-            row.append(_shown(own.value, own.u, size))
-        table.add_row(*row, unit)
-    return table
-
-
-def rest_table(calibration: Calibration) -> Table:
-    """Residual of every rest."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("rest", "start s", "stop s", "residual µg", "sigmas"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for i, rest in enumerate(calibration.rests, 1):
-        table.add_row(
-            str(i),
-            f"{rest.start:z.1f}",
-            f"{rest.stop:z.1f}",
-            f"{rest.residual / G_STANDARD * 1e6:+.1f}",
-            f"{rest.sigmas:.1f}",
-        )
-    return table
-
-
-def calibration_report(calibration: Calibration, truth: Mapping[str, float] | None = None) -> RenderableType:
-    """All that `tumble calibrate` says about an accepted or rejected result."""
-    parts: list[RenderableType] = []
-    device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
-    parts.append(Text(f"device {device} · method {calibration.method} · frame {calibration.frame}"))
-    if calibration.parameters:
-        parts += [Text(""), parameter_table(calibration, truth)]
-    if calibration.launches:
-        parts += [Text(""), launch_table(calibration)]
-    if calibration.rests:
-        parts += [Text(""), rest_table(calibration)]
-    if calibration.fits:
-        parts += [Text(""), Text("\n".join(_fit_lines(calibration)))]
-    if truth is not None:
-        parts.append(Text(_truth_line(calibration, truth)))
-    parts += [Text(note) for note in calibration.notes]
-    parts += [Text(""), Text("accepted" if calibration.outcome.accepted else "not accepted")]
-    return Group(*parts)
-
-
-def _fit_lines(calibration: Calibration) -> list[str]:
-    lines = []
-    for name, fit in calibration.fits.items():
-        if fit.degrees < 0.5:
-            lines.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
-            continue
-        line = f"{name}: chi-square {fit.chi_square:.1f} for {fit.degrees:.1f} degrees of freedom"
-        if fit.scatter > 0.0:
-            size, unit = engineering(fit.scatter_unit, fit.scatter)
-            line += f", with a scatter of {fit.scatter / size:.3g} {unit} estimated on top of the noise within rests"
-        else:
-            line += f" (probability {fit.probability:.2f}), no scatter beyond the noise within rests"
-        lines.append(line)
-    if calibration.turn_sigmas:
-        lines.append(
-            f"turns: {len(calibration.turn_sigmas)}, the worst {max(calibration.turn_sigmas):.1f} sigma from the fit"
-        )
-    return lines
-
-
-def _truth_line(calibration: Calibration, truth: Mapping[str, float]) -> str:
-    z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
-    rms = math.sqrt(sum(v * v for v in z) / len(z)) if z else math.nan
-    return f"truth: {len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+def shown_units(parameters: Sequence[Parameter]) -> dict[str, tuple[float, str]]:
+    """The unit in which each parameter is shown, by its name, as (size in SI, unit): one for all of a kind, by their
+    root mean square."""
+    kinds: dict[str, list[Parameter]] = {}
+    for p in parameters:
+        kinds.setdefault(_group(p), []).append(p)
+    of_kind = {
+        kind: engineering(alike[0].unit, math.sqrt(sum(p.value**2 for p in alike) / len(alike)))
+        for kind, alike in kinds.items()
+    }
+    return {p.name: of_kind[_group(p)] for p in parameters}
 
 
 def noise_report(source: str, panels: Sequence[Panel]) -> RenderableType:

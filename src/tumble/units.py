@@ -58,6 +58,9 @@ GYRO_UNITS = {
     "V": Unit(factor=1.0, kind="raw"),
 }
 
+MAGNETIC_UNITS = ("nT", "uT", "gauss")
+"""Units of a magnetometer. Nothing else is measured in them, so that they are not converted."""
+
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -74,8 +77,9 @@ def engineering(unit: str, magnitude: float) -> tuple[float, str]:
     """The unit in which a quantity of SI unit `unit` ("m/s^2", "1", "rad", "rad/s") and this magnitude is
     shown, as (its size in SI, its name): µg or mg, ppm, arcsec or mrad, °/h or °/s.
 
-    The larger unit is taken where the magnitude is at least one of it (for angles 0.5 mrad, about 100″)."""
-    candidates = _SHOWN[unit]
+    The larger unit is taken where the magnitude is at least one of it (for angles 0.5 mrad, about 100″). A quantity of
+    any other unit is shown in it."""
+    candidates = _SHOWN.get(unit, ((1.0, unit),))
     limit = {"rad": 0.5}.get(unit, 1.0)
     shown = candidates[0]
     for size, name in candidates[1:]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,11 @@ class _NamedPath(click.Path):
 
 EXISTING_FOLDER = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
-METHODS = ["staged", "sequential", "scalar"]
+FOLDER = _NamedPath(path_type=Path, file_okay=False)
+METHODS = ["staged", "joint", "sequential", "scalar", "ellipsoid"]
+BUDGETED_METHODS = ["staged", "sequential", "scalar"]
+"""Methods whose errors are known before anything is measured."""
+FRAMES = ["accelerometer", "case", "paper", "symmetric"]
 
 
 def with_progress(log: Log) -> Iterator[Chunk]:
@@ -89,3 +94,41 @@ def setup_of(options: dict[str, Any]) -> Setup:
         gravity_u=options["gravity_u"],
         programme=programme(options["programme"]),
     )
+
+
+def cluster_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options that say where many tasks are computed, and into which folder."""
+    for option in reversed(
+        [
+            click.option("--serial", is_flag=True, help="Compute in this process."),
+            click.option("--cluster", metavar="tcp://HOST:PORT", help="Compute on a dask cluster that is there."),
+            click.option("--workers", type=click.IntRange(min=1), help="Processes here; default: one a core."),
+            click.option("-o", "--out", type=FOLDER, required=True, help="Folder for the results; resumed if begun."),
+        ]
+    ):
+        command = option(command)
+    return command
+
+
+@contextmanager
+def task_progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A function to be called with the number of tasks that are done and of all; on a terminal it shows a progress bar
+    with the remaining time."""
+    if not sys.stderr.isatty():
+        yield lambda _done, _all: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    left = TextColumn("left"), TimeRemainingColumn()
+    columns = TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), *left
+    with Progress(*columns, console=Console(stderr=True), transient=True, speed_estimate_period=120.0) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda done, every: bar.update(task, completed=done, total=every)

@@ -6,19 +6,19 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import METHODS, setup_of, setup_options
+from tumble.commands.arguments import BUDGETED_METHODS, setup_of, setup_options
 
 
 @click.command()
 @setup_options
-@click.option("--method", "methods", type=click.Choice(METHODS), multiple=True, help="Default: all of them; repeat.")
+@click.option("--method", "methods", type=click.Choice(BUDGETED_METHODS), multiple=True, help="Default: all; repeat.")
 @click.option("--iterations", type=click.IntRange(1, 5), default=2, show_default=True, help="Passes.")
 def budget(methods: tuple[str, ...], iterations: int, **options: Any) -> None:
     """Expected errors of a calibration before it is made, from the accuracy formulas."""
     from tumble.budget import budget
     from tumble.text import budget_report, print_report
 
-    expected = budget(setup_of(options), methods=methods or METHODS, iterations=iterations)  # type: ignore[arg-type]
+    expected = budget(setup_of(options), methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]
     print_report(budget_report(expected))
     for remark in expected.remarks:
         click.echo(f"note: {remark}", err=True)

@@ -6,49 +6,79 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, METHODS, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, METHODS, with_progress
 from tumble.errors import InputError
+
+if TYPE_CHECKING:
+    from tumble.frames import Frame
 
 
 @click.command()
 @click.argument("sessions", metavar="SESSION...", type=EXISTING_FOLDER, nargs=-1, required=True)
-@click.option("--method", type=click.Choice(METHODS), default=METHODS[0], show_default=True, help="How to estimate.")
+@click.option(
+    "--method",
+    "methods",
+    type=click.Choice(METHODS),
+    multiple=True,
+    default=METHODS[:1],
+    show_default=True,
+    help="How to estimate; given again: another method beside it.",
+)
 @click.option("--iterations", type=click.IntRange(min=1), help="Passes of sequential and scalar; default 2.")
+@click.option("--frame", type=click.Choice(FRAMES), default=FRAMES[0], show_default=True, help="Of the result.")
 @click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
 @click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
 def calibrate(
-    sessions: tuple[Path, ...], method: str, iterations: int | None, out: Path | None, force: bool, truth: Path | None
+    sessions: tuple[Path, ...],
+    methods: tuple[str, ...],
+    iterations: int | None,
+    frame: Frame,
+    out: Path | None,
+    force: bool,
+    truth: Path | None,
 ) -> None:
     """Calibrate the device of SESSION, a folder with session.toml and a log.
 
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
-    launch to launch, and --out is required.
+    launch to launch, and --out is required. Several methods are compared: the first one's result is the one written.
     """
     from tumble.calibration import calibrate
+    from tumble.calibration_text import calibration_report
     from tumble.launches import Run, mean_of_launches
     from tumble.session import read_session
-    from tumble.text import calibration_report, print_report
+    from tumble.text import print_report
 
     if len(sessions) > 1 and out is None:
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
+    if truth is not None and frame != "accelerometer":
+        raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
     known = _read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
-    runs = [
-        Run(
-            session=session,
-            calibration=calibrate(session, method=method, iterations=iterations, progress=with_progress),
-        )
-        for session in described
-    ]
-    result = mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
+    results = []
+    for method in dict.fromkeys(methods):
+        runs = [
+            Run(
+                session=session,
+                calibration=calibrate(
+                    session, method=method, iterations=iterations, frame=frame, progress=with_progress
+                ),
+            )
+            for session in described
+        ]
+        results.append(mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration)
+    result, *others = results
     target = out or described[0].folder / "calibration.json"
     result.write(target, force=force)
-    print_report(calibration_report(result, known))
+    print_report(calibration_report(result, known, others))
     click.echo(f"written to {target}", err=True)
+    for other in others:
+        for reason in other.outcome.reasons:
+            click.echo(f"{other.method}: not accepted: {reason}", err=True)
     for reason in result.outcome.reasons:
         click.echo(f"not accepted: {reason}", err=True)
     sys.exit(0 if result.outcome.accepted else 1)

@@ -7,14 +7,14 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import METHODS, setup_of, setup_options
+from tumble.commands.arguments import BUDGETED_METHODS, setup_of, setup_options
 
 
 @click.command()
 @setup_options
 @click.option("--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. accel.scale=3.5ppm; repeat.")
 @click.option("--relative", type=float, metavar="PERCENT", help="Wanted of every group: part of its spread, %.")
-@click.option("--method", type=click.Choice(METHODS), default="sequential", show_default=True, help="Method to use.")
+@click.option("--method", type=click.Choice(BUDGETED_METHODS), default="sequential", show_default=True, help="To use.")
 @click.option("--iterations", type=click.IntRange(1, 5), default=1, show_default=True, help="After so many passes.")
 @click.option(
     "--gyro-bias",

@@ -1,0 +1,136 @@
+"""Campaigns: two processes against one, the overhead of a task, and calibrations a second.
+
+Two against one: the same campaign of sessions from observations by a cluster of one process and by one of two, pair
+after pair, processes started and code loaded beforehand. Overhead: tasks that do nothing, each sent by itself (the
+worst) and in chunks, as the engine does; what the engine costs in this process, parts and table included. Rates: trials
+of sessions, and nine-parameter calibrations from the rests of 24 positions, alone and with their simulation.
+
+Usage: python benchmarks/campaign.py [--short]
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+import polars as pl
+
+from tumble.campaign import campaign_of
+from tumble.cluster import executor_for
+from tumble.engine import Chunks, Executor, Job, Row, run, serially
+from tumble.statics import fit_statics
+from tumble.trial import BLOCK
+
+SHORT = "--short" in sys.argv
+PAIRS = 3 if SHORT else 7
+
+
+def seconds(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def nothing(number: int, item: Any) -> list[Row]:  # noqa: ARG001
+    """A task that does nothing."""
+    return [{}]
+
+
+def unlabelled(item: Any) -> Row:  # noqa: ARG001
+    """No columns."""
+    return {}
+
+
+def empty(tasks: int) -> Job:
+    """A job that does nothing."""
+    return Job(definition={}, items=[None] * tasks, task=nothing, label=unlabelled, schema={"x": pl.Float64})
+
+
+def wall(job: Job, executor: Executor) -> float:
+    """How long a job takes in a new folder, s."""
+    with tempfile.TemporaryDirectory() as folder:
+        return seconds(lambda: run(job, Path(folder) / "out", executor=executor))
+
+
+class OneByOne(Chunks):
+    """Chunks of one task."""
+
+    def took(self, tasks: int, seconds: float) -> None:
+        """Stay at one."""
+
+
+def two_against_one() -> tuple[list[float], float]:
+    """Ratios of the wall times of one process and of two, pair by pair, and trials a second with two."""
+    job = campaign_of({"trials": 100 if SHORT else 400, "grid": {"method": "joint"}}).job()
+    warm = campaign_of({"trials": 8, "grid": {"method": "joint"}}).job()
+    with executor_for(workers=1) as one, executor_for(workers=2) as two:
+        for executor in (one, two):
+            wall(warm, executor)
+        pairs = [(wall(job, one), wall(job, two)) for _ in range(PAIRS)]
+    return [a / b for a, b in pairs], len(job.items) / min(b for _, b in pairs)
+
+
+def overheads() -> dict[str, float]:
+    """Seconds a task that does nothing."""
+    import tumble.cluster
+
+    out = {}
+    with executor_for(workers=2) as executor:
+        wall(empty(10), executor)
+        out["in chunks, on two processes"] = wall(empty(20_000), executor) / 20_000
+        usual, tumble.cluster.Chunks = tumble.cluster.Chunks, OneByOne  # type: ignore[misc]
+        out["sent by itself, to two processes"] = wall(empty(500), executor) / 500
+        tumble.cluster.Chunks = usual  # type: ignore[misc]
+    out["in this process"] = wall(empty(20_000), serially) / 20_000
+    return out
+
+
+def statics_rates() -> dict[str, float]:
+    """Calibrations a second."""
+    rng = np.random.default_rng(1)
+    up = rng.standard_normal((20 * BLOCK, 24, 3))
+    readings = 9.81 * up / np.linalg.norm(up, axis=2, keepdims=True) + 1e-3 * rng.standard_normal(up.shape)
+    halves = np.array_split(readings, 2)
+    fit_statics(readings[:100], 9.81)
+    with ThreadPoolExecutor(2) as threads:
+        alone = min(seconds(lambda: fit_statics(halves[0], 9.81)) for _ in range(PAIRS))
+        both = min(seconds(lambda: list(threads.map(lambda y: fit_statics(y, 9.81), halves))) for _ in range(PAIRS))
+    job = campaign_of({"kind": "statics", "trials": 40 if SHORT else 200, "grid": {"positions": 24}}).job()
+    with executor_for(workers=2) as executor:
+        wall(campaign_of({"kind": "statics", "trials": 4, "grid": {"positions": 24}}).job(), executor)
+        whole = min(wall(job, executor) for _ in range(2 if SHORT else 3))
+    return {
+        "fits, one thread": len(halves[0]) / alone,
+        "fits, two threads": len(readings) / both,
+        "whole campaign, two processes": len(job.items) * BLOCK / whole,
+    }
+
+
+def show(ratios: Sequence[float]) -> str:
+    return f"{statistics.median(ratios):.2f} times ({min(ratios):.2f} … {max(ratios):.2f} in {len(ratios)} pairs)"
+
+
+def main() -> None:
+    cpus, load = os.cpu_count(), os.getloadavg()[0]
+    print(f"{platform.machine()}, {cpus} cores, Python {platform.python_version()}, load before {load:.1f}")
+    ratios, rate = two_against_one()
+    print(f"two processes against one, sessions from observations: {show(ratios)}; {rate:.0f} trials/s with two")
+    for what, overhead in overheads().items():
+        print(f"overhead of a task {what}: {1e3 * overhead:.3f} ms")
+    for what, per_second in statics_rates().items():
+        print(f"nine parameters from 24 rests, {what}: {per_second:,.0f} /s")
+
+
+if __name__ == "__main__":
+    main()

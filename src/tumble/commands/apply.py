@@ -1,0 +1,35 @@
+"""`tumble apply`: a recording corrected with a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import EXISTING_FOLDER, FILE
+from tumble.errors import InputError
+
+
+@click.command()
+@click.argument("calibration", type=FILE)
+@click.argument("session", type=EXISTING_FOLDER)
+@click.option("-o", "--out", type=FILE, required=True, help="File to write: .csv or .parquet.")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+@click.option("--verify", is_flag=True, help="Print the residuals |f| − g of the rests before and after.")
+def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool) -> None:
+    """Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.
+
+    Corrected values are in SI under the session's column names; every other column is copied.
+    """
+    from tumble.apply import apply_to_session, residual_table, rest_residuals
+    from tumble.calibration import read_calibration
+    from tumble.session import read_session
+    from tumble.text import print_report
+
+    found, described = read_calibration(calibration), read_session(session)
+    if out.exists() and not force:
+        raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
+    apply_to_session(found, described, out)
+    click.echo(f"written to {out}", err=True)
+    if verify:
+        print_report(residual_table(rest_residuals(found, described)))

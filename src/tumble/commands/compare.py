@@ -1,0 +1,31 @@
+"""`tumble compare`: two calibrations side by side."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import FILE
+
+
+@click.command()
+@click.argument("first", type=FILE)
+@click.argument("second", type=FILE)
+def compare(first: Path, second: Path) -> None:
+    """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
+
+    Exit status 0: no |E_n| exceeds 1; 1: one does.
+    """
+    from tumble.calibration import read_calibration
+    from tumble.compare import compare, comparison_report
+    from tumble.text import print_report
+
+    found = compare(read_calibration(first), read_calibration(second))
+    print_report(comparison_report(found))
+    for remark in found.remarks:
+        click.echo(f"note: {remark}", err=True)
+    for name in found.missing:
+        click.echo(f"note: only one of them has {name}", err=True)
+    sys.exit(0 if found.agree else 1)

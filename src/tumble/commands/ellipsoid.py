@@ -1,0 +1,105 @@
+"""`tumble ellipsoid`: a calibration from a table of readings."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from tumble.commands.arguments import FILE
+from tumble.errors import InputError
+
+if TYPE_CHECKING:
+    from tumble.frames import Frame
+    from tumble.readings import Sensor
+    from tumble.units import Array
+
+
+@click.command()
+@click.argument("readings", metavar="READINGS.csv", type=FILE)
+@click.option(
+    "--unit", default="V", show_default=True, help="Of the readings: V, count, g, m/s^2; others: see --sensor."
+)
+@click.option(
+    "--scale", metavar="K|K,K,K", help="Nominal output per unit, signed by polarity; default: from the readings."
+)
+@click.option("--scale-per", help="Unit that the scale is per: g (default) or m/s^2.")
+@click.option("--gravity", type=float, default=9.80665, show_default=True, help="At the place of the readings, m/s^2.")
+@click.option(
+    "--position", "positions", multiple=True, metavar="N=X,Y,Z", help="Where up roughly was in position N; repeat."
+)
+@click.option(
+    "--sensor", type=click.Choice(["accel", "gyro", "mag"]), default="accel", show_default=True, help="What they are."
+)
+@click.option("--modulus", type=float, help="gyro: rate of the table; mag: the field; in --unit or --scale-per.")
+@click.option(
+    "--frame",
+    type=click.Choice(["accelerometer", "paper", "symmetric"]),
+    default="accelerometer",
+    show_default=True,
+    help="Of the result.",
+)
+@click.option("--out", type=FILE, help="Calibration file; default: READINGS.calibration.json beside the table.")
+@click.option("--force", is_flag=True, help="Replace a calibration file that came from another table or method.")
+def ellipsoid(
+    readings: Path,
+    unit: str,
+    scale: str | None,
+    scale_per: str | None,
+    gravity: float,
+    positions: tuple[str, ...],
+    sensor: Sensor,
+    modulus: float | None,
+    frame: Frame,
+    out: Path | None,
+    force: bool,
+) -> None:
+    """Calibrate a triad from READINGS.csv, a table of mean readings in nine or more positions of any orientation.
+
+    The table has a header with the names of three columns, one per channel, and a row per position.
+    """
+    from tumble.from_readings import calibrate_table, result_report
+    from tumble.readings import nominal, read_table
+    from tumble.text import print_report
+
+    if sensor != "accel" and frame != "accelerometer":
+        raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
+    table = read_table(readings)
+    worth = nominal(
+        table,
+        sensor=sensor,
+        unit=unit,
+        scale=None if scale is None else _numbers("--scale", scale),
+        scale_per=scale_per,
+        gravity=gravity,
+        modulus=modulus,
+        known=dict(map(_position, positions)),
+    )
+    result = calibrate_table(table, worth, frame=frame)
+    target = out or readings.with_suffix(".calibration.json")
+    result.calibration.write(target, force=force)
+    print_report(result_report(result))
+    click.echo(f"written to {target}", err=True)
+    for reason in result.calibration.outcome.reasons:
+        click.echo(f"not accepted: {reason}", err=True)
+    sys.exit(0 if result.calibration.outcome.accepted else 1)
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        return [float(number) for number in text.split(",")]
+    except ValueError:
+        raise InputError(f"{option}: expected numbers with commas between them, found {text!r}") from None
+
+
+def _position(text: str) -> tuple[int, Array]:
+    """N=X,Y,Z: a position and the direction (3,) of up in it."""
+    import numpy as np
+
+    number, _, direction = text.partition("=")
+    vector = np.array(_numbers("--position", direction)) if direction else np.zeros(0)
+    if not number.strip().isdigit() or vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise InputError(f"--position: expected N=X,Y,Z, the number of a position and a direction, found {text!r}")
+    return int(number), vector

@@ -1,0 +1,48 @@
+"""`tumble export`: a calibration as other programs read it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import EXISTING_FOLDER, FILE
+from tumble.errors import InputError
+
+FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "c", "mat", "csv", "dcc"]
+
+
+@click.command()
+@click.argument("calibration", type=FILE)
+@click.option("--to", type=click.Choice(FORMATS), required=True, help="What to write.")
+@click.option("-o", "--out", type=FILE, required=True, help="File to write.")
+@click.option(
+    "--noise", metavar="SESSION", type=EXISTING_FOLDER, help="kalibr: noise from this session's longest rest."
+)
+@click.option("--certificate", type=FILE, help="dcc: TOML file with laboratory, customer, number and dates.")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+def export(calibration: Path, to: str, out: Path, noise: Path | None, certificate: Path | None, force: bool) -> None:
+    """Write CALIBRATION, a calibration file, in the format of another program.
+
+    What that format has no place for is said on standard error, and in the file where it has comments.
+    """
+    from tumble.calibration import read_calibration
+    from tumble.export import export
+    from tumble.export.certificate import read_certificate
+    from tumble.export.kalibr import noise_densities
+    from tumble.session import read_session
+    from tumble.whole_file import whole_file
+
+    if out.exists() and not force:
+        raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
+    exported = export(
+        read_calibration(calibration),
+        to,
+        noise=None if noise is None else noise_densities(read_session(noise)),
+        certificate=None if certificate is None else read_certificate(certificate),
+    )
+    with whole_file(out) as temporary:
+        temporary.write_bytes(exported.content)
+    click.echo(f"written to {out}", err=True)
+    for loss in exported.losses:
+        click.echo(f"note: {loss}", err=True)

@@ -1,0 +1,44 @@
+"""`tumble fleet`: many sessions calibrated again."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import METHODS, cluster_options, task_progress
+
+SHOWN = 20
+
+
+@click.command()
+@click.argument("sessions", metavar="GLOB|MANIFEST")
+@click.option("--method", type=click.Choice(METHODS), default=METHODS[0], show_default=True, help="How to estimate.")
+@cluster_options
+def fleet(sessions: str, method: str, serial: bool, cluster: str | None, workers: int | None, out: Path) -> None:
+    """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.
+
+    A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
+    where it was when the same command is given again.
+    """
+    from tumble.cluster import executor_for
+    from tumble.fleet import run_fleet, sessions_of, tally
+
+    found = sessions_of(sessions)
+    with (
+        task_progress("sessions") as progress,
+        executor_for(serial=serial, cluster=cluster, workers=workers) as executor,
+    ):
+        rows = run_fleet(found, out, method=method, executor=executor, progress=progress)
+    ended = tally(rows)
+    refused, failed = len(ended.refused), len(ended.failed)
+    click.echo(f"{len(found)} sessions: {ended.accepted} accepted, {refused} not accepted, {failed} failed")
+    said = [f"not accepted: {session}: {why}" for session, why in ended.refused.items()]
+    said += [f"failed: {session}: {why}" for session, why in ended.failed.items()]
+    for line in said[:SHOWN]:
+        click.echo(line, err=True)
+    if len(said) > SHOWN:
+        click.echo(f"and {len(said) - SHOWN} more, in the columns reasons and error of the rows", err=True)
+    click.echo(f"written to {rows}", err=True)
+    sys.exit(1 if said else 0)

@@ -1,0 +1,254 @@
+"""`tumble registry`: devices, launches, calibrations and limits over years."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tumble.commands.arguments import FILE
+from tumble.errors import InputError
+
+if TYPE_CHECKING:
+    from tumble.registry.records import ParameterRow, Record
+
+_DAY = click.DateTime(["%Y-%m-%d"])
+
+
+def _place(command: Callable[..., None]) -> Callable[..., None]:
+    return click.option(
+        "--registry",
+        "place",
+        metavar="FILE|URL",
+        envvar="TUMBLE_REGISTRY",
+        help="An SQLite file or postgresql://USER@HOST/NAME; default: TUMBLE_REGISTRY, else a file of the user's.",
+    )(command)
+
+
+@click.group()
+def registry() -> None:
+    """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
+
+
+@registry.command()
+@click.argument("calibration", type=FILE)
+@click.option("--check", type=click.Choice(["incoming", "periodic"]), help="Default: incoming the first time.")
+@click.option(
+    "--state", type=click.Choice(["as-found", "as-left"]), help="Before or after an adjustment, if there is one."
+)
+@click.option("--date", "day", type=_DAY, help="When it was performed; default: when the file was made.")
+@click.option("--supersedes", metavar="NUMBER", type=int, help="The record that this one corrects.")
+@click.option("--reason", help="Why it is corrected.")
+@_place
+def add(
+    calibration: Path,
+    check: Any,
+    state: Any,
+    day: datetime | None,
+    supersedes: int | None,
+    reason: str | None,
+    place: str | None,
+) -> None:
+    """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
+    from tumble.registry.connect import open_registry
+    from tumble.registry.records import Particulars, read_submission
+    from tumble.registry.store import add as add_to
+    from tumble.registry.store import parameters_of
+
+    particulars = Particulars(
+        performed=None if day is None else day.replace(tzinfo=UTC),
+        occasion=check,
+        state=state or "unchanged",
+        supersedes=supersedes,
+        reason=reason,
+    )
+    submission = read_submission(calibration, particulars)
+    with open_registry(place, create=True) as opened:
+        added = add_to(opened, submission)
+        number = added.record.number
+        said = "added as" if added.new else "the same calibration is there already:"
+        click.echo(f"{said} record {number} in {opened.name}", err=True)
+        passed = _print_record(opened, added.record, parameters_of(opened, [number])[number])
+    sys.exit(0 if passed else 1)
+
+
+def _print_record(opened: Any, record: Record, rows: list[ParameterRow]) -> bool:
+    """Print a record with the verdict on it, and whether it passes."""
+    from tumble.registry.series import verdict_of
+    from tumble.registry.store import launches_of, limits_records
+    from tumble.registry.tables import record_report
+    from tumble.text import print_report
+
+    verdict = verdict_of(opened, record, rows, {own.number: own for own in limits_records(opened)})
+    with opened.reading() as connection:
+        launches = launches_of(connection, record.number)
+    print_report(record_report(record, launches, rows, verdict))
+    if verdict is None or verdict.result == "pass":
+        return True
+    for reason in verdict.reasons():
+        click.echo(f"not accepted: {reason}", err=True)
+    return False
+
+
+@registry.command("list")
+@click.argument("serial", required=False)
+@_place
+def list_(serial: str | None, place: str | None) -> None:
+    """All devices with their latest record, or the records of the device SERIAL."""
+    from collections import Counter
+
+    from tumble.registry.connect import open_registry
+    from tumble.registry.due import due as due_of
+    from tumble.registry.store import records
+    from tumble.registry.tables import devices_table, records_table
+    from tumble.text import print_report
+
+    with open_registry(place) as opened:
+        found = records(opened, serial)
+        if serial is not None:
+            print_report(records_table(found, _verdicts(opened, found)))
+            return
+        counts = Counter(record.serial for record in found if record.superseded_by is None)
+        latest = sorted(due_of(opened), key=lambda item: item.record.serial)
+        print_report(devices_table(latest, counts, _verdicts(opened, [item.record for item in latest])))
+
+
+def _verdicts(opened: Any, found: list[Record]) -> dict[int, str]:
+    """The verdict on every record, in a word."""
+    from tumble.registry.series import verdict_of
+    from tumble.registry.store import limits_records, parameters_of
+
+    limits = {own.number: own for own in limits_records(opened)}
+    judged = [record for record in found if record.limits is not None]
+    rows = parameters_of(opened, [record.number for record in judged])
+    said = dict.fromkeys((record.number for record in found), "")
+    for record in judged:
+        try:
+            verdict = verdict_of(opened, record, rows[record.number], limits)
+        except InputError:
+            said[record.number] = "other frame"
+        else:
+            said[record.number] = verdict.result if verdict else ""
+    return said
+
+
+@registry.command()
+@click.argument("number", type=int)
+@click.option("-o", "--out", type=FILE, help="Write the calibration file of the record, as it was added.")
+@_place
+def show(number: int, out: Path | None, place: str | None) -> None:
+    """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
+    from tumble.registry.connect import open_registry
+    from tumble.registry.store import file_of, parameters_of, record
+    from tumble.whole_file import whole_file
+
+    with open_registry(place) as opened:
+        found = record(opened, number)
+        if out is not None:
+            if out.exists():
+                raise InputError(f"{out}: expected a new file for the calibration, found one that exists")
+            with whole_file(out) as temporary:
+                temporary.write_text(file_of(opened, number), encoding="utf-8")
+            click.echo(f"written to {out}", err=True)
+        passed = _print_record(opened, found, parameters_of(opened, [number])[number])
+    sys.exit(0 if passed else 1)
+
+
+@registry.command()
+@click.argument("serial")
+@click.argument("parameter", required=False)
+@click.option("-o", "--out", type=FILE, help="Draw control charts into this .html or .svg; needs matplotlib.")
+@_place
+def trend(serial: str, parameter: str | None, out: Path | None, place: str | None) -> None:
+    """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration."""
+    from tumble.registry.chart import write_chart
+    from tumble.registry.connect import open_registry
+    from tumble.registry.monitor import monitored
+    from tumble.registry.tables import history_report, trend_report
+    from tumble.text import print_report
+
+    with open_registry(place) as opened:
+        found = monitored(opened, serial, parameter)
+    if out is not None:
+        write_chart(out, found)
+        click.echo(f"written to {out}", err=True)
+    print_report(trend_report(found) if parameter is None else history_report(found))
+
+
+@registry.command()
+@click.argument("model", required=False)
+@click.argument("file", type=FILE, required=False)
+@_place
+def limits(model: str | None, file: Path | None, place: str | None) -> None:
+    """Put the acceptance limits of FILE (TOML) in force for the device type MODEL; without FILE show those of MODEL,
+    without MODEL list those of all types.
+    """
+    from tumble.registry.connect import open_registry
+    from tumble.registry.limits import read_limits
+    from tumble.registry.store import limits_in_force, limits_records, set_limits
+    from tumble.registry.tables import limits_report, limits_table
+    from tumble.text import print_report
+
+    given = None if file is None else read_limits(file)
+    with open_registry(place, create=given is not None) as opened:
+        if model is not None and given is not None:
+            own, new = set_limits(opened, model, *given)
+            said = "in force for" if new else "were in force already for"
+            click.echo(f"limits {own.number} {said} {own.model} in {opened.name}", err=True)
+            return
+        in_force = limits_in_force(opened)
+        if model is None:
+            print_report(limits_table(limits_records(opened), in_force))
+            return
+        if model not in in_force:
+            raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
+        print_report(limits_report(in_force[model]))
+
+
+@registry.command()
+@click.option("--on", "day", type=_DAY, help="As on this day; default: today.")
+@_place
+def due(day: datetime | None, place: str | None) -> None:
+    """What is to be calibrated again, and when; the most urgent first. Exit status 1 if anything is overdue."""
+    from tumble.registry.connect import open_registry
+    from tumble.registry.due import due as due_of
+    from tumble.registry.tables import due_table
+    from tumble.text import print_report
+
+    today = datetime.now(UTC).date() if day is None else day.date()
+    with open_registry(place) as opened:
+        found = due_of(opened)
+    print_report(due_table(found, today))
+    overdue = [item.record.serial for item in found if (item.day or date.max) < today]
+    if overdue:
+        click.echo(f"overdue: {', '.join(overdue)}", err=True)
+    sys.exit(1 if overdue else 0)
+
+
+@registry.command()
+@_place
+def export(place: str | None) -> None:
+    """Everything in the registry as JSON lines on standard output."""
+    from tumble.registry.connect import open_registry
+    from tumble.registry.exchange import export_lines
+
+    with open_registry(place) as opened:
+        for line in export_lines(opened):
+            click.echo(line)
+
+
+@registry.command("import")
+@click.argument("file", type=FILE)
+@_place
+def import_(file: Path, place: str | None) -> None:
+    """Add what FILE, an export, holds and the registry does not: all of it or, after an error, nothing."""
+    from tumble.registry.connect import open_registry
+    from tumble.registry.exchange import import_file
+
+    with open_registry(place, create=True) as opened:
+        done = import_file(opened, file)
+        click.echo(f"{done.added} calibrations added to {opened.name}, {done.known} were there already", err=True)

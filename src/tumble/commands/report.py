@@ -1,0 +1,25 @@
+"""`tumble report`: a document of a calibration."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import FILE
+
+
+@click.command()
+@click.argument("calibrations", metavar="CALIBRATION...", type=FILE, nargs=-1, required=True)
+@click.option("-o", "--out", type=FILE, required=True, help="File to write: .html, or .pdf for the archive.")
+@click.option("--limits", type=FILE, help="Acceptance limits (TOML): judge every parameter by them.")
+def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None) -> None:
+    """Report of a calibration, or of several of one device, in one file that needs nothing else."""
+    from tumble.report.write import write_report
+
+    reasons = write_report(calibrations, out, limits=limits)
+    click.echo(f"written to {out}", err=True)
+    for reason in reasons:
+        click.echo(f"not accepted: {reason}", err=True)
+    sys.exit(1 if reasons else 0)

@@ -1,0 +1,31 @@
+"""`tumble verify`: a calibration in check positions."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import EXISTING_FOLDER, FILE
+
+
+@click.command()
+@click.argument("calibration", type=FILE)
+@click.argument("readings", metavar="SESSION|READINGS.csv", type=EXISTING_FOLDER)
+def verify(calibration: Path, readings: Path) -> None:
+    """Look whether CALIBRATION holds in check positions: g − |corrected reading| in every rest of a session, or every
+    row of a table of readings.
+
+    Where these are the calibration's own, each is left out in turn.
+    """
+    from tumble.calibration import read_calibration
+    from tumble.text import print_report
+    from tumble.verify import positions_of, verification_report, verify
+
+    known = read_calibration(calibration)
+    verification = verify(known, positions_of(readings, known))
+    print_report(verification_report(verification))
+    for reason in verification.reasons:
+        click.echo(f"not accepted: {reason}", err=True)
+    sys.exit(1 if verification.reasons else 0)

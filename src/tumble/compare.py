@@ -1,0 +1,228 @@
+"""Two calibrations compared: differences in units of their combined uncertainty, in one frame.
+
+With d = first − second and uncertainties u₁, u₂ of two recordings that have nothing in common,
+
+    u(d)² = u₁² + u₂²,    E_n = d / √(U₁² + U₂²) = d / 2u(d)        U = 2u (k = 2)
+
+(ISO/IEC 17043, annex B). |E_n| ≤ 1 is agreement. One honest value in twenty-two lies beyond, so that of 21 parameters
+one or two may; χ² = dᵀ (C₁ + C₂)⁻¹ d judges all of them together, correlations included. What both recordings have in
+common, such as an error of the site's gravity, is counted twice in u(d), which errs on the side of agreement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import cast, get_args
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+from scipy.stats import chi2
+
+from tumble.calibration import Calibration, Parameter
+from tumble.errors import InputError
+from tumble.frames import Frame, convert, triad_axes
+from tumble.model import Block
+from tumble.units import Array, engineering, rounded
+
+COVERAGE = 2.0
+"""The k of the expanded uncertainties U in E_n."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Difference:
+    """A parameter of both calibrations, SI; `u` is the standard uncertainty of first − second, None where one of them
+    has none."""
+
+    name: str
+    unit: str
+    first: float
+    second: float
+    u: float | None
+
+    @property
+    def value(self) -> float:
+        """first − second."""
+        return self.first - self.second
+
+    @property
+    def e_n(self) -> float | None:
+        """The E_n number; None without uncertainties."""
+        return self.value / (COVERAGE * self.u) if self.u else None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Comparison:
+    """All that two calibrations have in common, in the frame of both. `covariance` (m, m) is that of the differences;
+    `chi_square` with its `degrees` of freedom and the `probability` that chance alone exceeds it; all three are None
+    without covariances. `missing` are parameters of one calibration only; `remarks` what a user should know."""
+
+    frame: str
+    differences: tuple[Difference, ...]
+    covariance: Array | None
+    chi_square: float | None
+    degrees: int | None
+    probability: float | None
+    missing: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def agree(self) -> bool:
+        """Whether there are E_n numbers and none exceeds 1 in size."""
+        judged = [abs(d.e_n) for d in self.differences if d.e_n is not None]
+        return bool(judged) and max(judged) <= 1.0
+
+
+def compare(first: Calibration, second: Calibration) -> Comparison:
+    """Compare two calibrations parameter by parameter. The second is converted to the frame of the first where they
+    differ; to the case only what is in it already can be compared, so then the first is converted.
+
+    Raises InputError where they have no parameter in common, or cannot be converted."""
+    frame = second.frame if first.frame == "case" else first.frame
+    a, b = in_frame(first, frame), in_frame(second, frame)
+    ours, theirs = ({p.name: p for p in c.parameters} for c in (a, b))
+    common = [name for name in ours if name in theirs]
+    if not common:
+        raise InputError(
+            f"compare: expected calibrations with parameters in common, found {len(ours)} and {len(theirs)} parameters "
+            "and none in both; compare devices of one kind"
+        )
+    differences = tuple(_difference(ours[name], theirs[name]) for name in common)
+    covariance = _covariance(a, b, common)
+    chi_square, degrees, probability = _chi_square(np.array([d.value for d in differences]), covariance)
+    return Comparison(
+        frame=frame,
+        differences=differences,
+        covariance=covariance,
+        chi_square=chi_square,
+        degrees=degrees,
+        probability=probability,
+        missing=tuple(name for name in (*ours, *theirs) if name not in common),
+        remarks=tuple(_remarks(first, second, frame)),
+    )
+
+
+def in_frame(calibration: Calibration, frame: str) -> Calibration:
+    """The same calibration, its parameters, covariance and models in another frame; without its iterations and
+    launches, which are not converted."""
+    if calibration.frame == frame:
+        return calibration
+    if calibration.accel is None or frame not in get_args(Frame):
+        raise InputError(
+            f"calibration of {calibration.serial!r}: expected every accelerometer parameter, to convert it from the "
+            f"frame {calibration.frame!r} to {frame!r}, found {len(calibration.parameters)} parameters"
+        )
+    accel, gyro = calibration.accel, calibration.gyro
+    axes = triad_axes(accel.matrix)
+    used = [p for p in calibration.parameters if p.name.startswith("accel") or gyro is not None]
+    framed = convert(
+        Block(kind="accel", axes=axes),
+        None if gyro is None else Block(kind="gyro", axes=triad_axes(gyro.matrix)),
+        source=cast(Frame, calibration.frame),
+        values=np.array([p.value for p in used]),
+        covariance=None if calibration.covariance is None else calibration.covariance[: len(used), : len(used)],
+        target=cast(Frame, frame),
+    )
+    us = [None] * len(framed.names) if framed.covariance is None else np.sqrt(np.diag(framed.covariance)).tolist()
+    parameters = tuple(
+        Parameter(name=name, value=float(value), u=u, unit=unit)
+        for name, value, u, unit in zip(framed.names, framed.values, us, framed.units, strict=True)
+    )
+    return replace(
+        calibration,
+        frame=frame,
+        parameters=parameters,
+        covariance=framed.covariance,
+        accel=framed.accel,
+        gyro=framed.gyro,
+        iterations=(),
+        launches=(),
+    )
+
+
+def _difference(first: Parameter, second: Parameter) -> Difference:
+    known = first.u is not None and second.u is not None
+    u = sqrt((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2) if known else None
+    return Difference(name=first.name, unit=first.unit, first=first.value, second=second.value, u=u)
+
+
+def _covariance(first: Calibration, second: Calibration, names: Sequence[str]) -> Array | None:
+    """Covariance (m, m) of the differences of these parameters."""
+    total = np.zeros((len(names), len(names)))
+    for calibration in (first, second):
+        if calibration.covariance is None:
+            return None
+        order = [p.name for p in calibration.parameters]
+        chosen = [order.index(name) for name in names]
+        total += calibration.covariance[np.ix_(chosen, chosen)]
+    return total
+
+
+def _chi_square(differences: Array, covariance: Array | None) -> tuple[float, int, float] | tuple[None, None, None]:
+    """dᵀ C⁻¹ d in units of the uncertainties, the rank of C, and the probability that chance alone exceeds it."""
+    if covariance is None or not np.diag(covariance).all():
+        return None, None, None
+    u = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(u, u)
+    scaled = differences / u
+    rank = int(np.linalg.matrix_rank(correlation, hermitian=True))
+    chi_square = float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled)
+    return chi_square, rank, float(chi2.sf(chi_square, rank))
+
+
+def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:
+    """What a reader must know about the two."""
+    out = []
+    if first.serial != second.serial:
+        out.append(f"different devices: {first.serial} and {second.serial}")
+    for which, calibration in (("first", first), ("second", second)):
+        if calibration.frame != frame:
+            out.append(f"the {which} was converted from the frame {calibration.frame!r} to {frame!r}")
+        if not calibration.outcome.accepted:
+            out.append(f"the {which} was not accepted: {'; '.join(calibration.outcome.reasons)}")
+        if all(p.u is None for p in calibration.parameters):
+            out.append(f"the {which} has no uncertainties: nothing is judged")
+    digests = [c.provenance.get("log_sha256") for c in (first, second)]
+    if digests[0] is not None and digests[0] == digests[1]:
+        out.append("both come from the same log: their differences are smaller than their uncertainties allow")
+    return out
+
+
+# -------------------- as text --------------------
+
+
+def comparison_report(comparison: Comparison) -> RenderableType:
+    """All that `tumble compare` prints."""
+    parts: list[RenderableType] = [Text(f"frame {comparison.frame}"), Text(""), _table(comparison), Text("")]
+    beyond = [d for d in comparison.differences if d.e_n is not None and abs(d.e_n) > 1.0]
+    judged = sum(d.e_n is not None for d in comparison.differences)
+    parts.append(Text(f"{len(beyond)} of {judged} |E_n| beyond 1"))
+    if comparison.chi_square is not None:
+        parts.append(
+            Text(
+                f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with "
+                f"probability {comparison.probability:.2g}"
+            )
+        )
+    return Group(*parts)
+
+
+def _table(comparison: Comparison) -> Table:
+    """Values, difference, its uncertainty and E_n of every common parameter, in engineering units."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter")
+    for heading in ("first", "second", "difference", "u (k=1)"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("unit")
+    table.add_column("d/u", justify="right", no_wrap=True)
+    table.add_column("E_n", justify="right", no_wrap=True)
+    for d in comparison.differences:
+        size, unit = engineering(d.unit, max(abs(d.first), abs(d.second), d.u or 0.0))
+        u = (d.u or 0.0) / size
+        numbers = [rounded(value / size, u)[0] for value in (d.first, d.second, d.value)]
+        judged = ["", ""] if d.e_n is None else [f"{COVERAGE * d.e_n:+.2f}", f"{d.e_n:+.2f}"]
+        table.add_row(d.name, *numbers, rounded(0.0, u)[1] if d.u else "", unit, *judged)
+    return table

@@ -1,0 +1,67 @@
+"""Exports: a calibration as other programs read it, a file for each format.
+
+`export` makes the bytes; nothing is written. What a target cannot hold comes with them in sentences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from tumble.errors import InputError
+
+if TYPE_CHECKING:
+    from tumble.calibration import Calibration
+    from tumble.export.certificate import Certificate
+    from tumble.export.exported import Exported
+    from tumble.export.kalibr import NoiseDensities
+
+_PLAIN = {
+    "ros-imu-calib": "ros_imu_calib",
+    "px4": "px4",
+    "ardupilot": "ardupilot",
+    "imucal": "imucal",
+    "c": "c_header",
+    "mat": "mat",
+    "csv": "csv_table",
+}
+"""Formats that need nothing but the calibration: module, and function of the same name."""
+
+FORMATS = ("kalibr", *_PLAIN, "dcc")
+
+
+def export(
+    calibration: Calibration,
+    to: str,
+    *,
+    noise: NoiseDensities | None = None,
+    certificate: Certificate | None = None,
+) -> Exported:
+    """A calibration in one of the `FORMATS`. `kalibr` needs the noise densities of the device, `dcc` the administrative
+    data of a certificate; the others take neither.
+
+    Raises InputError for a calibration that was not accepted or that the format has no place for."""
+    wanted = {"kalibr": ("noise", noise), "dcc": ("certificate", certificate)}
+    for name, (what, given) in wanted.items():
+        if (given is not None) != (to == name):
+            found = "none" if given is None else f"it with {to}"
+            raise InputError(f"export: expected --{what} with {name} and only there, found {found}")
+    if to == "kalibr" and noise is not None:
+        from tumble.export.kalibr import kalibr
+
+        return kalibr(calibration, noise)
+    if to == "dcc" and certificate is not None:
+        from tumble.export.dcc import dcc
+
+        return dcc(calibration, certificate)
+    return _plain(to)(calibration)
+
+
+def _plain(to: str) -> Callable[[Calibration], Exported]:
+    """The function of a format."""
+    modules: Mapping[str, str] = _PLAIN
+    if to not in modules:
+        raise InputError(f"export: expected one of {', '.join(FORMATS)}, found {to!r}")
+    function: Callable[[Calibration], Exported] = getattr(import_module(f"tumble.export.{modules[to]}"), modules[to])
+    return function

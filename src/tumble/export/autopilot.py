@@ -1,0 +1,84 @@
+"""Autopilots: an offset and a factor for each accelerometer, an offset for each gyro.
+
+    acceleration = (reading − offset) · factor        rate = reading − offset
+
+in the sensor's axes, m/s² and rad/s, single precision; board rotations come afterwards. The offsets are the biases b.
+The factors are 1/Mᵢᵢ: what is left of the accelerometers' matrix then has a unit diagonal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.calibration import Calibration
+from tumble.export.exported import (
+    NO_UNCERTAINTY,
+    SINGLE_PRECISION,
+    Example,
+    aligned,
+    example,
+    gyro_matrix_lost,
+    misalignment_lost,
+    shown,
+    triads,
+)
+from tumble.model import SensorModel
+from tumble.units import Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Diagonal:
+    """What an autopilot can hold, in single precision: offsets (3,) of accelerometers and gyros (None without gyros),
+    and the accelerometers' factors (3,)."""
+
+    accel_offset: Array
+    accel_factor: Array
+    gyro_offset: Array | None
+    known: Mapping[str, SensorModel]
+    losses: tuple[str, ...]
+
+    def examples(self) -> list[str]:
+        """Readings, what the autopilot makes of them and what they are, line by line."""
+        out = []
+        for kind, model in self.known.items():
+            worked = example(kind, model)
+            target = self.corrected(kind, worked)
+            out.append(
+                f"example {kind}: reading {shown(worked.reading)} becomes {shown(target.round(6))}; it is "
+                f"{shown(worked.true.round(6))}"
+            )
+        return out
+
+    def corrected(self, kind: str, worked: Example) -> Array:
+        """What the autopilot makes of an example."""
+        if kind == "accel" or self.gyro_offset is None:
+            return np.asarray((worked.reading - self.accel_offset) * self.accel_factor)
+        return np.asarray(worked.reading - self.gyro_offset)
+
+
+def diagonal(calibration: Calibration, target: str) -> Diagonal:
+    """Offsets and factors of a calibration, and what is lost. Raises InputError unless the channels are X, Y, Z."""
+    known = triads(calibration, target, gyro=False)
+    aligned(known, target)
+    accel, gyro = known["accel"], known.get("gyro")
+    losses = [misalignment_lost(accel)]
+    losses += [] if gyro is None else [gyro_matrix_lost(gyro)]
+    return Diagonal(
+        accel_offset=_single(accel.bias),
+        accel_factor=_single(1.0 / np.diag(accel.matrix)),
+        gyro_offset=None if gyro is None else _single(gyro.bias),
+        known=known,
+        losses=(*losses, SINGLE_PRECISION, NO_UNCERTAINTY),
+    )
+
+
+def written(values: Array) -> list[str]:
+    """Numbers of single precision as text, with as many digits as it takes to read them back in single precision."""
+    return [np.format_float_positional(value, trim="0") for value in values.astype(np.float32)]
+
+
+def _single(values: Array) -> Array:
+    return np.asarray(values.astype(np.float32), dtype=float)

@@ -1,0 +1,227 @@
+"""A Digital Calibration Certificate: the XML of PTB's DCC, schema 3.3.0, with quantities in D-SI 2.2.1.
+
+Every parameter is a quantity with its expanded uncertainty U = 2u (k = 2). A list of all of them has their covariance
+matrix, the matrices and biases of the model equation follow, and an example worked with it:
+
+    reading = matrix · true + bias,    true = matrix⁻¹ (reading − bias)
+
+The file is neither signed nor sealed.
+
+Source: PTB, DCC schema 3.3.0 and D-SI schema 2.2.1.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.stats import chi2
+
+from tumble.calibration import Calibration, Parameter
+from tumble.export.certificate import Certificate, Party
+from tumble.export.exported import Exported, example, models, one_line, origin, shown
+from tumble.model import SensorModel
+from tumble.units import Array
+
+VERSION = "3.3.0"
+_DCC, _SI, _XSI = "https://ptb.de/dcc", "https://ptb.de/si", "http://www.w3.org/2001/XMLSchema-instance"
+COVERAGE_FACTOR, COVERAGE_PROBABILITY = 2, 0.95
+
+LOSSES = (
+    "the file is neither signed nor sealed: sign it with the laboratory's tools",
+    "rests, turns, launches and iterations of the calibration have no place in this file",
+)
+
+_DIMENSIONS: Mapping[str, Mapping[str, int]] = {
+    "m/s^2": {"metre": 1, "second": -2},
+    "rad/s": {"radian": 1, "second": -1},
+    "rad": {"radian": 1},
+    "1": {},
+}
+_BIAS_UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
+_TITLES = {"accel": "accelerometers", "gyro": "gyros"}
+
+
+def d_si(*units: str) -> str:
+    """The product of units as D-SI writes it: d_si("m/s^2") is \\metre\\second\\tothe{-2}."""
+    powers: Counter[str] = Counter()
+    for unit in units:
+        powers.update(_DIMENSIONS[unit])
+    parts = [f"\\{name}" + ("" if power == 1 else f"\\tothe{{{power}}}") for name, power in powers.items() if power]
+    return "".join(parts) or "\\one"
+
+
+def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
+    """The XML file of a calibration with the administrative data of its certificate."""
+    known = models(calibration)
+    ET.register_namespace("dcc", _DCC)
+    ET.register_namespace("si", _SI)
+    root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
+    root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
+    _administrative(_child(root, "administrativeData"), calibration, certificate)
+    _results(_child(_child(root, "measurementResults"), "measurementResult"), calibration, known)
+    ET.indent(root)
+    return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=LOSSES)
+
+
+def _child(parent: ET.Element, name: str, text: str | None = None, namespace: str = _DCC) -> ET.Element:
+    element = ET.SubElement(parent, f"{{{namespace}}}{name}")
+    element.text = text
+    return element
+
+
+def _named(parent: ET.Element, name: str, text: str) -> ET.Element:
+    """A child whose own child `content` has the text in English."""
+    element = _child(parent, name)
+    _child(element, "content", one_line(text)).set("lang", "en")
+    return element
+
+
+# -------------------- who, what, when --------------------
+
+
+def _administrative(parent: ET.Element, calibration: Calibration, certificate: Certificate) -> None:
+    name, _, release = calibration.provenance.get("software", "tumble 0").partition(" ")
+    software = _child(_child(parent, "dccSoftware"), "software")
+    _named(software, "name", name)
+    _child(software, "release", release or "unknown")
+    _core(_child(parent, "coreData"), certificate)
+    _item(_child(_child(parent, "items"), "item"), calibration)
+    laboratory = _child(parent, "calibrationLaboratory")
+    if certificate.laboratory.code is not None:
+        _child(laboratory, "calibrationLaboratoryCode", certificate.laboratory.code)
+    _contact(_child(laboratory, "contact"), certificate.laboratory)
+    persons = _child(parent, "respPersons")
+    for i, person in enumerate(certificate.person):
+        entry = _child(persons, "respPerson")
+        _named(_child(entry, "person"), "name", person.name)
+        if person.role is not None:
+            _child(entry, "role", person.role)
+        _child(entry, "mainSigner", "true" if i == 0 else "false")
+    _contact(_child(parent, "customer"), certificate.customer)
+
+
+def _core(parent: ET.Element, certificate: Certificate) -> None:
+    _child(parent, "countryCodeISO3166_1", certificate.country)
+    _child(parent, "usedLangCodeISO639_1", "en")
+    _child(parent, "mandatoryLangCodeISO639_1", "en")
+    _child(parent, "uniqueIdentifier", certificate.number)
+    _child(parent, "beginPerformanceDate", certificate.begin.isoformat())
+    _child(parent, "endPerformanceDate", certificate.end.isoformat())
+    _child(parent, "performanceLocation", certificate.place)
+
+
+def _item(parent: ET.Element, calibration: Calibration) -> None:
+    _named(parent, "name", "inertial measurement unit")
+    if calibration.model is not None:
+        _child(parent, "model", one_line(calibration.model))
+    identification = _child(_child(parent, "identifications"), "identification")
+    _child(identification, "issuer", "manufacturer")
+    _child(identification, "value", one_line(calibration.serial))
+    _named(identification, "name", "serial number")
+
+
+def _contact(parent: ET.Element, party: Party) -> None:
+    _named(parent, "name", party.name)
+    if party.email is not None:
+        _child(parent, "eMail", party.email)
+    location = _child(parent, "location")
+    for name, text in (("street", party.street), ("postCode", party.postcode), ("city", party.city)):
+        if text is not None:
+            _child(location, name, text)
+    _child(location, "countryCode", party.country)
+
+
+# -------------------- results --------------------
+
+
+def _results(parent: ET.Element, calibration: Calibration, known: Mapping[str, SensorModel]) -> None:
+    _named(parent, "name", "calibration parameters of the inertial measurement unit")
+    _named(parent, "description", "; ".join(origin(calibration)))
+    method = _child(_child(parent, "usedMethods"), "usedMethod")
+    _named(method, "name", f"method {calibration.method} of tumble")
+    if calibration.site is not None:
+        condition = _child(_child(parent, "influenceConditions"), "influenceCondition")
+        _named(condition, "name", "local gravity")
+        quantity = _child(_child(condition, "data"), "quantity")
+        _real(quantity, calibration.site.gravity, calibration.site.gravity_u or None, "m/s^2")
+    results = _child(parent, "results")
+    _parameters(_result(results, "parameters"), calibration.parameters)
+    if calibration.covariance is not None:
+        _covariance(_result(results, "parameters with covariance"), calibration.parameters, calibration.covariance)
+    for kind, model in known.items():
+        _model(_result(results, f"model of the {_TITLES[kind]}"), kind, model)
+
+
+def _result(parent: ET.Element, name: str) -> ET.Element:
+    """The data of a new result."""
+    result = _child(parent, "result")
+    _named(result, "name", name)
+    return _child(result, "data")
+
+
+def _parameters(data: ET.Element, parameters: Sequence[Parameter]) -> None:
+    for parameter in parameters:
+        quantity = _child(data, "quantity")
+        quantity.set("id", parameter.name)
+        _named(quantity, "name", parameter.name)
+        _real(quantity, parameter.value, parameter.u, parameter.unit)
+
+
+def _real(quantity: ET.Element, value: float, u: float | None, unit: str) -> None:
+    """A value with its expanded uncertainty, where it has one."""
+    real = _child(quantity, "real", namespace=_SI)
+    _child(real, "value", repr(float(value)), _SI)
+    _child(real, "unit", d_si(unit), _SI)
+    if u is not None:
+        expanded = _child(_child(real, "measurementUncertaintyUnivariate", namespace=_SI), "expandedMU", namespace=_SI)
+        _child(expanded, "valueExpandedMU", repr(float(COVERAGE_FACTOR * u)), _SI)
+        _child(expanded, "coverageFactor", str(COVERAGE_FACTOR), _SI)
+        _child(expanded, "coverageProbability", str(COVERAGE_PROBABILITY), _SI)
+        _child(expanded, "distribution", "normal", _SI)
+
+
+def _covariance(data: ET.Element, parameters: Sequence[Parameter], covariance: Array) -> None:
+    """All parameters in one list with the matrix of their covariances, column by column."""
+    quantity = _child(data, "quantity")
+    _named(quantity, "name", "all parameters")
+    units = [p.unit for p in parameters]
+    entries = _list(quantity, [p.name for p in parameters], np.array([p.value for p in parameters]), units)
+    several = _child(entries, "measurementUncertaintyMultivariateXMLList", namespace=_SI)
+    region = _child(several, "ellipsoidalRegionMUXMLList", namespace=_SI)
+    matrix = _child(region, "covarianceMatrixXMLList", namespace=_SI)
+    for j, unit in enumerate(units):
+        column = _child(_child(matrix, "columnXMLList", namespace=_SI), "covarianceXMLList", namespace=_SI)
+        _child(column, "valueXMLList", shown(covariance[:, j]), _SI)
+        _child(column, "unitXMLList", " ".join(d_si(other, unit) for other in units), _SI)
+    factor = float(np.sqrt(chi2.ppf(COVERAGE_PROBABILITY, len(units))))
+    _child(region, "coverageFactorXMLList", f"{factor:.6f}", _SI)
+    _child(region, "coverageProbabilityXMLList", str(COVERAGE_PROBABILITY), _SI)
+
+
+def _model(data: ET.Element, kind: str, model: SensorModel) -> None:
+    """Model equation, matrix, bias and an example."""
+    _child(_child(data, "formula"), "latex", r"r = M t + b, \quad t = M^{+} (r - b)")
+    unit, worked = _BIAS_UNIT[kind], example(kind, model)
+    n = len(model.bias)
+    rows = [f"matrix.{p + 1}.{q + 1}" for p in range(n) for q in range(3)]
+    for name, labels, values, of in (
+        ("matrix M, row by row", rows, model.matrix, "1"),
+        ("bias b", [f"bias.{p + 1}" for p in range(n)], model.bias, unit),
+        ("example: reading r", [f"reading.{p + 1}" for p in range(n)], worked.reading, unit),
+        ("example: true vector t", ["true.x", "true.y", "true.z"], worked.true, unit),
+    ):
+        quantity = _child(data, "quantity")
+        _named(quantity, "name", f"{_TITLES[kind]}: {name}")
+        _list(quantity, labels, np.ravel(values), [of] * len(labels))
+
+
+def _list(quantity: ET.Element, labels: Sequence[str], values: Array, units: Sequence[str]) -> ET.Element:
+    """Values with a label and a unit each."""
+    entries = _child(quantity, "realListXMLList", namespace=_SI)
+    _child(entries, "labelXMLList", " ".join(labels), _SI)
+    _child(entries, "valueXMLList", shown(values), _SI)
+    _child(entries, "unitXMLList", " ".join(map(d_si, units)), _SI)
+    return entries

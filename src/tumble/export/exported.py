@@ -1,0 +1,163 @@
+"""What every export is made of: triads, worked examples, where the numbers come from, and what a target cannot hold.
+
+An export states its target's own formula, an example worked with it, and as `losses` what the target has no place for
+and how large that is. Readings are those of the calibration file: SI, after nominal scale and offset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.calibration import Calibration
+from tumble.errors import InputError
+from tumble.model import SensorModel
+from tumble.units import G_STANDARD, Array
+
+EXAMPLE = {"accel": np.array([0.5, -1.0, 9.7]), "gyro": np.array([0.1, -0.2, 0.3])}
+"""True vectors near which the examples are, m/s² and rad/s."""
+
+NO_UNCERTAINTY = "uncertainties and their covariance have no place in this file"
+SINGLE_PRECISION = "the target computes in single precision: 7 digits of each number"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exported:
+    """The bytes of a file, and in sentences what its format cannot hold."""
+
+    content: bytes
+    losses: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Example:
+    """A reading (n,) and the true vector (3,) it stands for, SI."""
+
+    reading: Array
+    true: Array
+
+
+def example(kind: str, model: SensorModel) -> Example:
+    """A reading of six decimals, and what the calibration makes of it."""
+    reading = np.round(model.predict(EXAMPLE[kind]), 6)
+    return Example(reading=reading, true=model.apply(reading))
+
+
+def inverse_of(model: SensorModel) -> Array:
+    """The matrix (3, n) that takes reading − bias to the true vector: the inverse, of more than three sensors the
+    pseudo-inverse."""
+    square = len(model.bias) == 3
+    return np.asarray(np.linalg.inv(model.matrix) if square else model.inverse())
+
+
+def models(calibration: Calibration) -> dict[str, SensorModel]:
+    """The models a calibration has, by kind. Raises InputError where it has none, or was not accepted."""
+    if not calibration.outcome.accepted:
+        raise InputError(f"calibration: expected an accepted one, found: {'; '.join(calibration.outcome.reasons)}")
+    found = {"accel": calibration.accel, "gyro": calibration.gyro}
+    known = {kind: model for kind, model in found.items() if model is not None}
+    if not known:
+        raise InputError("calibration: expected a sensor whose parameters are all known, found none; calibrate again")
+    return known
+
+
+def triads(calibration: Calibration, target: str, *, gyro: bool = True) -> dict[str, SensorModel]:
+    """The accelerometers and, where `gyro` asks for them, the gyros, three of each. Raises InputError otherwise."""
+    known = models(calibration)
+    for kind in ("accel", *(["gyro"] if gyro else [])):
+        if kind not in known:
+            raise InputError(f"export to {target}: expected {kind} parameters, found none in the calibration")
+    for kind, model in known.items():
+        if len(model.bias) != 3:
+            raise InputError(
+                f"export to {target}: expected three {kind} sensors, found {len(model.bias)}; c, csv, dcc and mat hold "
+                "any number"
+            )
+    return known
+
+
+def aligned(known: dict[str, SensorModel], target: str) -> None:
+    """Check that every channel senses its own axis of the frame, positive. Raises InputError otherwise."""
+    for kind, model in known.items():
+        if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
+            raise InputError(
+                f"export to {target}: expected {kind} channels along X, Y, Z in this order, found others; {target} has "
+                "no place for another order or sign: name the columns of the session in that order"
+            )
+
+
+def origin(calibration: Calibration) -> list[str]:
+    """Where the numbers come from, line by line."""
+    made = calibration.provenance
+    device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
+    lines = [
+        f"device {device}, frame {calibration.frame}, method {calibration.method}",
+        f"{made.get('software', 'tumble')}, {made.get('created', 'no date')}, "
+        f"log sha256 {made.get('log_sha256', 'unknown')}",
+    ]
+    for kind, unit in (("accel", "m/s^2"), ("gyro", "rad/s")):
+        readings = calibration.readings.get(kind)
+        if readings is not None and readings.unit in ("count", "V"):
+            scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
+            lines.append(f"{kind} readings in {unit} are (raw - offset) / scale: offset {offset}, scale {scale}")
+    return [one_line(line) for line in lines]
+
+
+def one_line(text: str) -> str:
+    """A text that can stand in a comment of any format: one line, nothing that ends or continues it."""
+    shown = "".join(c if c.isprintable() else " " for c in text)
+    return " ".join(shown.replace("*/", "* /").replace("\\", "/").split())
+
+
+def numbers(values: Array) -> list[float]:
+    """An array as plain floats, row by row."""
+    return [float(value) for value in np.ravel(values)]
+
+
+def shown(values: Array) -> str:
+    """Numbers as text that reads back to the same ones."""
+    return " ".join(map(repr, numbers(values)))
+
+
+def yaml_number(value: float) -> str:
+    """A number as every YAML reader takes it for one: YAML 1.1, and so PyYAML, reads 2e-05 as a text."""
+    mantissa, e, exponent = repr(float(value)).partition("e")
+    return mantissa + (".0" if e and "." not in mantissa else "") + e + exponent
+
+
+def yaml_list(values: Array) -> str:
+    """Numbers as a list in YAML, on one line."""
+    return f"[{', '.join(map(yaml_number, numbers(values)))}]"
+
+
+# -------------------- what an offset and a factor for each axis leave --------------------
+
+
+def left_by_diagonal(model: SensorModel) -> Array:
+    """E (3, 3) of what is left of a triad corrected by its biases and a factor 1/Mᵢᵢ for each axis: the result is
+    (1 + E) true."""
+    return np.asarray(model.matrix / np.diag(model.matrix)[:, None] - np.eye(3))
+
+
+def worst(error: Array) -> float:
+    """The largest relative error |E v| / |v| of any vector."""
+    return float(np.linalg.norm(error, ord=2))
+
+
+def misalignment_lost(model: SensorModel) -> str:
+    """What accelerometers without cross terms lose."""
+    error = left_by_diagonal(model)
+    return (
+        f"misalignment of the accelerometers: up to {1e3 * np.abs(error).max():.3g} mrad, in 1 g an error of up to "
+        f"{G_STANDARD * worst(error):.3g} m/s^2"
+    )
+
+
+def gyro_matrix_lost(model: SensorModel) -> str:
+    """What gyros with nothing but offsets lose."""
+    error = model.matrix - np.eye(3)
+    return (
+        f"scale factors and misalignment of the gyros: an error of up to {100.0 * worst(error):.3g} % of the rate, "
+        f"{np.rad2deg(worst(error) * np.deg2rad(100.0)):.3g} deg/s in 100 deg/s"
+    )

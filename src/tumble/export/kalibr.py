@@ -1,0 +1,153 @@
+"""Kalibr / OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
+
+    a_m = Ta R_IMUtoACC a + b_a
+    w_m = Tw R_IMUtoGYRO w + Tg a + b_g        Ta, Tw lower triangular
+
+so a = R_IMUtoACCᵀ Ta⁻¹ (a_m − b_a) and w = R_IMUtoGYROᵀ Tw⁻¹ (w_m − b_g − Tg a). The accelerometers fix the IMU frame,
+R_IMUtoACC = 1, which is the frame `accelerometer`: with M = L Q, L lower triangular with a positive diagonal and Q a
+rotation, Ta = L of the accelerometers, and of the gyros seen in the frame Q of the accelerometers Tw = L, R_IMUtoGYRO =
+Q. Nothing of either matrix is lost. Kalibr calls them M and C_gyro_i.
+
+The noise densities are continuous-time, as `noise` has them: N, and K for the random walk of the bias.
+
+Source: OpenVINS, documentation and VioManagerOptions; Kalibr, wiki "IMU noise model" and "Multi IMU and IMU intrinsic
+calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.calibration import Calibration
+from tumble.errors import InputError
+from tumble.export.exported import NO_UNCERTAINTY, Exported, example, origin, shown, triads, yaml_list, yaml_number
+from tumble.model import SensorModel
+from tumble.noise import AllanDeviation, Coefficient, Panel
+from tumble.quiet_record import longest_rest, noise_panels
+from tumble.session import Session
+from tumble.units import Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Densities:
+    """White noise, SI/√Hz, and random walk of the bias, SI/s/√Hz, of one kind, the largest of its channels; what the
+    record did not show and was bounded by, in sentences."""
+
+    white: float
+    walk: float
+    bounds: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoiseDensities:
+    """Noise of both kinds of sensors, the sample rate, Hz, and where it was seen."""
+
+    accel: Densities
+    gyro: Densities
+    rate: float
+    source: str
+
+
+def noise_densities(session: Session) -> NoiseDensities:
+    """The noise that the longest rest of a session shows, as `tumble noise` does. Raises InputError without a rest or
+    without gyros."""
+    record = longest_rest(session)
+    panels = noise_panels(record)
+    if len(panels) != 2:
+        raise InputError(f"{session.folder}: expected accelerometers and gyros to take the noise from, found no gyros")
+    accel, gyro = (_densities(panel, kind) for panel, kind in zip(panels, ("accelerometers", "gyros"), strict=True))
+    return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
+
+
+def _densities(panel: Panel, kind: str) -> Densities:
+    whites = [parameters.white_noise for parameters in panel.parameters]
+    walks = [parameters.rate_random_walk for parameters in panel.parameters]
+    white, bounded = _largest(whites, _most_white(panel.deviation))
+    walk, walk_bounded = _largest(walks, _most_walk(panel.deviation))
+    said = "{} of the {}: not seen in every channel, so the largest that the record allows is written; record longer"
+    terms = (("white noise", bounded), ("random walk", walk_bounded))
+    return Densities(white=white, walk=walk, bounds=tuple(said.format(t, kind) for t, is_bound in terms if is_bound))
+
+
+def _largest(found: list[Coefficient | None], bound: Array) -> tuple[float, bool]:
+    """The largest coefficient of all channels, with a bound for those that show none, and whether one was needed."""
+    values = [float(most) if c is None else c.value for c, most in zip(found, bound, strict=True)]
+    return max(values), None in found
+
+
+def _most_white(adev: AllanDeviation) -> Array:
+    """Largest N of each channel that its Allan deviation allows: σ² ≥ N²/τ everywhere."""
+    return np.asarray((adev.high * np.sqrt(adev.tau)[:, None]).min(axis=0))
+
+
+def _most_walk(adev: AllanDeviation) -> Array:
+    """Largest K of each channel that its Allan deviation allows: σ² ≥ K² τ/3 everywhere."""
+    return np.asarray((adev.high * np.sqrt(3.0 / adev.tau)[:, None]).min(axis=0))
+
+
+def kalibr(calibration: Calibration, noise: NoiseDensities) -> Exported:
+    """The file of a calibration and of the noise densities of its device."""
+    known = triads(calibration, "kalibr")
+    Ta, to_accel = _lower_times_rotation(known["accel"].matrix, "accelerometers")
+    Tw, to_gyro = _lower_times_rotation(known["gyro"].matrix @ to_accel.T, "gyros")
+    losses = (
+        "biases have no place in this file, OpenVINS estimates them while it runs: accelerometers "
+        f"{shown(known['accel'].bias.round(9))} m/s^2, gyros {shown(known['gyro'].bias.round(9))} rad/s",
+        "one noise density for the three axes of a kind: the largest of them",
+        *noise.accel.bounds,
+        *noise.gyro.bounds,
+        NO_UNCERTAINTY,
+    )
+    comments = [*origin(calibration), f"noise from {noise.source}", *_frame_comment(to_accel)]
+    comments += ["set rostopic", *_examples(known, to_accel), *losses]
+    lines = ["%YAML:1.0", *(f"# {line}" for line in comments), "", "imu0:"]
+    lines += _matrix("T_i_b", np.eye(4))
+    lines += [
+        f"  accelerometer_noise_density: {yaml_number(noise.accel.white)}",
+        f"  accelerometer_random_walk: {yaml_number(noise.accel.walk)}",
+        f"  gyroscope_noise_density: {yaml_number(noise.gyro.white)}",
+        f"  gyroscope_random_walk: {yaml_number(noise.gyro.walk)}",
+        "  rostopic: /imu0",
+        "  time_offset: 0.0",
+        f"  update_rate: {yaml_number(round(noise.rate, 6))}",
+        '  model: "kalibr"',
+    ]
+    for name, matrix in (("Tw", Tw), ("R_IMUtoGYRO", to_gyro), ("Ta", Ta), ("R_IMUtoACC", np.eye(3))):
+        lines += _matrix(name, matrix)
+    lines += _matrix("Tg", np.zeros((3, 3)))
+    return Exported(content=("\n".join(lines) + "\n").encode(), losses=losses)
+
+
+def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
+    """L and Q of M = L Q, L lower triangular with a positive diagonal, Q a rotation."""
+    Q, R = np.linalg.qr(matrix.T)
+    signs = np.sign(np.diag(R))
+    lower, rotation = R.T * signs, signs[:, None] * Q.T
+    if np.linalg.det(rotation) < 0.0:
+        raise InputError(
+            f"export to kalibr: expected right-handed {kind}, found their channels left-handed, which the target has "
+            "no place for: name the columns of the session in another order, or with the other sign"
+        )
+    return np.tril(lower), rotation
+
+
+def _frame_comment(to_accel: Array) -> list[str]:
+    """How the IMU frame stands to that of the calibration, where they differ."""
+    said = f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"
+    return [] if np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12) else [said]
+
+
+def _examples(known: dict[str, SensorModel], to_accel: Array) -> list[str]:
+    """A worked example of each kind, true vectors in the IMU frame."""
+    out = []
+    for kind, model in known.items():
+        worked = example(kind, model)
+        out.append(f"example {kind}: reading {shown(worked.reading)} is {shown((to_accel @ worked.true).round(9))}")
+    return out
+
+
+def _matrix(name: str, matrix: Array) -> list[str]:
+    """A matrix in YAML, a row a line."""
+    return [f"  {name}:", *(f"    - {yaml_list(row)}" for row in matrix)]

@@ -1,0 +1,298 @@
+"""From a table of readings to a calibration, by the ellipsoid method, and what is said of it.
+
+Everything that the readings do not say of themselves is in `readings.Nominal`. The calibration is in the form of all
+others; what a table adds is the residual of every position, plain and left out in turn, and the coefficients in the
+form of the source: k in output per g, the angles θ of its upper triangular matrix, the bias b referred to the input,
+
+    u = diag(k) [[1, θz, θy], [0, 1, θx], [0, 0, 1]] (a + b)                                             (1), (5)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import ndtri
+
+from tumble import __version__
+from tumble.calibration import Calibration, Parameter, Readings
+from tumble.calibration_text import parameter_table
+from tumble.ellipsoid import TRIAD, EllipsoidFit, fit
+from tumble.estimate import Fit, Outcome
+from tumble.frames import Convention, Frame, Framed, convert
+from tumble.readings import Nominal, Table
+from tumble.session import Site
+from tumble.telling import Refusal
+from tumble.units import Array, engineering, rounded
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
+"""Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the
+field of the Earth is not the same in every position."""
+
+BAD_CHANCE = 1e-3
+"""A position is bad where chance alone makes one of the positions so bad in less than this part of all tables."""
+
+_FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Result:
+    """A calibration from a table; `fit` is None where it was refused."""
+
+    calibration: Calibration
+    table: Table
+    nominal: Nominal
+    fit: EllipsoidFit | None
+
+
+def calibrate_table(table: Table, nominal: Nominal, *, frame: Frame = "accelerometer") -> Result:
+    """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions. What cannot be calibrated comes
+    back with the reasons in its outcome."""
+    bad = float(-ndtri(0.5 * BAD_CHANCE / len(table.values)))
+    found = fit(nominal.to_si(table.values), modulus=nominal.modulus, bad_sigmas=bad)
+    if isinstance(found, Refusal):
+        unobservable = _names(nominal)
+        outcome = Outcome(reasons=(found.reason,), unobservable=unobservable)
+        empty = _calibration(table, nominal, None, None, outcome)
+        return Result(calibration=empty, table=table, nominal=nominal, fit=None)
+    outcome = Outcome(reasons=tuple(_reasons(table, nominal, found)))
+    calibration = _calibration(table, nominal, found, _framed(found, frame), outcome)
+    return Result(calibration=calibration, table=table, nominal=nominal, fit=found)
+
+
+def _framed(found: EllipsoidFit, frame: Frame) -> Framed:
+    """The parameters of a fit in a frame."""
+    return convert(TRIAD, None, source="accelerometer", values=found.values, covariance=found.covariance, target=frame)
+
+
+def _names(nominal: Nominal, names: tuple[str, ...] = TRIAD.names) -> tuple[str, ...]:
+    """Names of parameters for the sensors that they are of."""
+    return tuple(f"{nominal.sensor}.{name.partition('.')[2]}" for name in names)
+
+
+def _reasons(table: Table, nominal: Nominal, found: EllipsoidFit) -> list[str]:
+    """What speaks against a fit."""
+    size, unit = engineering(nominal.result_unit, float(np.abs(found.residual).max()))
+    reasons = [
+        f"position {i + 1} (line {table.lines[i]}) does not fit: {found.sigmas[i]:.1f} sigma, residual "
+        f"{found.residual[i] / size:+.3g} {unit}; it was left out"
+        for i in np.flatnonzero(~found.used)
+    ]
+    if found.doubtful and found.worst is not None:
+        which = " or ".join(f"{i + 1} (line {table.lines[i]})" for i in sorted(found.doubtful))
+        reasons.append(
+            f"position {which} does not fit: {found.worst.sigmas:.1f} sigma"
+            + ("; these positions do not tell which, so that none was left out" if len(found.doubtful) > 1 else "")
+        )
+    limit = SCATTER_LIMIT[nominal.sensor] * nominal.modulus
+    if found.scatter > limit:
+        said = f"the positions scatter by {found.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}"
+        if found.worst is not None and found.worst.scatter < 0.5 * found.scatter:
+            first = (found.worst.position, *found.worst.rivals)
+            which = " or ".join(f"{i + 1} (line {table.lines[i]})" for i in sorted(first))
+            said += (
+                f"; look first at position {which}, without which it would be {found.worst.scatter / size:.3g} {unit}"
+            )
+        reasons.append(said)
+    if not found.converged:
+        reasons.append("the fit did not converge: the readings contradict the model")
+    return reasons
+
+
+def _calibration(
+    table: Table, nominal: Nominal, found: EllipsoidFit | None, framed: Framed | None, outcome: Outcome
+) -> Calibration:
+    model = None if framed is None else framed.accel
+    return Calibration(
+        serial=table.path.stem,
+        model=None,
+        method="ellipsoid",
+        frame="accelerometer" if framed is None else framed.frame,
+        parameters=() if framed is None else _parameters(nominal, framed),
+        covariance=None if framed is None else framed.covariance,
+        accel=model if nominal.sensor == "accel" else None,
+        gyro=model if nominal.sensor == "gyro" else None,
+        mag=model if nominal.sensor == "mag" else None,
+        outcome=outcome,
+        fits={} if found is None else {_FIT_NAMES[nominal.sensor]: _fit(nominal, found)},
+        site=_site(nominal),
+        readings={nominal.sensor: _readings(table, nominal)},
+        notes=_notes(table, nominal, found),
+        provenance={
+            "log_sha256": table.sha256,
+            "software": f"tumble {__version__}",
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        },
+    )
+
+
+def _parameters(nominal: Nominal, framed: Framed) -> tuple[Parameter, ...]:
+    u = [None] * 9 if framed.covariance is None else np.sqrt(np.diag(framed.covariance)).tolist()
+    units = (nominal.result_unit,) * 3 + framed.units[3:]
+    return tuple(
+        Parameter(name=name, value=value, u=each, unit=unit)
+        for name, value, each, unit in zip(_names(nominal, framed.names), framed.values.tolist(), u, units, strict=True)
+    )
+
+
+def _fit(nominal: Nominal, found: EllipsoidFit) -> Fit:
+    return Fit(
+        chi_square=found.chi_square,
+        degrees=float(found.degrees),
+        scatter=found.scatter,
+        scatter_unit=nominal.result_unit,
+    )
+
+
+def _site(nominal: Nominal) -> Site | None:
+    """Gravity as stated, where it was the modulus."""
+    if nominal.sensor != "accel":
+        return None
+    return Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=0.0)
+
+
+def _readings(table: Table, nominal: Nominal) -> Readings:
+    return Readings(
+        columns=table.columns,
+        unit=nominal.unit,
+        increments=False,
+        scale=tuple(nominal.scale.tolist()),
+        offset=(0.0, 0.0, 0.0),
+    )
+
+
+def _notes(table: Table, nominal: Nominal, found: EllipsoidFit | None) -> tuple[str, ...]:
+    notes = []
+    per = ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
+    if nominal.estimated:
+        notes.append(f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings")
+    negative = [name for name, s in zip(table.columns, nominal.scale, strict=True) if s < 0.0]
+    if negative:
+        said = f"polarity of {', '.join(negative)}: negative, as the scale or the positions state"
+        if len(negative) % 2:
+            said += (
+                "; as they are written, the readings are the mirror image of a right-handed triad, so the fit needs a "
+                "reflection"
+            )
+        notes.append(said)
+    if found is not None and found.degrees == 0:
+        notes.append("as many positions as parameters: nothing checks the fit, and no uncertainty can be given")
+    return tuple(notes)
+
+
+# -------------------- the form of the source --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PaperForm:
+    """k (3,) in the table's unit per `per`; θ (x, y, z), rad; b (3,), in units of `per`; with the covariance (9, 9) of
+    all, k, θ, b, None where there is none."""
+
+    k: Array
+    theta: Array
+    b: Array
+    covariance: Array | None
+
+
+def paper_form(result: Result) -> PaperForm:
+    """The coefficients of a fit in the form of Table 1 of the source."""
+    assert result.fit is not None
+    framed = _framed(result.fit, "paper")
+    values, model, nominal = framed.values, framed.accel, result.nominal
+    inverse = model.inverse()
+    b = inverse @ model.bias
+    derivative = Convention(frame="paper", block=TRIAD).jacobian(values)
+    by_values = np.zeros((9, 9))
+    scale = nominal.scale * nominal.per_factor
+    by_values[:3, 3:6] = np.diag(scale)
+    by_values[3:6, [8, 7, 6]] = np.eye(3)  # θx, θy, θz are yz, xz, xy
+    change = derivative[:, 3] - np.einsum("pqm,q->pm", derivative[:, :3], b)
+    by_values[6:] = inverse @ change / nominal.per_factor
+    covariance = None if framed.covariance is None else by_values @ framed.covariance @ by_values.T
+    return PaperForm(
+        k=scale * (1.0 + values[3:6]),
+        theta=values[[8, 7, 6]],
+        b=b / nominal.per_factor,
+        covariance=covariance,
+    )
+
+
+# -------------------- what is said --------------------
+
+
+def result_report(result: Result) -> RenderableType:
+    """Parameters, positions, what the fit says and the verdict."""
+    from rich.console import Group
+    from rich.text import Text
+
+    calibration, nominal = result.calibration, result.nominal
+    parts: list[RenderableType] = [
+        Text(f"{result.table.path.name} · {nominal.sensor} · method ellipsoid · frame {calibration.frame}")
+    ]
+    if result.fit is not None:
+        parts += [Text(""), parameter_table(calibration)]
+        if calibration.frame == "paper":
+            parts += [Text(""), _paper_table(result)]
+        parts += [Text(""), _positions_table(result), Text(""), Text(_fit_line(nominal, result.fit))]
+    parts += [Text(note) for note in calibration.notes]
+    parts += [Text(""), Text("accepted" if calibration.outcome.accepted else "not accepted")]
+    return Group(*parts)
+
+
+def _paper_table(result: Result) -> RenderableType:
+    from rich.table import Table as Shown
+
+    form, nominal = paper_form(result), result.nominal
+    table = Shown(box=None, pad_edge=False)
+    headings = (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}")
+    table.add_column("axis")
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+        table.add_column("u (k=1)", justify="right", no_wrap=True)
+    u = np.zeros(9) if form.covariance is None else np.sqrt(np.diag(form.covariance))
+    for i, axis in enumerate("xyz"):
+        cells: list[str] = []
+        for value, each, size in ((form.k[i], u[i], 1.0), (form.theta[i], u[3 + i], 1e-5), (form.b[i], u[6 + i], 1e-5)):
+            cells += rounded(float(value) / size, float(each) / size)
+        table.add_row(axis, *cells)
+    return table
+
+
+def _positions_table(result: Result) -> RenderableType:
+    """Residual |corrected reading| less the modulus of every position, plain and against the fit through the others."""
+    from rich.table import Table as Shown
+
+    found = result.fit
+    assert found is not None
+    size, unit = engineering(result.nominal.result_unit, float(np.abs(found.residual[found.used]).max()))
+    table = Shown(box=None, pad_edge=False)
+    for heading in ("position", "line", f"residual {unit}", f"left out {unit}", "u (k=1)", "sigmas", ""):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for i, line in enumerate(result.table.lines):
+        table.add_row(
+            str(i + 1),
+            str(line),
+            f"{found.residual[i] / size:+.2f}",
+            f"{found.leave_one_out[i] / size:+.2f}",
+            f"{found.leave_one_out_u[i] / size:.2f}",
+            f"{found.sigmas[i]:.1f}",
+            "" if found.used[i] else "bad",
+        )
+    return table
+
+
+def _fit_line(nominal: Nominal, found: EllipsoidFit) -> str:
+    if found.degrees == 0:
+        return "no more positions than parameters, so that nothing checks the fit"
+    size, unit = engineering(nominal.result_unit, found.scatter)
+    if found.scatter == 0.0:
+        return f"{int(found.used.sum())} positions for 9 parameters: no scatter"
+    return (
+        f"{int(found.used.sum())} positions for 9 parameters: a reading scatters by {found.scatter / size:.3g} {unit}, "
+        f"estimated with {found.degrees} degrees of freedom"
+    )

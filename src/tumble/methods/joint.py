@@ -1,0 +1,433 @@
+"""Joint method: maximum likelihood over everything a session contains.
+
+All sensor parameters, the attitudes of all rests and local gravity are found at once from the rest means of both
+blocks, the turns, the Earth's rate and the measured gravity (`tumble.likelihood`), by Gauss–Newton. The table's angles
+are not used. The estimate reaches the Cramér–Rao bound.
+
+Start, in closed form: verticals from nominal accelerometers; gyro parameters by one linear least-squares pass over the
+rests and over the verticals that the turns carry (the indirect method); headings carried along each chain of turns, and
+turned together by what the gyros see of the horizontal Earth's rate. A chain whose heading they hardly see (no better
+than UNSEEN) keeps it where it is: it is still an unknown of every step, so that it takes nothing from the parameters.
+
+Turns are integrated again about the current gyros wherever the second-order effect of the change since exceeds 1e-7 rad
+or a hundredth of the turn's noise.
+
+Scatter on top of the noise within rests: of the accelerometers and the gyros from rest to rest, and of the turns, each
+where the residuals of its group are larger than expected (SCATTER_PROBABILITY); then it is what makes the
+two equal. What is expected of a squared residual is its variance less what the fit takes, the leverage. A scatter of
+the gyros lasts through the turn that follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble._chain import carry
+from tumble.earth import EARTH_RATE
+from tumble.estimate import FIT_SIGMAS, Estimate, Fit, chance_of, sigmas
+from tumble.likelihood import (
+    NO_PRIOR,
+    Left,
+    Point,
+    Prior,
+    Problem,
+    Scatter,
+    Step,
+    TurnsAbout,
+    Weights,
+    left,
+    linearise,
+    solve,
+    weights,
+)
+from tumble.model import SensorModel
+from tumble.observe import Observations
+from tumble.rotation import skew
+from tumble.units import Array, BoolArray, IntArray
+
+MAX_ITERATIONS = 30
+CONVERGED = 1e-3  # of the standard uncertainty
+SQUARED = 10.0  # error after a step, in units of the spreads, over the square of the step
+SECOND_ORDER = 1e-7  # rad
+SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
+UNSEEN = 0.2  # rad: a heading that the gyros know to no better
+SCATTER_PROBABILITY = 0.25
+"""Scatter is estimated where chance alone would exceed the chi-square of a group less often than this. There are three
+groups: a limit at the median, as of the staged method, would find scatter in four of five sessions that have none, and
+give intervals that cover too much; a strict one would miss scatter that is there."""
+SCATTER_ROUNDS = 3
+SCATTER_STEPS = 30
+SCATTER_CONVERGED = 1e-2  # of the expected sum of squares
+LEFT_OUT = 1e4  # times its noise: what a rest or turn that is left out has
+ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
+ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
+
+GROUPS = ("accelerometers", "gyro rests", "gyro turns")
+TOTAL = "noise within rests"
+"""The name of the fit of everything before any scatter."""
+
+
+def joint(observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool = False) -> Estimate:
+    """All parameters of a session by maximum likelihood, with covariance and outcome. With `robust`, rests and turns
+    that do not fit are left out, the worst first, and keep the sigmas that say so."""
+    problem = Problem.of(observations, prior)
+    point, about, increments = _started(problem)
+    out = _Out.nothing(problem)
+    while True:
+        fitted = _fitted(problem, point, about, out)
+        increments += fitted.increments
+        rest_sigmas, turn_sigmas = _sigmas(fitted, out)
+        found = _worst(rest_sigmas, turn_sigmas, out) if robust else None
+        if found is None:
+            return _estimate(problem, fitted, increments, rest_sigmas, turn_sigmas)
+        point, about, out = fitted.point, fitted.about, found
+
+
+# Which rests and turns count
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Out:
+    """Rests (N,) and turns (K,) that are left out."""
+
+    rest: BoolArray
+    turn: BoolArray
+
+    @staticmethod
+    def nothing(problem: Problem) -> _Out:
+        turns = problem.observations.turns
+        return _Out(
+            rest=np.zeros(len(problem.link), dtype=bool), turn=np.zeros(0 if turns is None else len(turns), dtype=bool)
+        )
+
+    def weights(self, problem: Problem, scatter: Scatter) -> Weights:
+        """The weights of what is not left out."""
+        all_of_them = weights(problem, scatter)
+        if not (self.rest.any() or self.turn.any()):
+            return all_of_them
+        rest, turn = (np.where(out, 1.0 / LEFT_OUT, 1.0)[:, None, None] for out in (self.rest, self.turn))
+        return Weights(rest=rest * all_of_them.rest, turn=turn * all_of_them.turn)
+
+
+def _worst(rest_sigmas: Array, turn_sigmas: Array, out: _Out) -> _Out | None:
+    """With the rest or turn that fits worst left out too, if it does not fit."""
+    n = len(rest_sigmas)
+    every = np.where(np.append(out.rest, out.turn), 0.0, np.append(rest_sigmas, turn_sigmas))
+    worst = int(np.argmax(every))
+    if every[worst] <= FIT_SIGMAS:
+        return None
+    here = np.arange(len(every)) == worst
+    return _Out(rest=out.rest | here[:n], turn=out.turn | here[n:])
+
+
+# The start
+
+
+def _started(problem: Problem) -> tuple[Point, TurnsAbout | None, tuple[Array, ...]]:
+    """A point near the solution, in closed form, the turns about its gyros, and the step there from zero."""
+    observations = problem.observations
+    block, gyro_block = observations.accel_block, observations.gyro_block
+    accel = observations.start_values(block)
+    force = block.model(accel).apply(observations.rests.accel)
+    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    if gyro_block is None:
+        about, gyro = None, np.empty(0)
+    else:
+        about, gyro = _started_gyros(problem, vertical)
+    values = np.append(accel, gyro)
+    attitudes = _headings(problem, vertical, values, about)
+    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
+    return point, about, (point.values,)
+
+
+def _started_gyros(problem: Problem, vertical: Array) -> tuple[TurnsAbout | None, Array]:
+    """Gyro parameters from the means of the rests and the verticals that the turns carry, linearised once, and the
+    turns integrated about them."""
+    observations, up = problem.observations, problem.earth[1]
+    block = observations.gyro_block
+    assert block is not None
+    values = observations.start_values(block)
+    model = block.model(values)
+    median = np.median(observations.rests.gyro, axis=0)
+    values = block.parameters(SensorModel(matrix=model.matrix, bias=median))
+    if observations.turns is None:
+        return None, values
+    about = TurnsAbout.of(observations, block.model(values))
+    turns = about.turns
+    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(values))
+    by_rate = np.einsum("kipq,pqm->kim", turns.M, derivative[:, :3]) + turns.B @ derivative[:, 3]
+    back = np.einsum("kij,kj->ki", turns.C, vertical[turns.last])
+    rate = (observations.rests.gyro - about.model.bias) @ about.to_rate.T
+    by_rest = np.einsum("aqm,iq->iam", derivative[:, :3], up * vertical) + derivative[:, 3]
+    spread = problem.spread[problem.accel_count :]
+    jacobian = np.concatenate([
+        (skew(back) @ by_rate).reshape(-1, len(values)) / ROUGH_TURN,
+        by_rest.reshape(-1, len(values)) / EARTH_RATE,
+        np.diag(1.0 / spread),
+    ])  # fmt: skip
+    residual = np.concatenate([
+        (vertical[turns.first] - back).ravel() / ROUGH_TURN,
+        (rate - up * vertical).ravel() / EARTH_RATE,
+        np.zeros(len(values)),
+    ])  # fmt: skip
+    values = values + np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+    now = block.model(values)
+    return (about if np.all(_second_order(about, now) < ROUGH_EFFECT) else TurnsAbout.of(observations, now)), values
+
+
+def _headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
+    """Attitudes (N, 3, 3) with these verticals. With N', E' the axes of a chain whose heading is any, the rates at
+    rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a and s of each chain."""
+    observations, link = problem.observations, problem.link
+    attitudes = np.empty((len(vertical), 3, 3))
+    block = observations.gyro_block
+    if about is None:
+        C, turned = np.empty((0, 3, 3)), np.empty(0)
+    else:
+        C, turned = about.turns.C, about.turns.duration * problem.earth[1]
+    carry(np.ascontiguousarray(vertical), np.ascontiguousarray(C), link, turned, attitudes)
+    if block is None or problem.earth[0] == 0.0:
+        return attitudes
+    rate = problem.gyro_model(values).apply(observations.rests.gyro) - problem.earth[1] * vertical
+    chain = _chains(link)
+    count = np.bincount(chain)
+    level = attitudes[:, ::2]  # N' and E'
+    seen = _sums(np.einsum("iab,ib->ia", level, rate), chain)
+    axes = _sums(level.reshape(-1, 6), chain).reshape(-1, 2, 3)
+    normal = len(rate) * np.eye(3) - np.einsum("cab,cad,c->bd", axes, axes, 1.0 / count)
+    error = np.linalg.lstsq(normal, rate.sum(axis=0) - np.einsum("cab,ca,c->b", axes, seen, 1.0 / count), 1e-6)[0]
+    heading = seen - axes @ error
+    heading = (heading / np.linalg.norm(heading, axis=1, keepdims=True))[chain]
+    north = np.einsum("ia,iab->ib", heading, level)
+    return np.stack([north, vertical, np.cross(north, vertical)], axis=1)
+
+
+def _chains(link: IntArray) -> IntArray:
+    """The number (N,) of each rest's chain."""
+    return np.append(0, np.cumsum(link[:-1] < 0))
+
+
+def _sums(values: Array, chain: IntArray) -> Array:
+    """Sums of rows (N, c) over the chains."""
+    return np.asarray(np.add.reduceat(values, np.flatnonzero(np.diff(chain, prepend=-1)), axis=0))
+
+
+# Gauss–Newton
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Fitted:
+    """Where the iteration ended, its last step with what that leaves, and the fits of the groups."""
+
+    point: Point
+    about: TurnsAbout | None
+    step: Step
+    left: Left
+    scatter: Scatter
+    fits: Mapping[str, Fit]
+    increments: tuple[Array, ...]
+    converged: bool
+
+
+def _fitted(problem: Problem, point: Point, about: TurnsAbout | None, out: _Out) -> _Fitted:
+    """The solution with the scatter that it shows."""
+    scatter = Scatter()
+    point, about, step, increments = _iterated(problem, point, about, out.weights(problem, scatter))
+    without = left(problem, step)
+    for _ in range(SCATTER_ROUNDS):
+        found = _scattered(problem, point, about, scatter, out)
+        if found == scatter:
+            break
+        scatter = found
+        point, about, step, more = _iterated(problem, point, about, out.weights(problem, scatter))
+        increments += more
+    after = left(problem, step)
+    return _Fitted(
+        point=point,
+        about=about,
+        step=step,
+        left=after,
+        scatter=scatter,
+        fits=_fits(problem, after, scatter, without),
+        increments=increments,
+        converged=_negligible(problem, step),
+    )
+
+
+def _iterated(
+    problem: Problem, point: Point, about: TurnsAbout | None, weight: Weights
+) -> tuple[Point, TurnsAbout | None, Step, tuple[Array, ...]]:
+    """Gauss–Newton with these weights."""
+    increments: list[Array] = []
+    while True:
+        step = solve(problem, linearise(problem, point, about), weight)
+        point, moved = _moved(problem, point, step)
+        increments.append(moved)
+        before, about = about, _integrated(problem, point, about)
+        if (_negligible(problem, step) and about is before) or len(increments) == MAX_ITERATIONS:
+            return point, about, step, tuple(increments)
+
+
+def _negligible(problem: Problem, step: Step) -> bool:
+    """Whether what is left to do after a step is: Gauss–Newton squares the error, in units of the spreads."""
+    change, u = np.abs(step.solution.step), np.sqrt(np.diag(step.solution.covariance))
+    after = change * min(1.0, SQUARED * float(np.max(change / problem.spread)))
+    return bool(np.all(after <= CONVERGED * u + 1e-15))
+
+
+def _moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
+    """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
+    parameters. Chains whose heading is hardly seen keep it."""
+    share = 1.0 / max(1.0, float(np.max(np.abs(step.solution.step) / problem.spread)))
+    angles = share * step.angles
+    chain = _chains(problem.link)
+    n = problem.observations.accel_block.size
+    seen = _sums((step.whitened[0][:, n:, 2] ** 2).sum(axis=1, keepdims=True), chain)[:, 0]
+    mean = _sums(angles[:, 2:], chain)[:, 0] / np.bincount(chain)
+    angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[chain]
+    return point.moved(share * step.parameters, angles), share * step.solution.step
+
+
+def _integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
+    """The turns, integrated again if the gyros have moved too far since."""
+    if about is None:
+        return None
+    now = problem.gyro_model(point.values)
+    noise = np.sqrt(np.trace(about.turns.covariance, axis1=1, axis2=2) / 3.0)
+    if np.all(_second_order(about, now) <= np.minimum(SECOND_ORDER, SECOND_ORDER_SHARE * noise)):
+        return about
+    return TurnsAbout.of(problem.observations, now)
+
+
+def _second_order(about: TurnsAbout, now: SensorModel) -> Array:
+    """About how much (K,), rad, the rotations about another model err, being of first order in the change."""
+    E, offset = about.change(now)
+    path = np.sqrt((about.turns.M**2).sum(axis=(1, 2, 3)))  # about the angle of the turn
+    return np.asarray(0.5 * (np.linalg.norm(E) * path + np.linalg.norm(offset) * about.turns.duration) ** 2)
+
+
+# Scatter
+
+
+def _parts(after: Left) -> tuple[tuple[Array, Array], ...]:
+    """Residuals and variances of the groups, in the order of GROUPS."""
+    return after.accel, after.gyro, after.turn
+
+
+def _scattered(problem: Problem, point: Point, about: TurnsAbout | None, start: Scatter, out: _Out) -> Scatter:
+    """The scatter that makes the squares of each group that has one what they are expected to be: steps of Fisher
+    scoring, at one linearisation."""
+    rows = linearise(problem, point, about)
+    variance = np.array([start.accel, start.gyro, start.turn]) ** 2
+    active = variance > 0.0
+    for _ in range(SCATTER_STEPS):
+        scatter = Scatter(**dict(zip(("accel", "gyro", "turn"), np.sqrt(variance).tolist(), strict=True)))
+        weight = out.weights(problem, scatter)
+        parts = _parts(left(problem, solve(problem, rows, weight)))
+        squares = np.array([(r**2).sum() for r, _ in parts])
+        expected = np.array([v.sum() for _, v in parts])
+        if not active.any():
+            needed = [chance_of(s, e) < SCATTER_PROBABILITY and e > 0.5 for s, e in zip(squares, expected, strict=True)]
+            active = np.array(needed)
+        off = np.abs(squares - expected) > SCATTER_CONVERGED * expected
+        if not np.any(active & off & ((variance > 0.0) | (squares > expected))):
+            return scatter
+        gain = np.array([(v * g).sum() for (_, v), g in zip(parts, _inverse_variances(problem, weight), strict=True)])
+        change = (squares - expected) / np.where(gain > 0.0, gain, np.inf)
+        variance = np.where(active, np.maximum(variance + change, 0.0), 0.0)
+    return scatter
+
+
+def _inverse_variances(problem: Problem, weight: Weights) -> Iterator[Array]:
+    """Inverse variances of the rows of each group."""
+    n = problem.observations.accel_block.size
+    stop = n + problem.observations.rests.gyro.shape[1]
+    rest, turn = (weight.rest**2).sum(axis=2), (weight.turn**2).sum(axis=2)
+    yield from (rest[:, :n], rest[:, n:stop], turn)
+
+
+def _fits(problem: Problem, after: Left, scatter: Scatter, without: Left) -> dict[str, Fit]:
+    """Chi-square of every group there is, and of everything with the noise within rests alone."""
+    found = zip(
+        GROUPS, _parts(after), (scatter.accel, scatter.gyro, scatter.turn), ("m/s^2", "rad/s", "rad"), strict=True
+    )
+    out = {name: _fit([part], value, unit) for name, part, value, unit in found}
+    if problem.observations.gyro_block is None:
+        out = {GROUPS[0]: out[GROUPS[0]]}
+    return out | {TOTAL: _fit(list(_parts(without)), 0.0, "")}
+
+
+def _fit(parts: list[tuple[Array, Array]], scatter: float, unit: str) -> Fit:
+    return Fit(
+        chi_square=float(sum((r**2).sum() for r, _ in parts)),
+        degrees=float(sum(v.sum() for _, v in parts)),
+        scatter=scatter,
+        scatter_unit=unit,
+    )
+
+
+# What fits
+
+
+def _sigmas(fitted: _Fitted, out: _Out) -> tuple[Array, Array]:
+    """How far each rest (N,) and turn (K,) is from the fit, in sigmas: a rest by the worse of its blocks."""
+    scatter = fitted.scatter
+    accel, gyro, turn = (
+        _group_sigmas(part, fitted.fits[name].degrees if name in fitted.fits else 0.0, value > 0.0, left_out)
+        for part, name, value, left_out in zip(
+            _parts(fitted.left),
+            GROUPS,
+            (scatter.accel, scatter.gyro, scatter.turn),
+            (out.rest, out.rest, out.turn),
+            strict=True,
+        )
+    )
+    return np.maximum(accel, gyro), turn
+
+
+def _group_sigmas(part: tuple[Array, Array], degrees: float, scaled: bool, left_out: BoolArray) -> Array:
+    """Root of the squares of each rest or turn over what is expected of them. What is left out is judged by what all
+    others predict."""
+    residual, variance = part
+    free = variance.sum(axis=1)
+    z = np.sqrt((residual**2).sum(axis=1) / np.where(free > 1e-3, free, np.inf))
+    judged = sigmas(z, degrees, scaled)
+    if left_out.any():
+        predicted = 1.0 + LEFT_OUT**2 * np.maximum(1.0 - variance, 0.0)
+        own = LEFT_OUT * np.sqrt((residual**2).sum(axis=1) / np.maximum(predicted.sum(axis=1), 1e-300))
+        judged = np.where(left_out, own, judged)
+    return judged
+
+
+def _estimate(
+    problem: Problem,
+    fitted: _Fitted,
+    increments: tuple[Array, ...],
+    rest_sigmas: Array,
+    turn_sigmas: Array,
+) -> Estimate:
+    observations = problem.observations
+    blocks = [b for b in (observations.accel_block, observations.gyro_block) if b is not None]
+    values, solution = fitted.point.values, fitted.step.solution
+    accel = problem.accel_model(values)
+    force = accel.apply(observations.rests.accel)
+    return Estimate(
+        method="joint",
+        names=tuple(name for block in blocks for name in block.names),
+        units=tuple(unit for block in blocks for unit in block.units),
+        values=values,
+        covariance=solution.covariance,
+        observable=solution.observable,
+        null=solution.null,
+        accel=accel,
+        gyro=None if observations.gyro_block is None else problem.gyro_model(values),
+        rest_residual=np.linalg.norm(force, axis=1) - observations.site.gravity,
+        rest_sigmas=rest_sigmas,
+        turn_sigmas=turn_sigmas,
+        increments=increments,
+        fits=fitted.fits,
+        converged=fitted.converged,
+    )

@@ -1,0 +1,303 @@
+"""Acceptance limits of a device type, and the verdict on every parameter.
+
+In the file of limits (TOML), [incoming] and [periodic] give them by parameter ("accel.bias.x") or by kind
+("accel.bias"); the longer name goes before. A limit is "5 mg", which is ±5 mg about zero, or a table: min, max, or
+deviation, which is about the type's systematic value in the calibration file that `systematic` names.
+
+The decision rule is RULE. With the limits low, high and the expanded uncertainty U = 2u:
+
+    pass         low + U ≤ value ≤ high − U
+    fail         value < low − U  or  value > high + U
+    undecided    in between: in the guard band
+
+Source: ISO 14253-1 and JCGM 106:2012, 8.3 (guard band w = U on either side of a limit).
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from tumble.budget import UNITS
+from tumble.errors import InputError
+from tumble.frames import FRAMES
+from tumble.registry.records import OCCASIONS, Occasion, ParameterRow, calibration_of
+from tumble.units import quantity
+
+FORMAT = 1
+COVERAGE = 2.0
+"""U = COVERAGE · u."""
+
+RULE = (
+    "decision rule: pass where the value is inside the limits by at least U (k = 2), fail where it is outside by more "
+    "than U, otherwise undecided (guard band w = U: ISO 14253-1, JCGM 106)"
+)
+
+Result = Literal["pass", "fail", "undecided"]
+
+_KEYS = ("format", "frame", "systematic", "interval_months", "device_interval_months", *OCCASIONS)
+_FORMS = 'a text such as "5 mg", or a table with min and max, or one with deviation'
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limit:
+    """Between which values (SI) a parameter has to be; with `relative`, its deviation from the systematic value."""
+
+    low: float
+    high: float
+    relative: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limits:
+    """Acceptance limits of a device type by check and by parameter or kind; its systematic values (SI); months between
+    calibrations, of the type and of devices that have their own."""
+
+    frame: str
+    checks: Mapping[Occasion, Mapping[str, Limit]]
+    systematic: Mapping[str, float]
+    interval_months: int | None
+    device_interval_months: Mapping[str, int]
+
+    def interval(self, serial: str) -> int | None:
+        """Months between calibrations of a device."""
+        return self.device_interval_months.get(serial, self.interval_months)
+
+    def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
+        """The lowest and the highest value (SI) of a parameter; None where it has no limit."""
+        own = self.checks.get(occasion, {})
+        keys = [key for key in own if name == key or name.startswith(f"{key}.")]
+        if not keys:
+            return None
+        limit = own[max(keys, key=len)]
+        about = self.systematic.get(name, math.nan) if limit.relative else 0.0
+        return about + limit.low, about + limit.high
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Judgement:
+    """A parameter (SI) against its limits; `expanded` is U. A parameter that was not determined has no value."""
+
+    name: str
+    unit: str
+    value: float | None
+    expanded: float | None
+    low: float
+    high: float
+    result: Result
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verdict:
+    """Every parameter that has a limit, judged."""
+
+    occasion: Occasion
+    judgements: tuple[Judgement, ...]
+
+    @property
+    def result(self) -> Result:
+        """Fail if one fails, else undecided if one is, else pass."""
+        results = [j.result for j in self.judgements]
+        return "fail" if "fail" in results else "undecided" if "undecided" in results else "pass"
+
+    def reasons(self) -> list[str]:
+        """Which parameters do not pass, and why, in words."""
+        groups = {
+            "outside its limits": [j for j in self.judgements if j.result == "fail"],
+            "within the guard band": [j for j in self.judgements if j.result == "undecided" and j.expanded is not None],
+            "without U": [
+                j for j in self.judgements if j.result == "undecided" and j.expanded is None and j.value is not None
+            ],
+            "not determined": [j for j in self.judgements if j.value is None],
+        }
+        return [f"{what}: {', '.join(j.name for j in found)}" for what, found in groups.items() if found]
+
+
+def judge(
+    limits: Limits, occasion: Occasion, parameters: Iterable[ParameterRow], unobservable: Iterable[str] = ()
+) -> Verdict | None:
+    """The verdict on the parameters of a calibration in the frame of the limits; None where the limits have none for
+    such a check. Parameters that have a limit and were not determined do not pass: those that the calibration calls
+    `unobservable`, and a kind without any parameter."""
+    own = limits.checks.get(occasion)
+    if not own:
+        return None
+    rows = [row for row in parameters if row.launch == 0]
+    judged = [_judged(row, found) for row in rows if (found := limits.of(row.name, occasion)) is not None]
+    named = [*(row.name for row in rows), *unobservable]
+    missing = [name for name in unobservable if limits.of(name, occasion) is not None]
+    missing += [key for key in own if not any(name == key or name.startswith(f"{key}.") for name in named)]
+    judged += [_not_determined(name, limits.of(name, occasion) or (-math.inf, math.inf)) for name in missing]
+    return Verdict(occasion=occasion, judgements=tuple(judged))
+
+
+def _not_determined(name: str, limits: tuple[float, float]) -> Judgement:
+    low, high = limits
+    unit = UNITS[".".join(name.split(".")[:2])]
+    return Judgement(name=name, unit=unit, value=None, expanded=None, low=low, high=high, result="undecided")
+
+
+def _judged(row: ParameterRow, limits: tuple[float, float]) -> Judgement:
+    low, high = limits
+    expanded = None if row.u is None else COVERAGE * row.u
+    return Judgement(
+        name=row.name,
+        unit=row.unit,
+        value=row.value,
+        expanded=expanded,
+        low=low,
+        high=high,
+        result=judge_value(row.value, row.u, low, high),
+    )
+
+
+def judge_value(value: float, u: float | None, low: float, high: float) -> Result:
+    """The verdict on a value with its standard uncertainty (module docstring); undecided without one, or where a limit
+    is not a number."""
+    if u is None or math.isnan(low) or math.isnan(high):
+        return "undecided"
+    expanded = COVERAGE * u
+    if low + expanded <= value <= high - expanded:
+        return "pass"
+    return "fail" if value < low - expanded or value > high + expanded else "undecided"
+
+
+# -------------------- the file --------------------
+
+
+def read_limits(path: Path) -> tuple[str, str | None]:
+    """The text of a file of limits, and that of the calibration file it names, both checked.
+
+    Raises InputError, one line."""
+    text = _text(path)
+    named = _content(text, str(path)).get("systematic")
+    systematic = None
+    if named is not None:
+        if not isinstance(named, str) or not named:
+            raise InputError(f"{path}: systematic: expected the name of a calibration file, found {named!r}")
+        systematic = _text(path.parent / named)
+    parse_limits(text, systematic, str(path))
+    return text, systematic
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: expected UTF-8 text, found {error}") from error
+
+
+def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
+    """The limits of the text of a file and of the calibration it names. Raises InputError, one line."""
+    content = _content(text, name)
+    frame = content.get("frame", "accelerometer")
+    if frame not in FRAMES:
+        raise InputError(f"{name}: frame: expected one of {', '.join(FRAMES)}, found {frame!r}")
+    checks = {occasion: _check(content[occasion], occasion, name) for occasion in OCCASIONS if occasion in content}
+    if not any(checks.values()):
+        raise InputError(f"{name}: expected limits in [incoming] or [periodic], found none")
+    limits = Limits(
+        frame=frame,
+        checks=checks,
+        systematic={} if systematic is None else _systematic(systematic, frame, name),
+        interval_months=None if "interval_months" not in content else _months(content, "interval_months", name),
+        device_interval_months=_device_months(content, name),
+    )
+    _check_relative(limits, name)
+    return limits
+
+
+def _content(text: str, name: str) -> dict[str, Any]:
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{name}: expected TOML, found an error in its syntax: {error}") from None
+    if content.get("format") != FORMAT:
+        raise InputError(f"{name}: format: expected {FORMAT}, found {content.get('format', 'none')!r}")
+    for key in content:
+        if key not in _KEYS:
+            raise InputError(f"{name}: expected the keys {', '.join(_KEYS)}, found {key!r}")
+    return content
+
+
+def _check(content: Any, occasion: str, name: str) -> Mapping[str, Limit]:
+    if not isinstance(content, dict):
+        raise InputError(f"{name}: {occasion}: expected a table of limits, found {content!r}")
+    return {key: _limit(key, value, f"{name}: {occasion}: {key}") for key, value in content.items()}
+
+
+def _limit(key: str, value: Any, where: str) -> Limit:
+    kind = ".".join(key.split(".")[:2])
+    if kind not in UNITS:
+        raise InputError(f'{where}: expected a quoted name such as "accel.bias" or "gyro.axis.xy", found another')
+    if isinstance(value, str):
+        size = _size(value, kind, where)
+        return Limit(low=-size, high=size, relative=False)
+    if isinstance(value, dict) and set(value) == {"deviation"}:
+        size = _size(value["deviation"], kind, where)
+        return Limit(low=-size, high=size, relative=True)
+    if isinstance(value, dict) and value and set(value) <= {"min", "max"}:
+        low = _number(value["min"], kind, where) if "min" in value else -math.inf
+        high = _number(value["max"], kind, where) if "max" in value else math.inf
+        if low < high:
+            return Limit(low=low, high=high, relative=False)
+        raise InputError(f"{where}: expected a min below max, found {value['min']!r} and {value['max']!r}")
+    raise InputError(f"{where}: expected {_FORMS}, found {value!r}")
+
+
+def _number(value: Any, kind: str, where: str) -> float:
+    if not isinstance(value, str):
+        raise InputError(f"{where}: expected {_FORMS}, found {value!r}")
+    try:
+        return quantity(value, UNITS[kind])
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _size(value: Any, kind: str, where: str) -> float:
+    size = _number(value, kind, where)
+    if size <= 0.0:
+        raise InputError(f"{where}: expected more than 0, found {value!r}")
+    return size
+
+
+def _months(content: Mapping[str, Any], key: str, name: str) -> int:
+    months = content[key]
+    if isinstance(months, bool) or not isinstance(months, int) or not 1 <= months <= 1200:
+        raise InputError(f"{name}: {key}: expected a whole number of months from 1 to 1200, found {months!r}")
+    return months
+
+
+def _device_months(content: Mapping[str, Any], name: str) -> Mapping[str, int]:
+    own = content.get("device_interval_months", {})
+    if not isinstance(own, dict):
+        raise InputError(f"{name}: device_interval_months: expected a table of serial numbers, found {own!r}")
+    return {serial: _months(own, serial, f"{name}: device_interval_months") for serial in own}
+
+
+def _systematic(text: str, frame: str, name: str) -> Mapping[str, float]:
+    calibration = calibration_of(text, f"{name}: systematic")
+    if calibration.frame != frame:
+        raise InputError(
+            f"{name}: systematic: expected a calibration in the frame {frame!r} of the limits, found "
+            f"{calibration.frame!r}"
+        )
+    return {p.name: p.value for p in calibration.parameters}
+
+
+def _check_relative(limits: Limits, name: str) -> None:
+    """That there is a systematic value for every limit that is about one."""
+    for occasion, own in limits.checks.items():
+        for key, limit in own.items():
+            known = any(p == key or p.startswith(f"{key}.") for p in limits.systematic)
+            if limit.relative and not known:
+                raise InputError(
+                    f"{name}: {occasion}: {key}: expected a systematic value to deviate from, found none; name a "
+                    "calibration file that has it: systematic = FILE"
+                )

@@ -1,0 +1,70 @@
+"""The parameters of a device over time against the limits of the periodic check that are in force now.
+
+The verdict on a record is by the limits that were in force when it was added (`series.verdict_of`); here the whole
+history is seen against the present ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from tumble.errors import InputError
+from tumble.registry.connect import Registry
+from tumble.registry.limits import Limits, judge_value, parse_limits
+from tumble.registry.records import Record
+from tumble.registry.series import series_of
+from tumble.registry.store import latest_record, limits_in_force
+from tumble.registry.trend import Trend, trend_of
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Monitored:
+    """The latest record of a device, its trends in a `frame`, and the limits (SI) that are in force, by name."""
+
+    latest: Record
+    frame: str
+    trends: Sequence[Trend]
+    limits: Mapping[str, tuple[float, float]]
+
+    def latest_verdicts(self) -> Mapping[str, str]:
+        """The verdict on the latest value of every parameter that has limits."""
+        return {t.series.name: self._verdict(t, -1) for t in self.trends if t.series.name in self.limits}
+
+    def verdicts(self) -> Mapping[int, str]:
+        """The verdicts on the first parameter in every record, by number."""
+        first = self.trends[0]
+        if first.series.name not in self.limits:
+            return {}
+        return {point.number: self._verdict(first, i) for i, point in enumerate(first.series.points)}
+
+    def _verdict(self, trend: Trend, i: int) -> str:
+        point = trend.series.points[i]
+        return judge_value(point.value, point.u, *self.limits[trend.series.name])
+
+
+def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitored:
+    """The trends of a device, or of one of its parameters.
+
+    The frame is that of the limits, or without limits that of the latest record. Raises InputError for an unknown
+    device or parameter, and for a record in another frame that cannot be taken to this one."""
+    latest = latest_record(registry, serial)
+    limits = _in_force(registry, latest)
+    frame = latest.frame if limits is None else limits.frame
+    series = series_of(registry, serial, frame)
+    chosen = [own for own in series if parameter in (None, own.name)]
+    if not chosen:
+        known = ", ".join(own.name for own in series)
+        raise InputError(f"device {serial!r}: expected one of {known}, found {parameter!r}")
+    known_limits = {} if limits is None else {own.name: limits.of(own.name, "periodic") for own in chosen}
+    return Monitored(
+        latest=latest,
+        frame=frame,
+        trends=[trend_of(own) for own in chosen],
+        limits={name: own for name, own in known_limits.items() if own is not None},
+    )
+
+
+def _in_force(registry: Registry, latest: Record) -> Limits | None:
+    own = None if latest.model is None else limits_in_force(registry).get(latest.model)
+    return None if own is None else parse_limits(own.file, own.systematic, f"limits {own.number}")

@@ -1,0 +1,225 @@
+"""A calibration file as something to add, and records as they are read back.
+
+A file is known by its content: the SHA-256 of its JSON with sorted keys and without blanks. The same calibration is the
+same record however its file is laid out or called.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+from tumble.errors import CalibrationError, InputError
+
+if TYPE_CHECKING:
+    from tumble.calibration import Calibration, Parameter
+
+Occasion = Literal["incoming", "periodic"]
+State = Literal["as-found", "as-left", "unchanged"]
+OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
+STATES: tuple[State, ...] = get_args(State)
+"""Before an adjustment, after it, or without one: then the device leaves as it was found."""
+
+LONGEST_NAME = 200
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ParameterRow:
+    """A parameter of the result (`launch` 0) or of a launch (from 1): value and standard uncertainty, SI."""
+
+    launch: int
+    name: str
+    value: float
+    u: float | None
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LaunchRow:
+    """A power-on behind a calibration, and the hash of its log."""
+
+    session: str | None
+    log_sha256: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Particulars:
+    """What a calibration file does not say: when the device was calibrated (default: when the file was made), at what
+    check (default: `incoming` for the first record of a device, then `periodic`), in what state, and which record this
+    one corrects, and why."""
+
+    performed: datetime | None = None
+    occasion: Occasion | None = None
+    state: State = "unchanged"
+    supersedes: int | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Submission:
+    """A calibration to add. `name` is what messages call it, `file` the whole text of its file."""
+
+    name: str
+    sha256: str
+    serial: str
+    model: str | None
+    method: str
+    frame: str
+    performed: datetime
+    particulars: Particulars
+    launches: tuple[LaunchRow, ...]
+    parameters: tuple[ParameterRow, ...]
+    file: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Record:
+    """A calibration in the registry. `limits` is the number of the acceptance limits that were in force."""
+
+    number: int
+    sha256: str
+    serial: str
+    model: str | None
+    method: str
+    frame: str
+    performed: datetime
+    occasion: Occasion
+    state: State
+    limits: int | None
+    supersedes: int | None
+    superseded_by: int | None
+    reason: str | None
+    added: datetime
+
+
+def read_submission(path: Path, particulars: Particulars) -> Submission:
+    """The calibration of a file, to be added.
+
+    Raises InputError, one line: no calibration file, one that was not accepted, a name that cannot be printed, a number
+    that is not finite, a date that is missing or in the future."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise CalibrationError(f"{path}: expected a calibration file of tumble, found {error}") from error
+    return submission(text, str(path), particulars)
+
+
+def submission(text: str, name: str, particulars: Particulars) -> Submission:
+    """The calibration of the text of a file, to be added, as `read_submission`."""
+    calibration = calibration_of(text, name)
+    if not calibration.outcome.accepted:
+        raise InputError(
+            f"{name}: expected an accepted calibration, found one that was not: {calibration.outcome.reasons[0]}"
+        )
+    if not calibration.parameters:
+        raise InputError(f"{name}: parameters: expected at least one, found none")
+    parameters = tuple(all_parameter_rows(calibration))
+    _check_names(calibration, parameters, name)
+    _check_numbers(parameters, name)
+    return Submission(
+        name=name,
+        sha256=content_sha256(text),
+        serial=calibration.serial,
+        model=calibration.model,
+        method=calibration.method,
+        frame=calibration.frame,
+        performed=_performed(calibration, particulars, name),
+        particulars=particulars,
+        launches=_launch_rows(calibration),
+        parameters=parameters,
+        file=text,
+    )
+
+
+def calibration_of(text: str, name: str) -> Calibration:
+    """The calibration of the text of a file; in messages the file is called `name`."""
+    from tumble.calibration import read_calibration
+
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "calibration.json"
+        copy.write_text(text, encoding="utf-8")
+        try:
+            return read_calibration(copy)
+        except CalibrationError as error:
+            raise CalibrationError(str(error).replace(str(copy), name)) from error
+
+
+def content_sha256(text: str) -> str:
+    """SHA-256 of the content of a JSON text (module docstring)."""
+    canonical = json.dumps(json.loads(text), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def utc(text: str, where: str) -> datetime:
+    """A date or a time of day from ISO 8601; without an offset it is UTC."""
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError(f"{where}: expected a date such as 2026-03-31, found {text!r}") from None
+    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+
+def all_parameter_rows(calibration: Calibration) -> Iterable[ParameterRow]:
+    """Parameters of a calibration and of its launches."""
+    yield from parameter_rows(calibration.parameters)
+    for number, launch in enumerate(calibration.launches, 1):
+        yield from (replace(row, launch=number) for row in parameter_rows(launch.parameters))
+
+
+def parameter_rows(parameters: Iterable[Parameter]) -> Iterable[ParameterRow]:
+    """Parameters of a result."""
+    for p in parameters:
+        yield ParameterRow(launch=0, name=p.name, value=p.value, u=p.u, unit=p.unit)
+
+
+def _launch_rows(calibration: Calibration) -> tuple[LaunchRow, ...]:
+    if calibration.launches:
+        return tuple(LaunchRow(session=x.session, log_sha256=x.log_sha256) for x in calibration.launches)
+    return (LaunchRow(session=None, log_sha256=calibration.provenance.get("log_sha256", "")),)
+
+
+def _performed(calibration: Calibration, particulars: Particulars, name: str) -> datetime:
+    performed = particulars.performed
+    if performed is None:
+        if "created" not in calibration.provenance:
+            raise InputError(f"{name}: provenance.created: expected a time, found none; give --date")
+        performed = utc(calibration.provenance["created"], f"{name}: provenance.created")
+    if performed > datetime.now(UTC) + timedelta(days=1):
+        raise InputError(f"{name}: expected a date that is past, found {performed:%Y-%m-%d}; give --date")
+    return performed
+
+
+def _check_names(calibration: Calibration, parameters: Iterable[ParameterRow], name: str) -> None:
+    """That names can be printed, kept by every database, and told from one another."""
+    texts = {"device.serial": [calibration.serial], "device.model": [calibration.model or "-"]}
+    texts |= {"method": [calibration.method], "frame": [calibration.frame]}
+    texts |= {"parameters": [text for row in parameters for text in (row.name, row.unit)]}
+    texts |= {"launches": [x.session or "-" for x in calibration.launches]}
+    for key, values in texts.items():
+        for value in values:
+            if not value.strip() or not value.isprintable() or len(value) > LONGEST_NAME:
+                raise InputError(
+                    f"{name}: {key}: expected 1 to {LONGEST_NAME} printable characters, found {value[:40]!r}"
+                )
+    for launch in range(1 + len(calibration.launches)):
+        names = [row.name for row in parameters if row.launch == launch]
+        for i, own in enumerate(names):
+            if own in names[:i]:
+                raise InputError(f"{name}: parameters: expected every name once, found {own!r} twice")
+
+
+def _check_numbers(parameters: Iterable[ParameterRow], name: str) -> None:
+    for row in parameters:
+        if not math.isfinite(row.value) or (row.u is not None and not 0.0 <= row.u < math.inf):
+            raise InputError(
+                f"{name}: {row.name}: expected a finite value and a u of 0 or more, found {row.value} and {row.u}"
+            )

@@ -1,0 +1,214 @@
+"""What the calibrations of a device say together: run to run, drift a year, as found against as left.
+
+A parameter y, calibrated at the times t_i (years), is modelled as
+
+    y_i = a_s + b t_i + e_i,    var e_i = v_i = u_i² + τ²            one launch
+                                      v_i = max(u_i², Σ_l u_il²/L² + τ²/L)    the mean of L launches
+
+b is the drift; an adjustment (a record `as-left`) begins a new stretch s with its own a_s. τ is the instability from
+run to run (power-on to power-on): what one calibration cannot know of the next one. It is the scatter at which the
+chi-squares of the residuals about the line and of the launches about their means,
+
+    Σ_i (y_i − a_s − b t_i)²/v_i + Σ_i Σ_l (y_il − ȳ_i)²/(u_il² + τ²) = ν,    ν = n − p + Σ_i (L_i − 1),
+
+are together what their degrees of freedom ν expect (p parameters a_s, b); zero where they are less already. Then b and
+its variance follow by weighted least squares, and U = t(ν) u(b) with Student's t for 95.45 %, the probability of ±2u of
+a normal distribution.
+
+The u_i contain the uncertainty of gravity, which is the same every time and hence no part of a drift or of a change:
+both are stated larger than they need be for scale factors of accelerometers.
+
+Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from itertools import pairwise
+
+import numpy as np
+from scipy import special
+
+from tumble.estimate import scatter_of
+from tumble.registry.series import Point, Series
+from tumble.units import Array
+
+YEAR = timedelta(days=365.25)
+COVERAGE = 2.0
+COVERED = float(special.ndtr(COVERAGE))
+"""One-sided probability of ±COVERAGE standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Drift:
+    """A drift in SI a year with its standard and its expanded uncertainty; without degrees of freedom nothing says how
+    unstable the device is from run to run, and there is no expanded one. The line: `level` (SI) at `since` (years
+    since the first calibration) in the last stretch."""
+
+    per_year: float
+    u: float
+    degrees: int
+    expanded: float | None
+    level: float
+    since: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Change:
+    """What changed between two records: value and U (k = 2), SI, and E_n = value/U. Not by `adjustment`: in use."""
+
+    earlier: int
+    later: int
+    adjustment: bool
+    value: float
+    expanded: float | None
+
+    @property
+    def e_n(self) -> float | None:
+        """E_n number: above 1 the two contradict each other, and the device has changed."""
+        return None if not self.expanded else self.value / self.expanded
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Trend:
+    """A parameter over time. `run_to_run` is the standard deviation of launches about the means of their calibrations,
+    SI, with its degrees of freedom; `instability` is τ; None where no two launches or calibrations show it."""
+
+    series: Series
+    run_to_run: float | None
+    run_to_run_degrees: int
+    instability: float | None
+    drift: Drift | None
+    changes: tuple[Change, ...]
+
+    @property
+    def last_change(self) -> Change | None:
+        """As left against as found: the last change that was not an adjustment."""
+        return next((change for change in reversed(self.changes) if not change.adjustment), None)
+
+
+def trend_of(series: Series) -> Trend:
+    """Run-to-run instability, drift and changes of a parameter."""
+    points = series.points
+    spreads = [launch_values(p) for p in points if len(p.launches) > 1]
+    degrees = sum(len(values) - 1 for values in spreads)
+    squares = sum(float(np.sum((values - values.mean()) ** 2)) for values in spreads)
+    instability, drift = _instability_and_drift(points)
+    return Trend(
+        series=series,
+        run_to_run=math.sqrt(squares / degrees) if degrees else None,
+        run_to_run_degrees=degrees,
+        instability=instability,
+        drift=drift,
+        changes=tuple(_changes(points)),
+    )
+
+
+def launch_values(point: Point) -> Array:
+    """The values (L,) of the launches behind a point."""
+    return np.array([value for value, _ in point.launches])
+
+
+def years(points: Sequence[Point]) -> Array:
+    """When points were measured, years since the first."""
+    return np.array([(p.performed - points[0].performed) / YEAR for p in points], dtype=float)
+
+
+def _changes(points: Sequence[Point]) -> Iterable[Change]:
+    for earlier, later in pairwise(points):
+        known = earlier.u is not None and later.u is not None
+        yield Change(
+            earlier=earlier.number,
+            later=later.number,
+            adjustment=later.state == "as-left",
+            value=later.value - earlier.value,
+            expanded=COVERAGE * math.hypot(earlier.u or 0.0, later.u or 0.0) if known else None,
+        )
+
+
+# -------------------- drift --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Line:
+    """Weighted least squares at some τ: the values, their covariance, and chi-square."""
+
+    values: Array
+    covariance: Array
+    chi_square: float
+
+
+def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift | None]:
+    """τ and the drift, as far as the points say anything about them (module docstring)."""
+    if not points or not all(_certain(p) for p in points):
+        return None, None
+    X = _design(points)
+    y = np.array([p.value for p in points])
+    degrees = len(points) - X.shape[1] + sum(max(len(p.launches) - 1, 0) for p in points)
+    tau = None
+    if degrees > 0:
+        start = float(np.median([p.u or 0.0 for p in points]))
+        tau = scatter_of(lambda t: _line(X, y, points, t).chi_square + _within(points, t) - degrees, start)
+    line = _line(X, y, points, tau or 0.0)
+    stretches = _stretch(points)[-1] + 1
+    if X.shape[1] == stretches:  # no column of times
+        return tau, None
+    u = math.sqrt(float(line.covariance[-1, -1]))
+    return tau, Drift(
+        per_year=float(line.values[-1]),
+        u=u,
+        degrees=degrees,
+        expanded=float(special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
+        level=float(line.values[stretches - 1]),
+        since=float(years(points).mean()),
+    )
+
+
+def _certain(point: Point) -> bool:
+    """Whether a point and its launches have uncertainties."""
+    return bool(point.u) and all(u for _, u in point.launches)
+
+
+def _stretch(points: Sequence[Point]) -> list[int]:
+    """The number of the stretch between adjustments each point is in, from 0."""
+    begins = [i > 0 and p.state == "as-left" for i, p in enumerate(points)]
+    return [int(n) for n in np.cumsum(begins)]
+
+
+def _design(points: Sequence[Point]) -> Array:
+    """A column for the level of each stretch and, where any has two times, one of the years since their mean."""
+    stretch = np.array(_stretch(points))
+    t = years(points)
+    levels: Array = (stretch[:, None] == np.arange(stretch[-1] + 1)).astype(float)
+    if all(np.ptp(t[stretch == s]) == 0.0 for s in range(stretch[-1] + 1)):
+        return levels
+    return np.asarray(np.column_stack([levels, t - t.mean()]))
+
+
+def _variance(point: Point, tau: float) -> float:
+    u = point.u or 0.0
+    if not point.launches:
+        return u**2 + tau**2
+    own = [w or 0.0 for _, w in point.launches]
+    return max(u**2, sum(w**2 for w in own) / len(own) ** 2 + tau**2 / len(own))
+
+
+def _line(X: Array, y: Array, points: Sequence[Point], tau: float) -> _Line:
+    u = np.sqrt([_variance(p, tau) for p in points])
+    Q, R = np.linalg.qr(X / u[:, None])
+    values = np.linalg.solve(R, Q.T @ (y / u))
+    inverse = np.linalg.inv(R)
+    return _Line(values=values, covariance=inverse @ inverse.T, chi_square=float(np.sum(((y - X @ values) / u) ** 2)))
+
+
+def _within(points: Sequence[Point], tau: float) -> float:
+    """Chi-square of the launches about the means of their calibrations."""
+    total = 0.0
+    for point in points:
+        if len(point.launches) > 1:
+            values, u = launch_values(point), np.array([w or 0.0 for _, w in point.launches])
+            total += float(np.sum((values - values.mean()) ** 2 / (u**2 + tau**2)))
+    return total

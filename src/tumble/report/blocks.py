@@ -1,0 +1,116 @@
+"""What a report is made of: sections of blocks, each a few kinds of content that every kind of output can show.
+
+The blocks hold plain text and SVG pictures, never markup: the templates of HTML and PDF show the same blocks, and what
+came from a file is data to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Text:
+    """A paragraph; `tone` says whether it is good news or bad."""
+
+    text: str
+    tone: Literal["plain", "small", "good", "bad"] = "plain"
+    kind: Literal["text"] = "text"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Items:
+    """A list of sentences."""
+
+    items: tuple[str, ...]
+    tone: Literal["plain", "bad"] = "plain"
+    kind: Literal["items"] = "items"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Facts:
+    """Pairs of a name and what it is."""
+
+    rows: tuple[tuple[str, str], ...]
+    kind: Literal["facts"] = "facts"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Table:
+    """Rows of cells. Columns in `text` are words, set to the left; all others are numbers, set to the right."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    text: tuple[int, ...] = (0,)
+    caption: str = ""
+    dense: bool = False
+    kind: Literal["table"] = "table"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Figure:
+    """A picture as SVG, `width` as part of the page, what it says in words for those who do not see it."""
+
+    svg: str
+    caption: str
+    width: float = 1.0
+    kind: Literal["figure"] = "figure"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Matrix:
+    """A matrix or a column vector (n × 1) of numbers with its symbol and its unit."""
+
+    symbol: str
+    rows: tuple[tuple[str, ...], ...]
+    unit: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Matrices:
+    """Matrices side by side, as far as there is room."""
+
+    matrices: tuple[Matrix, ...]
+    kind: Literal["matrices"] = "matrices"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Formula:
+    """One of the formulas that the templates know by name: the sensor model, the axes matrix, how to apply."""
+
+    name: Literal["model", "axes", "apply"]
+    kind: Literal["formula"] = "formula"
+
+
+Block = Text | Items | Facts | Table | Figure | Matrices | Formula
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Section:
+    """A heading and what stands under it."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Part:
+    """Sections under one title; a report of one calibration has a single part without a title."""
+
+    title: str
+    sections: tuple[Section, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Document:
+    """A whole report: the device, whether all its calibrations are accepted, facts for the first page, when the latest
+    calibration was made (ISO 8601), and the parts."""
+
+    title: str
+    device: str
+    accepted: bool
+    verdict: str
+    facts: tuple[tuple[str, str], ...]
+    created: str
+    parts: tuple[Part, ...]

@@ -1,0 +1,267 @@
+"""Figures of a report as SVG for a page of HTML and for typst: letters are outlines, nothing is loaded, no font either;
+the same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from tumble.calibration import Calibration, Parameter, RestResult, SensorsAtRest, TurnResult
+from tumble.estimate import FIT_SIGMAS
+from tumble.report.characters import drawable
+from tumble.report.numbers import raised
+from tumble.text import shown_units
+from tumble.units import G_STANDARD, Array, engineering
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+INK, GREY, FAINT = "#1c2733", "#6b7785", "#d5dae0"
+COLOURS = ("#1f4e79", "#c0561a", "#3d7d52", "#7d4f93", "#a08020", "#58728c")
+"""For accelerometers, gyros, or the sensors of a block in turn."""
+
+PAGE = 6.7
+"""Width of a figure as wide as the page, inches."""
+
+_STYLE: Any = {
+    "svg.fonttype": "path",
+    "svg.hashsalt": "tumble",
+    "text.parse_math": False,
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "text.color": INK,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.unicode_minus": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 8.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 7.5,
+    "lines.linewidth": 1.2,
+}
+_DATA_OF_THE_FILE = {"Creator": None, "Date": None, "Format": None, "Type": None}
+
+
+def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
+    """The SVG of a figure of this size in inches that `draw` fills. `name` is put before every identifier in it:
+    several figures of a page share one name space."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        draw(figure)
+        out = io.StringIO()
+        figure.savefig(out, format="svg", metadata=_DATA_OF_THE_FILE, transparent=True)
+    return _for_a_page(out.getvalue(), name)
+
+
+def _for_a_page(svg: str, name: str) -> str:
+    """The svg element alone, its identifiers made this figure's own, without comments."""
+    svg = re.sub(r"<!--.*?-->", "", svg[svg.index("<svg") :], flags=re.DOTALL)
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\bid="', f'id="{name}-', svg)
+    svg = re.sub(r'href="#', f'href="#{name}-', svg)
+    svg = svg.replace("url(#", f"url(#{name}-")
+    return re.sub(r"\s*\n\s*", "\n", svg).strip()
+
+
+def _grid(axes: Axes) -> None:
+    axes.grid(axis="y", color=FAINT, linewidth=0.5)
+    axes.set_axisbelow(True)
+
+
+def _rest_ticks(axes: Axes, count: int) -> None:
+    step = max(1, round(count / 25))
+    axes.set_xticks(range(1, count + 1, step))
+    axes.set_xlim(0.4, count + 0.6)
+
+
+def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult]) -> str:
+    """Residual of every rest, and how many sigmas rests and turns are from the fit."""
+    numbers = np.arange(1, len(rests) + 1)
+
+    def draw(figure: Figure) -> None:
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.25, 1.0))
+        values = np.array([rest.residual for rest in rests])
+        size, unit = engineering("m/s^2", float(np.sqrt(np.mean(values**2))))
+        top.axhline(0.0, color=GREY, linewidth=0.6)
+        top.bar(numbers, values / size, width=0.55, color=COLOURS[0])
+        top.set(ylabel=unit, title="|corrected reading| − g")
+        bottom.plot(numbers, [rest.sigmas for rest in rests], "o", markersize=4, color=COLOURS[0], label="rests")
+        if turns:
+            between = [0.5 * (turn.first + turn.last) + 1.0 for turn in turns]
+            sigmas = [turn.sigmas for turn in turns]
+            bottom.plot(between, sigmas, "D", markersize=3.5, color=COLOURS[1], label="turns")
+        bottom.axhline(FIT_SIGMAS, color="#b02a2a", linewidth=0.8, linestyle="--", label="limit")
+        bottom.set(ylabel="sigmas", xlabel="rest", title="distance from the fit", ylim=(0.0, None))
+        figure.legend(*bottom.get_legend_handles_labels(), loc="outside lower right", ncols=3)
+        for axes in (top, bottom):
+            _grid(axes)
+        _rest_ticks(bottom, len(rests))
+
+    return drawn(name, PAGE, 3.5, draw)
+
+
+def correlations(name: str, names: Sequence[str], correlation: Array) -> str:
+    """Heat map of the correlation coefficients, with their values in hundredths."""
+    count = len(names)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        edges = np.arange(count + 1) - 0.5
+        lower = np.where(np.tri(count, dtype=bool), correlation, np.nan)
+        mesh = axes.pcolormesh(
+            edges, edges, lower, cmap="RdBu_r", vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=0.4
+        )
+        axes.set_aspect("equal")
+        axes.invert_yaxis()
+        for p in range(count):
+            for q in range(p):
+                _coefficient(axes, p, q, round(100.0 * float(correlation[p, q])))
+        labels = [drawable(label) for label in names]
+        axes.set_xticks(range(count), labels, rotation=90)
+        axes.set_yticks(range(count), labels)
+        axes.tick_params(length=0.0, labelsize=6.5)
+        axes.spines[:].set_visible(False)
+        bar = figure.colorbar(mesh, ax=axes, shrink=0.5, pad=0.01, label="correlation coefficient")
+        bar.outline.set_visible(False)
+        bar.solids.set(rasterized=False, edgecolor="face")
+
+    return drawn(name, PAGE, 0.86 * PAGE, draw)
+
+
+def _coefficient(axes: Axes, row: int, column: int, hundredths: int) -> None:
+    if hundredths:
+        colour = "white" if abs(hundredths) > 60 else INK
+        text = f"{hundredths}".replace("-", "−")
+        axes.text(column, row, text, ha="center", va="center", fontsize=5.0, color=colour, in_layout=False)
+
+
+def convergence(name: str, steps: Sequence[Mapping[str, float]], parameters: Sequence[Parameter]) -> str:
+    """The largest increment of each kind of parameter in every iteration, in units of its standard uncertainty."""
+    kinds: dict[str, list[Parameter]] = {}
+    for p in parameters:
+        if p.u:
+            kinds.setdefault(".".join(p.name.split(".")[:2]), []).append(p)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for i, (kind, alike) in enumerate(kinds.items()):
+            sizes = np.array([max(abs(step.get(p.name, 0.0)) / (p.u or 1.0) for p in alike) for step in steps])
+            shown = np.where(sizes > 0.0, sizes, np.nan)
+            axes.plot(
+                np.arange(1, len(steps) + 1), shown, "o-", markersize=3, color=COLOURS[i % 6], label=drawable(kind)
+            )
+        axes.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
+        axes.set(yscale="log", xlabel="iteration", ylabel="largest increment / u")
+        axes.yaxis.set_major_formatter(lambda value, _: f"10{raised(round(np.log10(value)))}")
+        axes.yaxis.set_minor_formatter("")
+        axes.set_xticks(range(1, len(steps) + 1))
+        _grid(axes)
+        figure.legend(loc="outside right center")
+
+    return drawn(name, PAGE, 2.3, draw)
+
+
+def noise_and_drift(name: str, rests: Sequence[RestResult], sensors: Mapping[str, Sequence[str]]) -> str:
+    """Noise density and drift of every sensor at every rest, and the temperature; `sensors` are the names of those of
+    "accel" and "gyro"."""
+    kinds = [("accel", "m/s^2", "accelerometers"), ("gyro", "rad/s", "gyros")]
+    present = [kind for kind in kinds if all(getattr(rest, kind[0]) is not None for rest in rests)]
+    temperatures = [rest.temperature for rest in rests if rest.temperature is not None]
+    warm = len(temperatures) == len(rests)
+
+    def draw(figure: Figure) -> None:
+        rows = figure.subplots(len(present) + warm, 2, squeeze=False)
+        for (noise, drift), (kind, unit, title) in zip(rows, present, strict=False):
+            seen: list[SensorsAtRest] = [getattr(rest, kind) for rest in rests]
+            _per_rest(noise, np.array([s.noise for s in seen]), unit, "/√Hz", sensors[kind])
+            _per_rest(drift, np.array([s.drift for s in seen]), unit, "", sensors[kind])
+            noise.set(ylim=(0.0, None), title=f"{title}: noise density")
+            drift.set(title=f"{title}: drift over a rest")
+            noise.legend(loc="lower left", ncols=3, handlelength=1.0, columnspacing=1.0)
+        if warm:
+            left, right = rows[-1]
+            right.set_visible(False)
+            left.plot(range(1, len(rests) + 1), temperatures, "o-", markersize=2.5, color=INK, linewidth=0.7)
+            left.set(title="temperature", ylabel="°C")
+            _grid(left)
+            _rest_ticks(left, len(rests))
+        for axes in rows[-1]:
+            axes.set_xlabel("rest")
+
+    return drawn(name, PAGE, 1.65 * (len(present) + warm) + 0.1, draw)
+
+
+def _per_rest(axes: Axes, values: Array, unit: str, per: str, sensors: Sequence[str]) -> None:
+    size, shown = engineering(unit, float(np.sqrt(np.mean(values**2))))
+    for sensor, series in enumerate((values / size).T):
+        label = drawable(sensors[sensor])
+        style: dict[str, Any] = {"markersize": 2.5, "linewidth": 0.7, "color": COLOURS[sensor % 6], "label": label}
+        axes.plot(np.arange(1, len(series) + 1), series, "o-", **style)
+    axes.set_ylabel(shown + per)
+    _grid(axes)
+    _rest_ticks(axes, len(values))
+
+
+def comparison(name: str, titles: Sequence[str], calibrations: Sequence[Calibration]) -> str:
+    """Parameters of several calibrations with U (k = 2), each as a difference from their mean, one panel a kind."""
+    kinds: dict[str, list[str]] = {}
+    for p in calibrations[0].parameters:
+        kinds.setdefault(".".join(p.name.split(".")[:2]), []).append(p.name)
+    units = shown_units(calibrations[0].parameters)
+
+    def draw(figure: Figure) -> None:
+        columns = min(3, len(kinds))
+        panels = figure.subplots(-(-len(kinds) // columns), columns, squeeze=False).ravel()
+        for axes, (kind, members) in zip(panels, kinds.items(), strict=False):
+            _compared(axes, members, units[members[0]], titles, calibrations)
+            axes.set_title(drawable(kind))
+        for axes in panels[len(kinds) :]:
+            axes.set_visible(False)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=min(4, len(titles)))
+
+    return drawn(name, PAGE, 1.7 * -(-len(kinds) // 3) + 0.4, draw)
+
+
+def _compared(
+    axes: Axes,
+    members: Sequence[str],
+    shown: tuple[float, str],
+    titles: Sequence[str],
+    calibrations: Sequence[Calibration],
+) -> None:
+    found = [{p.name: p for p in calibration.parameters} for calibration in calibrations]
+    size, unit = shown
+    place = np.arange(len(members))
+    means = [np.mean([own[name].value for own in found if name in own]) for name in members]
+    for i, (title, own) in enumerate(zip(titles, found, strict=True)):
+        values = [own[n].value - mean if n in own else np.nan for n, mean in zip(members, means, strict=True)]
+        expanded = [2.0 * (own[name].u or 0.0) if name in own else 0.0 for name in members]
+        beside = place + 0.5 * (i + 1) / (len(titles) + 1) - 0.25
+        style: dict[str, Any] = {"fmt": "o", "markersize": 3, "linewidth": 0.9, "capsize": 1.5}
+        label = drawable(title)
+        bars = np.array(expanded) / size
+        axes.errorbar(beside, np.array(values) / size, bars, color=COLOURS[i % 6], label=label, **style)
+    axes.axhline(0.0, color=GREY, linewidth=0.6)
+    axes.set_xticks(place, [drawable(".".join(name.split(".")[2:])) for name in members])
+    axes.set_ylabel("arcsec" if unit == '"' else drawable(unit))
+    _grid(axes)
+
+
+def micro_g(value: float) -> float:
+    """An acceleration (m/s²) in µg."""
+    return value / G_STANDARD * 1e6

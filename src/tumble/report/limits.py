@@ -1,0 +1,62 @@
+"""Acceptance limits in a report: every parameter against them, the verdict and the decision rule."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Literal
+
+from tumble.calibration import Calibration
+from tumble.registry.limits import RULE, Judgement, Limits, Verdict, judge
+from tumble.registry.records import OCCASIONS, parameter_rows
+from tumble.report.blocks import Block, Section, Table, Text
+from tumble.report.numbers import NONE, minus
+from tumble.text import shown_units
+from tumble.units import engineering, rounded
+
+_CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
+
+
+def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
+    """What the limits say of a calibration, for each check that they are for.
+
+    Raises CalibrationError where it cannot be taken to the frame of the limits."""
+    if calibration.frame != limits.frame:
+        calibration = calibration.in_frame(limits.frame)
+    rows = list(parameter_rows(calibration.parameters))
+    return [found for occasion in OCCASIONS if (found := judge(limits, occasion, rows)) is not None]
+
+
+def section(calibration: Calibration, limits: Limits | None) -> Section:
+    """Limits, verdict and decision rule."""
+    if limits is None:
+        said = "No acceptance limits were given: this report states values and uncertainties, not conformity."
+        return Section(title="Limits and verdict", blocks=(Text(text=said),))
+    rule = f"{RULE[0].upper()}{RULE[1:]}. Limits hold in the frame “{limits.frame}”."
+    blocks: list[Block] = [Text(text=rule)]
+    units = shown_units(calibration.parameters)
+    for verdict in verdicts(calibration, limits):
+        check = _CHECKS[verdict.occasion]
+        tone: Literal["good", "bad"] = "good" if verdict.result == "pass" else "bad"
+        reasons = "; ".join(verdict.reasons())
+        said = f"{check}: {verdict.result}" + (f" ({reasons})" if reasons else "")
+        rows = tuple(_row(judgement, units) for judgement in verdict.judgements)
+        columns = ("parameter", "low", "value", "U (k = 2)", "high", "unit", "verdict")
+        blocks += [Text(text=said + ".", tone=tone), Table(columns=columns, rows=rows, text=(0, 5, 6))]
+    return Section(title="Limits and verdict", blocks=tuple(blocks))
+
+
+def _row(judgement: Judgement, units: Mapping[str, tuple[float, str]]) -> tuple[str, ...]:
+    finite = [abs(v) for v in (judgement.low, judgement.high) if math.isfinite(v)]
+    size, unit = units.get(judgement.name) or engineering(judgement.unit, max(finite, default=0.0))
+    value, expanded = NONE, NONE
+    if judgement.value is not None and judgement.expanded is not None:
+        value, expanded = rounded(judgement.value / size, judgement.expanded / size)
+    elif judgement.value is not None:
+        value = f"{judgement.value / size:.6g}"
+    low, high = (_limit(v, size) for v in (judgement.low, judgement.high))
+    return judgement.name, low, minus(value), expanded, high, unit, judgement.result
+
+
+def _limit(value: float, size: float) -> str:
+    return minus(f"{value / size:.6g}") if math.isfinite(value) else NONE

@@ -1,0 +1,47 @@
+"""Numbers of a report as text: a real minus, digits by the uncertainty, the units of the trade."""
+
+from __future__ import annotations
+
+from tumble.calibration import Parameter
+from tumble.units import rounded
+
+COVERAGE = 2.0
+"""Coverage factor k of the expanded uncertainty U = k u."""
+
+NONE = "—"
+
+
+def minus(text: str) -> str:
+    """A number with a real minus."""
+    return text.replace("-", "−")
+
+
+def fixed(value: float, digits: int) -> str:
+    """A number with so many digits behind the point; never a negative zero."""
+    return minus(f"{value:z.{digits}f}")
+
+
+def significant(value: float, digits: int) -> str:
+    """A number with so many significant digits, a small or large one with a power of ten."""
+    mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
+    return minus(mantissa) + (f"·10{raised(int(exponent))}" if exponent else "")
+
+
+def raised(exponent: int) -> str:
+    """An exponent as it stands above the line."""
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
+    """Value and U (k = 2) of a parameter in a unit of this size, to the second significant digit of U."""
+    if parameter.u is None:
+        return significant(parameter.value / size, 6), NONE
+    value, expanded = rounded(parameter.value / size, COVERAGE * parameter.u / size)
+    return minus(value), expanded
+
+
+def as_value(number: float | None, parameter: Parameter, size: float) -> str:
+    """Another number of a parameter, to the digits of its U."""
+    if number is None:
+        return NONE
+    return minus(rounded(number / size, COVERAGE * (parameter.u or 0.0) / size)[0])

@@ -1,0 +1,31 @@
+"""A report as one page of HTML that needs nothing else: no script, no font, no other file."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from tumble.report.blocks import Document
+from tumble.report.characters import everywhere, visible
+
+
+def page(document: Document) -> str:
+    """The HTML of a report. All text is escaped; only the figures, which hold no text, are markup."""
+    environment = Environment(
+        loader=PackageLoader("tumble.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["inline"] = _inline
+    content = everywhere(asdict(document), visible, except_key="svg")
+    return environment.get_template("page.html").render(document=content) + "\n"
+
+
+def _inline(svg: str) -> Markup:
+    """A figure as part of a page, where SVG needs no name spaces."""
+    return Markup(re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg))

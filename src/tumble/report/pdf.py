@@ -1,0 +1,35 @@
+"""A report as PDF/A-2b on A4, set by typst from the same content: what comes from files is data to the template, never
+markup. Fonts are those that typst and matplotlib bring along, so that a report is the same bytes on every machine.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from datetime import datetime
+from importlib.resources import files
+
+import typst
+from matplotlib import get_data_path
+
+from tumble.report.blocks import Document
+from tumble.report.characters import drawable, everywhere
+
+
+def pdf(document: Document) -> bytes:
+    """The PDF of a report. Its date is that of the calibration."""
+    content = everywhere(asdict(document), drawable, except_key="svg")
+    template = files("tumble.report").joinpath("templates/document.typ").read_bytes()
+    fonts = typst.Fonts(include_system_fonts=False, font_paths=[f"{get_data_path()}/fonts/ttf"])
+    compiler = typst.Compiler(template, font_paths=fonts, sys_inputs={"document": json.dumps(content)})
+    made = compiler.compile(format="pdf", pdf_standards=["a-2b"], timestamp=_timestamp(document.created))
+    assert isinstance(made, bytes)
+    return made
+
+
+def _timestamp(created: str) -> int:
+    """Seconds since 1970 of a time in ISO 8601; 0 for what is none."""
+    try:
+        return int(datetime.fromisoformat(created).timestamp())
+    except ValueError:
+        return 0

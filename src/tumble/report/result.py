@@ -1,0 +1,290 @@
+"""The result in a report: parameters, how they are applied, the frame, correlations, iterations."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from tumble.calibration import Calibration, Launch, Parameter
+from tumble.model import SensorModel
+from tumble.report import drawings, figures
+from tumble.report.blocks import Block, Facts, Figure, Formula, Items, Matrices, Matrix, Section, Table, Text
+from tumble.report.numbers import NONE, as_value, fixed, significant, with_expanded
+from tumble.text import shown_units
+from tumble.units import Array, engineering
+
+_BLOCKS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
+_TEST_VECTORS = {"accel": (1.0, -2.0, 9.5), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
+"""True values (m/s², rad/s, unit of the field) near which the readings of the test vectors are."""
+_NAME = re.compile(
+    r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
+    r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
+)
+_STRONGEST = 8
+MODEL_DIGITS, TRUE_DIGITS = 10, 8
+"""Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
+_HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
+_FRAMES = {
+    "accelerometer": "X is along the axis of the X accelerometer, Z is normal to the plane of the axes of the X and Y "
+    "accelerometers, Y completes. The accelerometer angles xy, xz and yz are zero by definition.",
+    "paper": "Z is along the axis of the Z accelerometer, Y in the plane of the axes of the Y and Z accelerometers, X "
+    "completes. The matrix of the accelerometers is diag(1 + k) times a unit upper-triangular matrix of the angles.",
+    "symmetric": "The frame in which the matrix of the accelerometers is symmetric: the one nearest to the axes of all "
+    "three.",
+    "case": "X, Y and Z are normal to the mounting faces of the case.",
+}
+
+
+def described(name: str) -> str:
+    """A parameter in words: "X accelerometer, bias", "angle of the Y accelerometer towards X"."""
+    found = _NAME.fullmatch(name)
+    if found is None:
+        return ""
+    block = _BLOCKS[found["kind"]]
+    if found["pair"]:
+        return f"{found['pair'][0].upper()} {block}, axis towards {found['pair'][1].upper()}"
+    sensor = f"{block} {found['number']}" if found["number"] else f"{found['letter'].upper()} {block}"
+    said = {"bias": "bias", "scale": "scale-factor error", "axis": f"axis angle {found['angle']}"}
+    return f"{sensor}, {said[found['what']]}"
+
+
+def parameter_table(calibration: Calibration) -> Table:
+    """Parameters with U (k = 2); where there are such, deviations from the systematic values and from launch to
+    launch."""
+    units = shown_units(calibration.parameters)
+    launches = bool(calibration.launches)
+    passport = any(p.deviation is not None for p in calibration.parameters)
+    columns = ["parameter", "", "mean" if launches else "value", "U (k = 2)", "unit"]
+    columns += (["run to run"] if launches else []) + (["from nominal"] if passport else [])
+    rows = []
+    for p in calibration.parameters:
+        size, unit = units[p.name]
+        row = [p.name, described(p.name), *with_expanded(p, size), unit]
+        row += [as_value(p.run_to_run, p, size)] if launches else []
+        row += [as_value(p.deviation, p, size)] if passport else []
+        rows.append(tuple(row))
+    return Table(columns=tuple(columns), rows=tuple(rows), text=(0, 1, 4))
+
+
+def launches(calibration: Calibration) -> Section:
+    """Every launch beside the others."""
+    units = shown_units(calibration.parameters)
+    rows = []
+    for p in calibration.parameters:
+        size, unit = units[p.name]
+        own = [next((q for q in launch.parameters if q.name == p.name), None) for launch in calibration.launches]
+        values = [NONE if q is None else with_expanded(q, size)[0] for q in own]
+        rows.append((p.name, *values, as_value(p.run_to_run, p, size), unit))
+    titles = [launch.session for launch in calibration.launches]
+    blocks: list[Block] = [
+        Text(
+            text="The result is the mean of these launches (power-ons). Run to run is the standard deviation from one "
+            "launch to another; it is in the uncertainty of the mean."
+        ),
+        Table(
+            columns=("parameter", *titles, "run to run", "unit"),
+            rows=tuple(rows),
+            text=(0, len(titles) + 2),
+            dense=len(titles) > 4,
+        ),
+        Facts(rows=tuple((f"log of {launch.session}", _digest(launch)) for launch in calibration.launches)),
+    ]
+    return Section(title="Launches", blocks=tuple(blocks))
+
+
+def _digest(launch: Launch) -> str:
+    return f"SHA-256 {launch.log_sha256}" if launch.log_sha256 else NONE
+
+
+# How to apply
+
+
+def application(calibration: Calibration) -> Section:
+    """The model, what a reading is, the matrices and a test vector for each block."""
+    blocks: list[Block] = [
+        Text(text="The sensors follow the model"),
+        Formula(name="model"),
+        Text(
+            text="with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame "
+            "as the true value. The rows of the matrix are the sensitivities of the sensors times their axes: for "
+            "three sensors along the body axes, k being the scale-factor errors and γ the axis angles,"
+        ),
+        Formula(name="axes"),
+        Text(text="A reading is corrected by"),
+        Formula(name="apply"),
+        *_what_a_reading_is(calibration),
+    ]
+    models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
+    if not any(models.values()):
+        blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
+    for kind, model in models.items():
+        if model is not None:
+            blocks += _applied(kind, model, _unit(calibration, kind))
+    return Section(title="How to apply it", blocks=tuple(blocks))
+
+
+def _what_a_reading_is(calibration: Calibration) -> list[Block]:
+    rows = []
+    for kind, readings in calibration.readings.items():
+        for column, scale, offset in zip(readings.columns, readings.scale, readings.offset, strict=True):
+            unit = readings.unit + (" per sample" if readings.increments else "")
+            rows.append((column, _BLOCKS.get(kind, kind), unit, significant(scale, 10), significant(offset, 10)))
+    if not rows:
+        return [Text(text="A reading is the output in SI after the nominal scale and offset of the device.")]
+    said = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
+    if any(readings.increments for readings in calibration.readings.values()):
+        said += ", for increments divided by the interval of the sample"
+    columns = ("column of the log", "sensor", "raw unit", "scale (raw per SI unit)", "offset (raw)")
+    return [Text(text=said + "."), Table(columns=columns, rows=tuple(rows), text=(0, 1, 2))]
+
+
+def _unit(calibration: Calibration, kind: str) -> str:
+    """The unit of a block's readings and biases."""
+    found = next((p.unit for p in calibration.parameters if p.name.startswith(f"{kind}.bias")), "")
+    return {"m/s^2": "m/s²"}.get(found, found)
+
+
+def _applied(kind: str, model: SensorModel, unit: str) -> list[Block]:
+    """Matrix, its inverse and bias of a block, and a reading with what comes out."""
+    reading = test_reading(kind, model)
+    true = model.apply(reading)
+    symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
+    return [
+        Text(text=_HEADINGS[kind], tone="small"),
+        Matrices(
+            matrices=(
+                Matrix(symbol="matrix", rows=_numbers(model.matrix)),
+                Matrix(symbol="bias", rows=_numbers(model.bias[:, None]), unit=unit),
+            )
+        ),
+        Matrices(matrices=(Matrix(symbol=symbol, rows=_numbers(model.inverse())),)),
+        Text(text="Test vector: with these numbers, this reading gives this true value."),
+        Matrices(
+            matrices=(
+                Matrix(symbol="reading", rows=tuple((fixed(v, 6),) for v in reading), unit=unit),
+                Matrix(symbol="true", rows=tuple((fixed(v, TRUE_DIGITS),) for v in true), unit=unit),
+            )
+        ),
+    ]
+
+
+def test_reading(kind: str, model: SensorModel) -> Array:
+    """The reading (n,) of a test vector, exact to six digits behind the point."""
+    return np.asarray(model.predict(np.array(_TEST_VECTORS[kind])).round(6))
+
+
+def _numbers(matrix: Array) -> tuple[tuple[str, ...], ...]:
+    return tuple(tuple(fixed(float(v), MODEL_DIGITS) for v in row) for row in matrix)
+
+
+def frame(calibration: Calibration, name: str) -> Section:
+    """The body frame in words and as a picture."""
+    said = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
+    blocks: list[Block] = [Text(text=f"Body frame “{calibration.frame}”, right-handed. {said}")]
+    if calibration.accel is not None:
+        models = [m for m in (calibration.accel, calibration.gyro) if m is not None]
+        factor = drawings.lean_factor(models)
+        caption = "The body frame X, Y, Z and the sensing axes in it."
+        if factor > 1.0:
+            caption = f"{caption[:-1]}, their deviations from the body axes drawn {factor:.0f} times larger."
+        svg = drawings.frame(name, calibration.accel, calibration.gyro)
+        blocks.append(Figure(svg=svg, caption=caption, width=0.72))
+    return Section(title="The frame", blocks=tuple(blocks))
+
+
+# Uncertainty
+
+
+def correlations(calibration: Calibration, name: str) -> Section | None:
+    """What U covers, the heat map and the strongest correlations."""
+    if calibration.covariance is None:
+        return None
+    names = [p.name for p in calibration.parameters]
+    u = np.sqrt(np.diag(calibration.covariance))
+    r = calibration.covariance / np.where(u > 0.0, np.outer(u, u), 1.0)
+    p, q = np.tril_indices(len(names), -1)
+    order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_STRONGEST]
+    rows = tuple((names[p[i]], names[q[i]], fixed(float(r[p[i], q[i]]), 3)) for i in order)
+    blocks: list[Block] = [
+        Text(
+            text="U is the expanded uncertainty: the standard uncertainty times the coverage factor k = 2, which for a "
+            "normal distribution covers about 95 %. It contains the noise at rest and in turns, the scatter between "
+            "rests that the residuals show, and the stated uncertainty of gravity; of several launches also their "
+            "instability. It does not contain what one recording cannot show: changes with temperature and age, "
+            "nonlinearity that is the same in every rest, and an error of gravity larger than stated."
+        ),
+        Figure(
+            svg=figures.correlations(name, names, r),
+            caption="Correlation coefficients of the parameters, in hundredths.",
+            width=0.85,
+        ),
+    ]
+    if rows:
+        said = "The covariance of two parameters is their coefficient times both standard uncertainties. The strongest:"
+        blocks += [Text(text=said), Table(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
+    return Section(title="Covariance and correlations", blocks=tuple(blocks))
+
+
+def covariance(calibration: Calibration) -> Section | None:
+    """The whole covariance matrix, a table for each pair of kinds of sensor."""
+    if calibration.covariance is None:
+        return None
+    names = [p.name for p in calibration.parameters]
+    kinds = list(dict.fromkeys(name.split(".")[0] for name in names))
+    members = {kind: [i for i, name in enumerate(names) if name.startswith(f"{kind}.")] for kind in kinds}
+    blocks: list[Block] = [Text(text="In products of SI units (m/s², 1, rad, rad/s), in the order of the file.")]
+    for n, first in enumerate(kinds):
+        for second in kinds[: n + 1]:
+            rows = tuple(
+                (names[i], *(_entry(calibration.covariance, i, j, lower=first == second) for j in members[second]))
+                for i in members[first]
+            )
+            columns = (first, *(names[j].split(".", 1)[1] for j in members[second]))
+            blocks.append(Table(columns=columns, rows=rows, dense=True, caption=f"{first} with {second}"))
+    return Section(title="Covariance matrix", blocks=tuple(blocks))
+
+
+def _entry(covariance: Array, i: int, j: int, *, lower: bool) -> str:
+    if lower and j > i:
+        return ""
+    mantissa, exponent = f"{covariance[i, j]:.2e}".split("e")
+    return f"{mantissa}e{int(exponent)}".replace("-", "−")
+
+
+def convergence(calibration: Calibration, name: str) -> Section | None:
+    """Root mean square of the increments of every kind of parameter in each iteration."""
+    if not calibration.iterations:
+        return None
+    kinds: dict[str, list[Parameter]] = {}
+    for p in calibration.parameters:
+        kinds.setdefault(".".join(p.name.split(".")[:2]), []).append(p)
+    rows = []
+    for number, step in enumerate(calibration.iterations, 1):
+        row = [str(number)]
+        for alike in kinds.values():
+            rms = float(np.sqrt(np.mean([step.get(p.name, 0.0) ** 2 for p in alike])))
+            size, unit = engineering(alike[0].unit, rms)
+            row.append(f"{significant(rms / size, 3)} {unit}" if rms > 0.0 else NONE)
+        rows.append(tuple(row))
+    table = Table(
+        columns=("iteration", *kinds),
+        rows=tuple(rows),
+        dense=len(kinds) > 5,
+        caption="Increments, root mean square of each kind of parameter.",
+    )
+    blocks: list[Block] = []
+    if any(p.u for p in calibration.parameters):
+        svg = figures.convergence(name, calibration.iterations, calibration.parameters)
+        caption = "The largest increment of each kind of parameter, in units of its standard uncertainty u."
+        blocks.append(Figure(svg=svg, caption=caption))
+    return Section(title="Convergence", blocks=(*blocks, table))
+
+
+def verdict(calibration: Calibration) -> list[Block]:
+    """Whether the calibration is accepted, and the reasons against it."""
+    if calibration.outcome.accepted:
+        said = "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
+        return [Text(text=said, tone="good")]
+    said = "Not accepted: these values must not be used."
+    return [Text(text=said, tone="bad"), Items(items=calibration.outcome.reasons, tone="bad")]

@@ -1,0 +1,52 @@
+"""From calibration files to a report file."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from tumble.calibration import read_calibration
+from tumble.errors import InputError, MissingExtraError
+from tumble.whole_file import whole_file
+
+ENDINGS = (".html", ".pdf")
+
+
+def write_report(calibrations: Sequence[Path], out: Path, *, limits: Path | None = None) -> list[str]:
+    """Write the report of calibration files of one device to `out`, HTML or PDF by its ending, and return why it is not
+    accepted: the reasons of the calibrations, and what is not within the acceptance limits of the file `limits`.
+
+    Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`."""
+    ending = out.suffix.lower()
+    if ending not in ENDINGS:
+        raise InputError(f"{out}: expected a name that ends in .html or .pdf, found {out.suffix or 'no ending'!r}")
+    try:
+        from tumble.report.content import Source, document, not_accepted
+        from tumble.report.page import page
+        from tumble.report.pdf import pdf
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f"a report needs {error.name}; install it with: pip install 'tumble[report]'"
+        ) from error
+    from tumble.registry.limits import parse_limits, read_limits
+
+    acceptance = None if limits is None else parse_limits(*read_limits(limits), str(limits))
+    sources = [
+        Source(file=path.name, sha256=_sha256(path), calibration=read_calibration(path)) for path in calibrations
+    ]
+    made = document(sources, acceptance)
+    content = page(made).encode() if ending == ".html" else pdf(made)
+    try:
+        with whole_file(out) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written: {error.strerror}") from error
+    return not_accepted(sources, acceptance)
+
+
+def _sha256(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error

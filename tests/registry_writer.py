@@ -1,0 +1,16 @@
+"""A writer of the registry for a process of its own. It imports no more than it needs, to start fast."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tumble.registry.connect import open_registry
+from tumble.registry.records import Submission
+from tumble.registry.store import add
+
+
+def write_all(place: str, submissions: Sequence[Submission]) -> None:
+    """Add calibrations, one after the other."""
+    with open_registry(place, create=True) as registry:
+        for submission in submissions:
+            add(registry, submission)

@@ -1,0 +1,319 @@
+"""Campaigns: what is simulated, that its rows depend on seed and number alone, and what is made of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner, Result
+
+from tumble import trial
+from tumble.campaign import Campaign, campaign_of, read_campaign, run_campaign
+from tumble.campaign_summary import Line, plot, summary
+from tumble.cli import main
+from tumble.engine import Executor, run, serially
+from tumble.errors import InputError, MissingExtraError
+from tumble.rotation import rotation_matrix
+from tumble.simulate import Request, itinerary
+from tumble.simulated_observations import simulate_observations
+from tumble.trial import BLOCK, NAMES, Cell, session_rows, statics_rows
+
+TABLE = Cell(request=Request(rest=20.0), noise_factor=1.0)
+SESSIONS = {"seed": 3, "trials": 4, "grid": {"method": ["staged", "ellipsoid"], "table_error_deg": [0.5, 5]}}
+STATICS = {"kind": "statics", "trials": 3, "grid": {"programme": "cube-26", "noise_factor": [1.0, 3.0]}}
+
+
+def rows(of: Campaign, folder: Path, executor: Executor = serially) -> pl.DataFrame:
+    return pl.read_parquet(run_campaign(of, folder, executor=executor))
+
+
+def cli(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["campaign", *map(str, arguments)])
+
+
+# Trials
+
+
+@pytest.mark.parametrize("content", [SESSIONS, STATICS], ids=["sessions", "statics"])
+def test_rows_depend_on_the_seed_and_the_number_alone(
+    content: dict[str, Any], processes: Executor, tmp_path: Path
+) -> None:
+    campaign = campaign_of(content)
+    serial = rows(campaign, tmp_path / "serial")
+    assert rows(campaign, tmp_path / "processes", processes).equals(serial)
+    job = campaign.job()
+    for number in (5, 2):
+        alone = pl.DataFrame(
+            [{"task": number, **job.label(job.items[number]), **row} for row in job.task(number, job.items[number])],
+            schema=serial.schema,
+        )
+        assert alone.equals(serial.filter(pl.col("task") == number))
+    other = rows(campaign_of(content | {"seed": 4}), tmp_path / "other")
+    column = "error.accel.bias.x" if content is SESSIONS else "mean.accel.bias.x"
+    assert not np.isin(other[column].drop_nulls(), serial[column].drop_nulls()).any()
+
+
+def deadly(home: int, folder: Path, task: Any, number: int, cell: Cell) -> Any:
+    """A task of a campaign; the first time that number 5 is computed, its process ends."""
+    once = folder / "ended"
+    if number == 5 and os.getpid() != home and not once.exists():
+        once.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return task(number, cell)
+
+
+def test_a_worker_killed_in_the_middle_changes_no_row(processes: Executor, tmp_path: Path) -> None:
+    job = campaign_of(SESSIONS).job()
+    endangered = dataclasses.replace(job, task=partial(deadly, os.getpid(), tmp_path, job.task))
+    found = pl.read_parquet(run(endangered, tmp_path / "killed", executor=processes))
+    assert (tmp_path / "ended").exists()
+    assert found.equals(rows(campaign_of(SESSIONS), tmp_path / "serial"))
+
+
+def test_trials_of_a_number_differ_in_device_and_noise_from_those_of_another() -> None:
+    found = [session_rows(1, "observations", ["staged"], number, TABLE)[0]["error.accel.bias.x"] for number in range(5)]
+    assert len(set(found)) == 5
+
+
+def test_the_bound_is_taken_where_the_observations_are() -> None:
+    noiseless = dataclasses.replace(TABLE, request=dataclasses.replace(TABLE.request, noiseless=True))
+    scenario = trial.scenario_of(noiseless, trial.stream(1, 4))
+    rng = trial.stream(1, 4)
+    trial.scenario_of(noiseless, rng)
+    observations = simulate_observations(scenario, rng)
+    way = itinerary(scenario, trial.stream(1, 4).spawn(1)[0])
+    accel = scenario.accel.model(np.array([scenario.truth[name] for name in scenario.accel.names]))
+    expected = accel.predict(scenario.site.gravity * way.attitudes[:, 1])
+    np.testing.assert_allclose(observations.rests.accel, expected, rtol=0.0, atol=1e-12)
+
+
+def test_the_uncertainty_that_a_method_states_is_never_far_below_the_bound() -> None:
+    for number in range(5):
+        (row,) = session_rows(2, "observations", ["staged"], number, TABLE)
+        for name in NAMES:
+            assert row[f"u.{name}"] > 0.9 * row[f"bound.{name}"]
+            assert abs(row[f"error.{name}"]) < 7.0 * row[f"u.{name}"]
+
+
+def test_a_method_that_cannot_use_the_observations_fails_and_the_others_do_not() -> None:
+    by_hand = Cell(request=Request(positions=20, grade="mems"), noise_factor=1.0)
+    first, second = session_rows(1, "observations", ["sequential", "staged"], 0, by_hand)
+    assert first["method"] == "sequential"
+    assert "programme" in first["error"]
+    assert second.get("error") is None
+    assert second["error.gyro.scale.x"] is not None
+
+
+def test_a_trial_through_a_log_sees_the_same_device() -> None:
+    cell = Cell(request=Request(rest=10.0, sample_rate=20.0), noise_factor=1.0)
+    (row,) = session_rows(1, "log", ["staged"], 0, cell)
+    assert row["accepted"], row["reasons"]
+    for name in NAMES:
+        assert abs(row[f"error.{name}"]) < 7.0 * row[f"u.{name}"]
+    assert not any(key.startswith("bound.") for key in row)
+
+
+def test_a_factor_multiplies_all_noise() -> None:
+    rng = np.random.default_rng(0)
+    usual, loud = (trial.scenario_of(Cell(request=Request(), noise_factor=f), rng).noise for f in (1.0, 3.0))
+    for name in ("accel_white", "gyro_white", "accel_instability", "gyro_instability"):
+        assert getattr(loud, name) == pytest.approx(3.0 * getattr(usual, name), rel=1e-15) != 0.0
+
+
+# Rests alone
+
+
+def test_the_vertical_after_a_rotation_is_that_of_the_rotation_matrix() -> None:
+    vectors = np.random.default_rng(0).standard_normal((50, 3)) * np.array([[1e-9], [1.0]] * 25)
+    expected = np.swapaxes(rotation_matrix(vectors), 1, 2)[:, :, 1]
+    np.testing.assert_allclose(trial._up_after(vectors), expected, rtol=0.0, atol=1e-15)
+
+
+def test_verticals_of_an_exact_table_are_those_of_the_programme() -> None:
+    exact = Request(programme="nine", table_error_deg=0.0, mounting_error_deg=0.0)
+    rng = np.random.default_rng(0)
+    scenario = trial.scenario_of(Cell(request=exact, noise_factor=1.0), rng)
+    found = trial._verticals(scenario, rng)
+    assert found.shape == (BLOCK, 9, 3)
+    nominal = [position.vertical_b for position in scenario.course.programme.positions]  # type: ignore[union-attr]
+    np.testing.assert_allclose(found, np.broadcast_to(nominal, found.shape), rtol=0.0, atol=1e-15)
+
+
+def test_verticals_spread_as_those_of_the_simulated_sessions() -> None:
+    rng = np.random.default_rng(0)
+    scenario = trial.scenario_of(Cell(request=Request(programme="nine", table_error_deg=5.0), noise_factor=1.0), rng)
+    nominal = np.array([position.vertical_b for position in scenario.course.programme.positions])  # type: ignore[union-attr]
+    ours = (trial._verticals(scenario, rng) - nominal).std(axis=0)
+    theirs = np.array([itinerary(scenario, rng).attitudes[:, 1] for _ in range(1500)]) - nominal
+    # 1500 runs, 27 ratios: a standard deviation of a nearly uniform variable is known to 1 %
+    large = ours > 0.01
+    assert large.sum() == 21
+    np.testing.assert_allclose(theirs.std(axis=0)[large], ours[large], rtol=0.07)
+
+
+@pytest.mark.parametrize("request_", [Request(positions=24, grade="mems"), Request(programme="nine")])
+def test_errors_from_rests_alone_reach_the_bound(request_: Request) -> None:
+    found = [statics_rows(1, i, Cell(request=request_, noise_factor=1.0))[0] for i in range(4)]
+    assert sum(row["failed"] for row in found) == 0
+    n = 4 * BLOCK
+    for name in NAMES[:9]:
+        square, bound, covered = (
+            np.mean([row[f"{w}.{name}"] for row in found]) for w in ("square", "bound", "covered")
+        )
+        # 5 sigma with 16384 triads whose bounds differ from each other by up to a factor of a few
+        assert square / bound == pytest.approx(1.0, abs=0.12)
+        assert covered == pytest.approx(0.95, abs=5.0 * np.sqrt(0.95 * 0.05 / n) + 0.002)
+
+
+def test_triads_that_rests_do_not_determine_fail() -> None:
+    (row,) = statics_rows(1, 0, Cell(request=Request(positions=8), noise_factor=1.0))
+    assert row["failed"] == BLOCK
+    assert "mean.accel.bias.x" not in row
+
+
+# The file
+
+
+def test_every_combination_is_a_point_of_the_grid() -> None:
+    campaign = campaign_of({"trials": 2, "grid": {"rest": [30, 60, 90], "noise_factor": [1, 2], "method": "scalar"}})
+    assert {(c.request.rest, c.noise_factor) for c in campaign.cells} == {(r, f) for r in (30, 60, 90) for f in (1, 2)}
+    assert len(campaign.job().items) == 12
+    assert campaign.methods == ("scalar",)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "trials: expected a whole number from 1 to 10000000, found none"),
+        ("trials = 1\nseeds = 2", "unknown key 'seeds' at the top level; did you mean 'seed'?"),
+        (
+            "trials = 1\n[grid]\ntable_error = 2",
+            r"unknown key 'table_error' in \[grid\]; did you mean 'table_er",
+        ),
+        (
+            "trials = 1\n[grid]\nrest = [60, -1]",
+            r"grid.rest: expected numbers from 0.1 to 86400 .*found \[60, -1\]",
+        ),
+        ("trials = 1\n[grid]\nmethod = 'joit'", 'grid.method: expected one of .*staged.*, found "joit"'),
+        ("trials = 1\n[grid]\nrest = []", r"grid.rest: expected numbers .*, found \[\]"),
+        (
+            "trials = 1\n[grid]\npositions = 20\nprogramme = 'nine'",
+            "grid.positions: expected no grid.programme",
+        ),
+        ("trials = 1\nkind = 'statics'\n[grid]\nmethod = 'staged'", "kind: expected neither source nor grid.method"),
+        ("trials = 6000000\n[grid]\nrest = [1, 2]", "trials: expected at most 10000000 over all points"),
+        ("trials = ", "expected TOML, found an error in its syntax"),
+    ],
+)
+def test_a_fault_in_the_file_is_told_in_one_line(text: str, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "campaign.toml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=said) as caught:
+        read_campaign(file)
+    assert str(caught.value).startswith(f"{file}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_told_in_one_line(tmp_path: Path) -> None:
+    result = cli(tmp_path / "none.toml", "-o", tmp_path / "out")
+    assert result.exit_code == 2
+    assert result.stderr.strip().count("\n") == 0
+    assert "none.toml: expected a readable campaign file" in result.stderr
+
+
+# The summary
+
+
+def table(folder: Path, **columns: Any) -> Path:
+    """Rows of a campaign of one point with these columns."""
+    campaign = campaign_of({"trials": 1})
+    job = campaign.job()
+    given = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    schema = {"task": pl.Int64, **job.schema, "error": pl.String}
+    frame = pl.DataFrame([{"task": i, **job.label(job.items[0]), **row} for i, row in enumerate(given)], schema=schema)
+    frame.write_parquet(folder / "rows.parquet")
+    return folder / "rows.parquet"
+
+
+def test_bias_scatter_rms_ratio_and_coverage_of_rows(tmp_path: Path) -> None:
+    path = table(
+        tmp_path,
+        method=["staged"] * 6,
+        accepted=[True, True, True, True, False, None],
+        error=[None] * 5 + ["ValueError: no"],
+        **{f"error.accel.bias.{a}": [1.0, 3.0, 1.0, 3.0, 99.0, None] for a in "xyz"},
+        **{f"u.accel.bias.{a}": [1.0, 1.0, 1.0, 2.0, 1.0, None] for a in "xyz"},
+        **{f"bound.accel.bias.{a}": [2.0, 2.0, 2.0, 2.0, 1.0, 1.0] for a in "xyz"},
+    )
+    (line,) = summary(path)
+    assert (line.method, line.group, line.unit) == ("staged", "accel.bias", "m/s^2")
+    assert (line.trials, line.accepted, line.failed) == (6, 4, 1)
+    assert line.bias == pytest.approx(2.0)
+    assert line.scatter == pytest.approx(1.0)
+    assert line.rms == pytest.approx(np.sqrt(5.0))
+    assert line.to_bound == pytest.approx(np.sqrt(5.0) / 2.0)
+    assert line.coverage == pytest.approx(0.75)
+
+
+def test_without_uncertainties_and_bounds_there_is_no_coverage_and_no_ratio(tmp_path: Path) -> None:
+    path = table(tmp_path, method=["staged"], accepted=[True], **{f"error.gyro.bias.{a}": [1.0] for a in "xyz"})
+    (line,) = summary(path)
+    assert line.rms == pytest.approx(1.0)
+    assert line.to_bound is None
+    assert line.coverage is None
+
+
+def test_a_point_without_an_accepted_trial_has_counts_and_no_errors(tmp_path: Path) -> None:
+    lines = summary(table(tmp_path, method=["staged"], error=["ValueError: no"]))
+    assert {line.group for line in lines} == {line.group for line in lines if line.rms is None and line.failed == 1}
+    with pytest.raises(InputError, match="expected an accepted trial to draw"):
+        plot(lines, tmp_path / "rms.svg")
+
+
+def test_moments_of_blocks_of_triads_are_put_together(tmp_path: Path) -> None:
+    campaign = campaign_of({"kind": "statics", "trials": 4, "grid": {"positions": 24}})
+    path = run_campaign(campaign, tmp_path / "out")
+    frame = pl.read_parquet(path)
+    lines = summary(path)
+    assert [line.group for line in lines] == ["accel.bias", "accel.scale", "accel.axis"]
+    expected = np.sqrt(np.mean([frame[f"square.accel.bias.{a}"].mean() for a in "xyz"]))
+    assert lines[0].rms == pytest.approx(expected, rel=1e-12)
+    assert lines[0].trials == 4 * BLOCK
+
+
+def test_a_plot_without_matplotlib_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = Line(point={}, method="staged", group="accel.bias", unit="m/s^2", **dict.fromkeys(COUNTS, 1), **FIGURES)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'tumble\[report\]'"):
+        plot([line], tmp_path / "rms.svg")
+
+
+COUNTS = ("trials", "accepted", "failed")
+FIGURES: dict[str, Any] = {"bias": 0.0, "scatter": 1.0, "rms": 1.0, "to_bound": None, "coverage": None}
+
+
+def test_the_command_writes_rows_summary_and_picture_and_resumes(tmp_path: Path) -> None:
+    file, out = tmp_path / "campaign.toml", tmp_path / "out"
+    file.write_text("trials = 2\n[grid]\ntable_error_deg = [1, 3]\n")
+    first = cli(file, "--serial", "-o", out)
+    assert first.exit_code == 0, first.output
+    assert {path.name for path in out.iterdir()} == {"manifest.json", "rows.parquet", "summary.csv", "rms.svg"}
+    assert "gyro.axis" in first.stdout
+    assert pl.read_csv(out / "summary.csv")["rms"].len() == 12
+    changed = (out / "rows.parquet").stat().st_mtime_ns
+    again = cli(file, "--serial", "-o", out)
+    assert again.stdout == first.stdout
+    assert (out / "rows.parquet").stat().st_mtime_ns == changed
+    file.write_text("trials = 3\n[grid]\ntable_error_deg = [1, 3]\n")
+    refused = cli(file, "--serial", "-o", out)
+    assert refused.exit_code == 2
+    assert "was begun by another job" in refused.stderr
+    assert refused.stderr.strip().count("\n") == 0

@@ -1,0 +1,175 @@
+"""`tumble compare`: E_n by hand, one frame for both, and the false alarms that chance makes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibrated import FRAMES, HEXAD, calibration
+from click.testing import CliRunner
+
+from tumble.calibration import Calibration, Parameter
+from tumble.cli import main
+from tumble.compare import compare, in_frame
+from tumble.errors import InputError
+from tumble.frames import Frame
+from tumble.model import Block
+
+
+def moved(made: Calibration, by: dict[str, float]) -> Calibration:
+    """The same calibration with some values changed by so many u."""
+    parameters = tuple(replace(p, value=p.value + by.get(p.name, 0.0) * (p.u or 0.0)) for p in made.parameters)
+    values = np.array([p.value for p in parameters])
+    accel = Block(kind="accel", axes=np.eye(3)).model(values[:9])
+    gyro = Block(kind="gyro", axes=np.eye(3)).model(values[9:])
+    return replace(made, parameters=parameters, accel=accel, gyro=gyro, provenance={"log_sha256": "other"})
+
+
+def test_e_n_is_the_difference_over_the_expanded_uncertainty_of_both() -> None:
+    """u 3 and 4: u(d) = 5, U = 10; a difference of 20 has E_n 2, and 4 u."""
+    made = calibration()
+    name = made.parameters[0].name
+    one, other = (
+        replace(made, parameters=(Parameter(name=name, value=value, u=u, unit="m/s^2"),), covariance=np.array([[u**2]]))
+        for value, u in ((25.0, 3.0), (5.0, 4.0))
+    )
+    found = compare(one, other)
+    (d,) = found.differences
+    assert (d.value, d.u, d.e_n) == pytest.approx((20.0, 5.0, 2.0))
+    assert found.chi_square == pytest.approx(16.0)
+    assert found.degrees == 1
+    assert found.probability == pytest.approx(6.334e-5, rel=1e-3)  # of ±4 σ
+    assert not found.agree
+
+
+def test_a_calibration_agrees_with_itself_and_it_is_said_that_the_log_is_the_same() -> None:
+    made = calibration()
+    found = compare(made, made)
+    assert found.agree
+    assert found.chi_square == 0.0
+    assert found.degrees == 21
+    assert all(d.value == 0.0 for d in found.differences)
+    assert any("same log" in remark for remark in found.remarks)
+    np.testing.assert_allclose(found.covariance, 2.0 * made.covariance)  # type: ignore[operator,arg-type]
+
+
+def test_correlations_count_in_chi_square() -> None:
+    """Two parameters correlated with 0.9 that move in opposite directions: far rarer than either alone."""
+    made = calibration()
+    covariance = np.array([[1.0, 0.9], [0.9, 1.0]])
+    names = [p.name for p in made.parameters[:2]]
+    one, other = (
+        replace(
+            made,
+            parameters=tuple(
+                Parameter(name=n, value=v, u=1.0, unit="m/s^2") for n, v in zip(names, values, strict=True)
+            ),
+            covariance=covariance,
+        )
+        for values in ((1.0, -1.0), (0.0, 0.0))
+    )
+    # the eigenvector (1, −1)/√2 has variance 2 · 0.1, and d has √2 along it
+    assert compare(one, other).chi_square == pytest.approx(2.0 / 0.2)
+
+
+def test_one_parameter_beyond_is_found() -> None:
+    made = calibration()
+    found = compare(made, moved(made, {"gyro.scale.y": 4.0}))
+    beyond = [d.name for d in found.differences if abs(d.e_n or 0.0) > 1.0]
+    assert beyond == ["gyro.scale.y"]
+    # u(d) = √2 u: 4 u are E_n = 4 / (2 √2)
+    assert next(d.e_n for d in found.differences if d.name in beyond) == pytest.approx(-np.sqrt(2.0))
+
+
+@pytest.mark.parametrize("frame", [f for f in FRAMES if f != "accelerometer"])
+def test_frames_are_made_the_same_before_anything_is_compared(frame: Frame) -> None:
+    made = calibration()
+    other = in_frame(made, frame)
+    assert {p.name for p in other.parameters} != {p.name for p in made.parameters}
+    for found, expected in ((compare(made, other), "accelerometer"), (compare(other, made), frame)):
+        assert found.frame == expected
+        assert len(found.differences) == 21
+        assert max(abs(d.e_n or 0.0) for d in found.differences) < 1e-6
+        assert any("converted" in remark for remark in found.remarks)
+
+
+def test_a_converted_calibration_has_the_same_readings_of_one_motion() -> None:
+    """The frame turns; seen along a fixed direction of the device nothing changes."""
+    made = calibration()
+    assert made.accel is not None
+    assert made.gyro is not None
+    true = np.random.default_rng(3).standard_normal((20, 3))
+    for frame in FRAMES:
+        other = in_frame(made, frame)
+        assert other.accel is not None
+        assert other.gyro is not None
+        Q = np.linalg.solve(made.accel.matrix, other.accel.matrix)
+        np.testing.assert_allclose(Q @ Q.T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(other.accel.predict(true @ Q), made.accel.predict(true), atol=1e-12)
+        np.testing.assert_allclose(other.gyro.predict(true @ Q), made.gyro.predict(true), atol=1e-12)
+
+
+def test_e_n_beyond_one_is_as_rare_as_chance_has_it() -> None:
+    """N = 1000 pairs of 21 values drawn from their covariance: 4.55 % of |E_n| are beyond 1 (|d| beyond 2 u), and
+    chi-square exceeds its 5 % point in 5 % of them. 5 σ: false alarm 6e-7 each."""
+    made, rng = calibration(), np.random.default_rng(11)
+    assert made.covariance is not None
+    N = 1000
+    values = np.array([p.value for p in made.parameters])
+    drawn = rng.multivariate_normal(values, made.covariance, size=(N, 2), method="cholesky")
+    beyond, rare = [], 0
+    for pair in drawn:
+        one, other = (
+            replace(
+                made,
+                parameters=tuple(replace(p, value=float(v)) for p, v in zip(made.parameters, draw, strict=True)),
+            )
+            for draw in pair
+        )
+        found = compare(one, other)
+        beyond.append(np.mean([abs(d.e_n or 0.0) > 1.0 for d in found.differences]))
+        rare += (found.probability or 0.0) < 0.05
+    assert abs(np.mean(beyond) - 0.0455) < 5.0 * np.std(beyond) / np.sqrt(N)
+    assert abs(rare / N - 0.05) < 5.0 * np.sqrt(0.05 * 0.95 / N)
+
+
+def test_parameters_of_one_only_are_named() -> None:
+    made = calibration()
+    found = compare(made, calibration(with_gyro=False))
+    assert len(found.differences) == 9
+    assert found.missing == tuple(p.name for p in made.parameters[9:])
+
+
+def test_without_uncertainties_nothing_is_judged() -> None:
+    made = calibration()
+    bare = replace(made, parameters=tuple(replace(p, u=None) for p in made.parameters), covariance=None)
+    found = compare(made, bare)
+    assert not found.agree
+    assert all(d.e_n is None for d in found.differences)
+    assert found.chi_square is None
+    assert any("no uncertainties" in remark for remark in found.remarks)
+
+
+def test_devices_with_nothing_in_common_and_blocks_that_cannot_be_converted_are_refused() -> None:
+    hexad = calibration(accel=HEXAD, with_gyro=False)
+    assert len(compare(hexad, hexad).differences) == len(hexad.parameters)
+    with pytest.raises(InputError, match="none in both"):
+        compare(calibration(with_gyro=False), hexad)
+    with pytest.raises(InputError, match="one along each body axis"):
+        compare(replace(hexad, frame="case"), hexad)
+
+
+def test_the_command_says_different_devices_and_ends_with_1_where_they_differ(tmp_path: Path) -> None:
+    made = calibration()
+    other = replace(moved(made, {"accel.bias.x": 20.0}), serial="B-1")
+    near = moved(made, {"accel.bias.x": 1.0})
+    for name, content in (("made", made), ("other", other), ("near", near)):
+        content.write(tmp_path / f"{name}.json")
+    words = ["compare", str(tmp_path / "made.json"), str(tmp_path / "other.json")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 1
+    assert "different devices: A-0007 and B-1" in result.stderr
+    assert "1 of 21 |E_n| beyond 1" in result.stdout
+    assert CliRunner().invoke(main, [*words[:2], str(tmp_path / "near.json")]).exit_code == 0

@@ -1,0 +1,133 @@
+"""`tumble export`: what every format has in common; what only one can get wrong is in test_export_FORMAT.py."""
+
+from __future__ import annotations
+
+import stat
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibrated import HEXAD, calibration
+from click.testing import CliRunner
+
+from tumble.cli import main
+from tumble.commands import export as command
+from tumble.errors import InputError
+from tumble.estimate import Outcome
+from tumble.export import FORMATS, export
+from tumble.export.certificate import Certificate, Party, Person
+from tumble.export.kalibr import Densities, NoiseDensities
+
+PLAIN = tuple(name for name in FORMATS if name not in ("kalibr", "dcc"))
+WITH_COMMENTS = ("ros-imu-calib", "px4", "ardupilot", "c", "csv", "imucal")
+NOISE = NoiseDensities(
+    accel=Densities(white=1e-3, walk=2e-4, bounds=()),
+    gyro=Densities(white=1e-4, walk=2e-5, bounds=("random walk of the gyros: bounded",)),
+    rate=200.0,
+    source="a test",
+)
+PARTY = Party(name="Inertial laboratory", city="Braunschweig", country="DE")
+CERTIFICATE = Certificate.model_validate(
+    {
+        "number": "2026-0042",
+        "country": "DE",
+        "begin": "2026-05-04",
+        "end": "2026-05-05",
+        "laboratory": PARTY,
+        "customer": PARTY,
+        "person": (Person(name="N. N."),),
+    },
+    strict=False,
+)
+
+
+def content_of(to: str, **changes: object) -> str:
+    """An export of the test calibration as text."""
+    made = replace(calibration(), **changes)  # type: ignore[arg-type]
+    more = {"noise": NOISE} if to == "kalibr" else {"certificate": CERTIFICATE} if to == "dcc" else {}
+    return export(made, to, **more).content.decode("latin-1" if to == "mat" else "utf-8")
+
+
+def test_the_command_offers_every_format() -> None:
+    choices = next(p for p in command.export.params if p.name == "to").type
+    assert tuple(choices.choices) == FORMATS or set(choices.choices) == set(FORMATS)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_an_unaccepted_calibration_is_not_exported(to: str) -> None:
+    with pytest.raises(InputError, match="expected an accepted one, found: a reason"):
+        content_of(to, outcome=Outcome(reasons=("a reason",)))
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_calibration_without_a_model_is_not_exported(to: str) -> None:
+    with pytest.raises(InputError, match=r"calibration: expected a sensor|expected accel parameters"):
+        content_of(to, accel=None, gyro=None)
+
+
+@pytest.mark.parametrize("to", [*WITH_COMMENTS, "kalibr"])
+def test_what_is_lost_is_in_the_file_too(to: str) -> None:
+    made = calibration()
+    exported = export(made, to, noise=NOISE) if to == "kalibr" else export(made, to)
+    assert exported.losses
+    text = exported.content.decode()
+    for loss in exported.losses:
+        assert loss in text or to == "imucal"
+    assert "uncertaint" in text or to == "csv"
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_device_and_log_are_named(to: str) -> None:
+    text = content_of(to)
+    assert "A-0007" in text
+    assert f"{1:064x}" in text
+
+
+@pytest.mark.parametrize("to", [name for name in FORMATS if name != "mat"])
+def test_a_hostile_serial_number_stays_text(to: str) -> None:
+    """Comments end with their line; so what would end them earlier, or go on after them, must not be in them."""
+    serial = "A\n1\t1\tCAL_ACC0_XOFF\t9\t9 */ int x; \\\n<script>&\u2028SM: [0]"
+    plain, hostile = content_of(to, serial="A"), content_of(to, serial=serial)
+    assert len(hostile.splitlines()) == len(plain.splitlines())
+    assert "*/ int x" not in hostile
+
+
+@pytest.mark.parametrize("to", ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal"])
+def test_targets_with_three_axes_refuse_a_redundant_block(to: str) -> None:
+    noise = NOISE if to == "kalibr" else None
+    with pytest.raises(InputError, match="expected three accel sensors, found 6; c, csv, dcc and mat hold any number"):
+        export(calibration(accel=HEXAD), to, noise=noise)
+
+
+@pytest.mark.parametrize("to", ["px4", "ardupilot"])
+def test_targets_without_a_matrix_refuse_channels_in_another_order(to: str) -> None:
+    for axes in ([[0, 1, 0], [1, 0, 0], [0, 0, -1]], [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]):
+        with pytest.raises(InputError, match=f"export to {to}: expected accel channels along X, Y, Z in this order"):
+            export(calibration(accel=np.array(axes, dtype=float), with_gyro=False), to)
+
+
+def test_what_a_format_does_not_need_is_refused() -> None:
+    with pytest.raises(InputError, match="expected --noise with kalibr and only there, found none"):
+        export(calibration(), "kalibr")
+    with pytest.raises(InputError, match="expected --noise with kalibr and only there, found it with px4"):
+        export(calibration(), "px4", noise=NOISE)
+    with pytest.raises(InputError, match="expected --certificate with dcc and only there, found none"):
+        export(calibration(), "dcc")
+    with pytest.raises(InputError, match="expected one of kalibr"):
+        export(calibration(), "elsewhere")
+
+
+def test_the_command_writes_the_file_and_says_what_is_lost(tmp_path: Path) -> None:
+    calibration().write(tmp_path / "c.json")
+    words = ["export", str(tmp_path / "c.json"), "--to", "px4", "-o", str(tmp_path / "imu.params")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0
+    assert result.stdout == ""
+    assert "note: misalignment of the accelerometers" in result.stderr
+    out = tmp_path / "imu.params"
+    assert out.read_bytes() == export(calibration(), "px4").content
+    assert stat.S_IMODE(out.stat().st_mode) & 0o444 == 0o444
+    assert CliRunner().invoke(main, words).exit_code == 2
+    assert CliRunner().invoke(main, [*words, "--force"]).exit_code == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json", "imu.params"]

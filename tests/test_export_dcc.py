@@ -1,0 +1,248 @@
+"""The Digital Calibration Certificate: valid against PTB's schema, read back with pydcc."""
+
+from __future__ import annotations
+
+import re
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from calibrated import HEXAD, calibration
+from click.testing import CliRunner
+from test_export import CERTIFICATE
+
+from tumble.calibration import Calibration
+from tumble.cli import main
+from tumble.errors import InputError
+from tumble.export import export
+from tumble.export.certificate import read_certificate
+from tumble.export.dcc import d_si
+from tumble.session import Site
+
+NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
+TOML = """
+number = "2026-0042"
+country = "DE"
+begin = 2026-05-04
+end = 2026-05-05
+
+[laboratory]
+name = "Inertial laboratory"
+code = "D-K-00000"
+email = "lab@example.org"
+street = "Bundesallee"
+postcode = "38116"
+city = "Braunschweig"
+country = "DE"
+
+[customer]
+name = "A customer"
+city = "Perm"
+country = "RU"
+
+[[person]]
+name = "N. N."
+role = "head of the laboratory"
+
+[[person]]
+name = "M. M."
+"""
+SITE = Site(latitude=0.99, height=270.0, gravity=9.81594, gravity_u=2e-6)
+
+
+def content(made: Calibration) -> bytes:
+    return export(made, "dcc", certificate=CERTIFICATE).content
+
+
+def certificate_file(folder: Path, text: str = TOML) -> Path:
+    path = folder / "certificate.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+# -------------------- the schema --------------------
+
+
+@pytest.fixture(scope="module")
+def schema(data: Path) -> Any:
+    """Schema 3.3.0 of the DCC with D-SI 2.2.1 (LGPL-3.0, PTB), which is not part of this repository."""
+    import xmlschema
+
+    folder = data / "dcc-3.3.0"
+    if not folder.is_dir():
+        pytest.skip(f"no schema in {folder}: dcc.xsd, SI_Format.xsd, qudt.xsd and xmldsig-core-schema.xsd")
+    locations = {
+        "https://ptb.de/si": str(folder / "SI_Format.xsd"),
+        "http://qudt.org/vocab/": str(folder / "qudt.xsd"),
+        "http://www.w3.org/2000/09/xmldsig#": str(folder / "xmldsig-core-schema.xsd"),
+    }
+    return xmlschema.XMLSchema(str(folder / "dcc.xsd"), locations=locations, allow="local")
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    "made",
+    [
+        calibration(),
+        replace(calibration(), site=SITE),
+        calibration(accel=HEXAD),
+        replace(calibration(with_gyro=False), model=None),
+        replace(calibration(), covariance=None, parameters=tuple(replace(p, u=None) for p in calibration().parameters)),
+        replace(calibration(), serial="<A> & \u0007 0007 "),
+    ],
+    ids=["triads", "with gravity", "six sensors", "accelerometers", "no uncertainties", "odd serial"],
+)
+def test_the_certificate_is_valid_against_the_published_schema(schema: Any, made: Calibration) -> None:
+    errors = [str(error.reason) for error in schema.iter_errors(content(made).decode(), use_location_hints=False)]
+    assert errors == []
+
+
+@pytest.mark.data
+def test_every_entry_of_the_certificate_file_is_valid(schema: Any, tmp_path: Path) -> None:
+    made = export(calibration(), "dcc", certificate=read_certificate(certificate_file(tmp_path)))
+    assert schema.is_valid(made.content.decode(), use_location_hints=False)
+
+
+@pytest.mark.data
+def test_the_schema_sees_what_is_wrong(schema: Any) -> None:
+    """Otherwise the tests above prove nothing."""
+    text = content(calibration()).decode()
+    for old, new in (("<si:value>", "<si:value>x"), ('schemaVersion="3.3.0"', 'schemaVersion="3.2.0"')):
+        assert text.count(old)
+        assert not schema.is_valid(text.replace(old, new, 1), use_location_hints=False)
+
+
+# -------------------- an independent reader --------------------
+
+
+@pytest.fixture
+def reader(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """pydcc, without the schemas that it would fetch from the network into the home folder, and without the library
+    that checks signatures, which there are none of: it does not know versions of OpenSSL from 3.0.10 on."""
+    unused = ModuleType("certvalidator")
+    for name in ("CertificateValidator", "ValidationContext", "errors"):
+        setattr(unused, name, None)
+    monkeypatch.setitem(sys.modules, "certvalidator", unused)
+    import dcc.dcc as pydcc  # type: ignore[import-untyped]
+
+    monkeypatch.setattr(pydcc, "DCCXMLValidator", lambda: None)
+    return lambda made: pydcc.DCC(byte_array=content(made))
+
+
+def test_pydcc_reads_every_parameter_back(reader: Any) -> None:
+    made = calibration()
+    found = reader(made)
+    assert found.is_loaded()
+    assert found.uid() == "2026-0042"
+    assert found.version() == "3.3.0"
+    assert found.calibration_laboratory_name() == "Inertial laboratory"
+    assert found.calibration_date().date() == CERTIFICATE.end
+    assert found.item_id()["identifications"]["identification"]["value"] == "A-0007"
+    results = {name.split()[-1]: entry for name, entry in found.get_calibration_results("name", "en")}
+    for p in made.parameters:
+        real = results[p.name]["real"]
+        expanded = real["measurementUncertaintyUnivariate"]["expandedMU"]
+        assert float(real["value"]) == p.value
+        assert p.u is not None
+        assert float(expanded["valueExpandedMU"]) == 2.0 * p.u
+        assert (expanded["coverageFactor"], expanded["coverageProbability"]) == ("2", "0.95")
+
+
+def test_pydcc_reads_models_that_give_the_true_vectors(reader: Any) -> None:
+    made = calibration(accel=HEXAD)
+    lists = {
+        name: entry["realListXMLList"]
+        for name, entry in reader(made).get_calibration_results("name", "en")
+        if "realListXMLList" in entry
+    }
+    for kind, title, n in (("accel", "accelerometers", 6), ("gyro", "gyros", 3)):
+        model = made.accel if kind == "accel" else made.gyro
+        assert model is not None
+        matrix, bias, reading, true = (
+            np.array(
+                next(entry["valueXMLList"] for name, entry in lists.items() if f"{title}: {what}" in name).split(),
+                float,
+            )
+            for what in ("matrix M", "bias b", "example: reading r", "example: true vector t")
+        )
+        np.testing.assert_array_equal(matrix.reshape(n, 3), model.matrix)
+        np.testing.assert_array_equal(bias, model.bias)
+        np.testing.assert_allclose(np.linalg.lstsq(matrix.reshape(n, 3), reading - bias)[0], true, atol=1e-12)
+
+
+# -------------------- units, covariance, gravity --------------------
+
+
+def test_units_are_those_of_d_si() -> None:
+    assert d_si("m/s^2") == r"\metre\second\tothe{-2}"
+    assert d_si("rad/s") == r"\radian\second\tothe{-1}"
+    assert d_si("1") == r"\one"
+    assert d_si("m/s^2", "m/s^2") == r"\metre\tothe{2}\second\tothe{-4}"
+    assert d_si("rad", "1") == r"\radian"
+    assert d_si("m/s^2", "rad/s") == r"\metre\second\tothe{-3}\radian"
+
+
+def test_the_covariance_is_there_column_by_column_in_the_units_of_its_entries() -> None:
+    made = calibration()
+    assert made.covariance is not None
+    root = ET.fromstring(content(made))
+    columns = root.findall(".//si:columnXMLList/si:covarianceXMLList", NAMESPACES)
+    values = [[float(word) for word in (c.findtext("si:valueXMLList", "", NAMESPACES)).split()] for c in columns]
+    np.testing.assert_array_equal(np.array(values).T, made.covariance)
+    units = [(c.findtext("si:unitXMLList", "", NAMESPACES)).split() for c in columns]
+    assert units[0][0] == r"\metre\tothe{2}\second\tothe{-4}"
+    assert units[3][0] == r"\metre\second\tothe{-2}"  # scale with bias
+    names = root.findtext(".//si:labelXMLList", "", NAMESPACES).split()
+    assert names == [p.name for p in made.parameters]
+
+
+def test_gravity_is_an_influence_condition() -> None:
+    root = ET.fromstring(content(replace(calibration(), site=SITE)))
+    condition = root.find(".//dcc:influenceCondition", NAMESPACES)
+    assert condition is not None
+    assert float(condition.findtext(".//si:value", "", NAMESPACES)) == SITE.gravity
+    assert float(condition.findtext(".//si:valueExpandedMU", "", NAMESPACES)) == pytest.approx(4e-6)
+    assert ET.fromstring(content(calibration())).find(".//dcc:influenceCondition", NAMESPACES) is None
+
+
+# -------------------- the certificate file --------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('number = "2026-0042"', "", "number: Field required"),
+        ('country = "DE"', 'country = "Germany"', "country: String should match pattern"),
+        ("end = 2026-05-05", "end = 2026-05-03", "expected a day not before the begin, 2026-05-04, found 2026-05-03"),
+        ("[[person]]", "[[persona]]", "person"),
+        ("begin =", "begin", "expected TOML"),
+        ('code = "D-K-00000"', 'mark = "x"', "laboratory.mark: Extra inputs are not permitted"),
+    ],
+)
+def test_a_fault_of_the_certificate_file_is_named_in_one_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+    path = certificate_file(tmp_path, TOML.replace(old, new))
+    with pytest.raises(InputError, match=re.escape(said)) as raised:
+        read_certificate(path)
+    assert str(raised.value).startswith(f"{path}: ")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_missing_certificate_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected a TOML file"):
+        read_certificate(tmp_path / "none.toml")
+
+
+def test_the_command_takes_the_certificate_file(tmp_path: Path) -> None:
+    calibration().write(tmp_path / "c.json")
+    words = ["export", str(tmp_path / "c.json"), "--to", "dcc", "-o", str(tmp_path / "c.xml")]
+    assert CliRunner().invoke(main, words).exit_code == 2
+    result = CliRunner().invoke(main, [*words, "--certificate", str(certificate_file(tmp_path))])
+    assert result.exit_code == 0, result.stderr
+    assert "neither signed nor sealed" in result.stderr
+    persons = ET.parse(tmp_path / "c.xml").getroot().findall(".//dcc:respPerson", NAMESPACES)
+    assert [p.findtext("dcc:mainSigner", "", NAMESPACES) for p in persons] == ["true", "false"]

@@ -1,0 +1,329 @@
+"""Tables of readings: what is read, what is refused in one line, and the published table in its own form."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from test_ellipsoid import FOURTEEN, THETA, B, K, cube, placed, readings
+
+from tumble.calibration import read_calibration
+from tumble.cli import main
+from tumble.ellipsoid import TRIAD
+from tumble.errors import InputError
+from tumble.from_readings import calibrate_table, paper_form
+from tumble.readings import nominal, read_table
+from tumble.units import DEGREE, G_STANDARD, Array
+
+HEADER = "ux,uy,uz"
+NEGATIVE = "-2.4,-2.4,-2.4"
+
+
+def written(folder: Path, values: Array, header: str = HEADER, name: str = "readings.csv") -> Path:
+    """A table of readings."""
+    path = folder / name
+    np.savetxt(path, values, delimiter=",", header=header, comments="", fmt="%.17g")
+    return path
+
+
+def volts(seed: int = 1, noise: float = 0.0) -> Array:
+    """Fourteen positions of the published device, with noise in g."""
+    rng = np.random.default_rng(seed)
+    return readings(placed(FOURTEEN, rng)) + noise * 2.4 * rng.standard_normal((14, 3))
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["ellipsoid", *map(str, arguments)], catch_exceptions=False)
+
+
+# -------------------- the published table --------------------
+
+
+def test_the_published_table_is_printed_in_its_own_form(tmp_path: Path) -> None:
+    found = run(written(tmp_path, volts()), "--scale", NEGATIVE, "--frame", "paper")
+    assert found.exit_code == 0
+    rows = re.findall(r"^([xyz]) +(\S+) +\S+ +(\S+) +\S+ +(\S+) +\S+$", found.stdout, re.M)
+    printed = {axis: [float(number) for number in numbers] for axis, *numbers in rows}
+    expected = zip("xyz", K, 1e5 * THETA, 1e5 * B, strict=True)
+    for axis, *numbers in expected:
+        assert printed[axis] == pytest.approx(numbers, rel=1e-9)
+
+
+def test_the_form_of_the_paper_has_the_scatter_of_its_uncertainties(tmp_path: Path) -> None:
+    z = []
+    for seed in range(40):
+        table = read_table(written(tmp_path, volts(seed, 3e-5)))
+        form = paper_form(calibrate_table(table, nominal(table, scale=[-2.4])))
+        assert form.covariance is not None
+        error = np.concatenate([form.k - K, form.theta - THETA, form.b - B])
+        z.append(error / np.sqrt(np.diag(form.covariance)))
+    # Student's t with 5 degrees of freedom has the variance 5/3
+    assert np.median(np.abs(z)) == pytest.approx(0.727, rel=0.2)
+    assert np.mean(np.array(z) ** 2) == pytest.approx(5.0 / 3.0, rel=0.5)
+
+
+def test_the_calibration_file_has_the_form_of_all_others(tmp_path: Path) -> None:
+    path = written(tmp_path, volts(noise=1.5e-5))
+    assert run(path, "--scale", NEGATIVE).exit_code == 0
+    target = tmp_path / "readings.calibration.json"
+    content = json.loads(target.read_text())
+    assert content["method"] == "ellipsoid"
+    assert content["frame"] == "accelerometer"
+    assert [p["name"] for p in content["parameters"]] == list(TRIAD.names)
+    assert [p["unit"] for p in content["parameters"]] == list(TRIAD.units)
+    assert np.array(content["covariance"]).shape == (9, 9)
+    assert content["gyro"] is None
+    calibration = read_calibration(target)
+    assert calibration.accel is not None
+    worth = calibration.readings["accel"]
+    si = (volts() - worth.offset) / worth.scale
+    assert np.linalg.norm(calibration.accel.apply(si), axis=1) == pytest.approx(np.full(14, G_STANDARD), rel=1e-4)
+
+
+def test_the_table_may_be_replaced_and_another_file_may_not(tmp_path: Path) -> None:
+    path = written(tmp_path, volts())
+    assert run(path).exit_code == 0
+    assert run(path).exit_code == 0
+    written(tmp_path, volts(2))
+    refused = run(path)
+    assert refused.exit_code == 2
+    assert "--force" in refused.stderr
+    assert run(path, "--force").exit_code == 0
+
+
+# -------------------- scale, polarity, units --------------------
+
+
+def test_the_sizes_of_the_scale_come_from_the_readings_where_none_is_stated(tmp_path: Path) -> None:
+    ratio = np.array([1.0, 5.0, 0.2])
+    path = written(tmp_path, volts() * ratio)
+    found = run(path)
+    assert found.exit_code == 0
+    assert "no nominal scale was stated: 2.41, 12, 0.474 V/g was taken from the readings" in found.stdout
+    calibration = read_calibration(tmp_path / "readings.calibration.json")
+    sensitivity = [
+        calibration.readings["accel"].scale[i] * (1.0 + calibration[f"accel.scale.{a}"].value)
+        for i, a in enumerate("xyz")
+    ]
+    rows = np.linalg.norm(np.diag(K * ratio) @ [[1, THETA[2], THETA[1]], [0, 1, THETA[0]], [0, 0, 1]], axis=1)
+    assert sensitivity == pytest.approx(rows / G_STANDARD, rel=1e-12)
+
+
+def test_polarity_comes_from_a_roughly_known_position(tmp_path: Path) -> None:
+    verticals = placed(FOURTEEN, np.random.default_rng(3))
+    vertex = int(np.argmin(np.abs(verticals).max(axis=1)))
+    path = written(tmp_path, readings(verticals))
+    direction = ",".join(f"{v:.1f}" for v in verticals[vertex])
+    found = run(path, "--position", f"{vertex + 1}={direction}")
+    assert found.exit_code == 0
+    calibration = read_calibration(tmp_path / "readings.calibration.json")
+    assert np.sign(calibration.readings["accel"].scale).tolist() == [-1.0, -1.0, -1.0]
+    assert "polarity of ux, uy, uz: negative" in found.stdout
+    assert "the fit needs a reflection" in " ".join(found.stdout.split())
+
+
+def test_a_reflection_is_said_only_where_an_odd_number_of_channels_is_negative(tmp_path: Path) -> None:
+    path = written(tmp_path, volts() * [1.0, 1.0, -1.0])
+    assert "reflection" not in run(path, "--scale=-2.4,-2.4,2.4").stdout
+    assert "reflection" not in run(path, "--scale", "2.4").stdout
+    assert "reflection" in run(path, "--scale=2.4,2.4,-2.4").stdout
+
+
+def test_a_known_position_against_the_scale_is_refused(tmp_path: Path) -> None:
+    verticals = cube(1, 3)
+    path = written(tmp_path, readings(verticals))
+    up = int(np.argmax(verticals[:, 0])) + 1
+    found = run(path, "--scale", "2.4", "--position", f"{up}=1,0,0")
+    assert found.exit_code == 2
+    assert f"position {up} shows 'ux' with the other polarity than its scale" in found.stderr
+    assert run(path, "--scale=-2.4", "--position", f"{up}=1,0,0").exit_code == 0
+
+
+def test_contradicting_positions_are_refused(tmp_path: Path) -> None:
+    verticals = cube(1, 3)
+    path = written(tmp_path, readings(verticals))
+    up, down = int(np.argmax(verticals[:, 0])) + 1, int(np.argmin(verticals[:, 0])) + 1
+    found = run(path, "--position", f"{up}=1,0,0", "--position", f"{down}=1,0,0")
+    assert found.exit_code == 2
+    assert "contradict each other about the polarity of 'ux'" in found.stderr
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "options"),
+    [
+        ("g", 1.0, []),
+        ("m/s^2", G_STANDARD, []),
+        ("count", 4e5, ["--scale", "4e5"]),
+        ("count", 4e5, ["--scale", f"{4e5 / G_STANDARD:.17g}", "--scale-per", "m/s^2"]),
+        ("V", 2.4, ["--scale", "2.4,2.4,2.4", "--scale-per", "g"]),
+    ],
+)
+def test_the_unit_does_not_matter(tmp_path: Path, unit: str, factor: float, options: list[str]) -> None:
+    true = TRIAD.model(np.array([0.01, -0.02, 0.03, 1e-3, 2e-3, -1e-3, 1e-3, -2e-3, 3e-3]))
+    g = 9.8123
+    si = true.predict(g * placed(FOURTEEN, np.random.default_rng(4)))
+    path = written(tmp_path, si / G_STANDARD * factor)
+    found = run(path, "--unit", unit, "--gravity", str(g), *options)
+    assert found.exit_code == 0
+    calibration = read_calibration(tmp_path / "readings.calibration.json")
+    assert [p.value for p in calibration.parameters] == pytest.approx(TRIAD.parameters(true), abs=1e-11)
+
+
+def test_gyros_at_a_constant_rate_and_magnetometers_are_the_same_problem(tmp_path: Path) -> None:
+    values = np.array([0.3, -0.2, 0.1, 1e-3, 2e-3, -1e-3, 1e-3, -2e-3, 3e-3])
+    seen = TRIAD.model(values).predict(30.0 * placed(FOURTEEN, np.random.default_rng(5)))
+    path = written(tmp_path, seen)
+    assert run(path, "--sensor", "gyro", "--unit", "deg/s", "--modulus", "30").exit_code == 0
+    gyro = read_calibration(tmp_path / "readings.calibration.json")
+    assert gyro.gyro is not None
+    assert gyro["gyro.bias.x"].value == pytest.approx(0.3 * DEGREE, rel=1e-10)
+    assert gyro["gyro.axis.zy"].value == pytest.approx(3e-3, rel=1e-9)
+    assert run(path, "--sensor", "mag", "--unit", "uT", "--modulus", "30", "--force").exit_code == 0
+    mag = read_calibration(tmp_path / "readings.calibration.json")
+    assert mag.mag is not None
+    assert mag["mag.bias.x"].unit == "uT"
+    assert [p.value for p in mag.parameters] == pytest.approx(values, abs=1e-11)
+
+
+# -------------------- accepted or not --------------------
+
+
+def test_a_bad_position_is_named_with_its_line(tmp_path: Path) -> None:
+    bad = volts(noise=3e-5)
+    bad[4] *= 1.01
+    found = run(written(tmp_path, bad), "--scale", NEGATIVE)
+    assert found.exit_code == 1
+    assert re.search(r"not accepted: position 5 \(line 6\) does not fit: .* it was left out", found.stderr)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_edges_alone_the_bad_one_is_named_with_the_opposite_one(tmp_path: Path, seed: int) -> None:
+    """Of twelve edges, sums over opposite ones determine scale factors and angles and nothing checks them; differences
+    determine the bias and show a bad pair, not which of the two."""
+    rng = np.random.default_rng(seed)
+    edges = cube(2)
+    twelve = readings(placed(edges, rng, 0.0)) + 3e-5 * 2.4 * rng.standard_normal((12, 3))
+    bad = int(rng.integers(12))
+    opposite = int(np.argmin(edges @ edges[bad]))
+    twelve[bad] *= 1.01
+    found = run(written(tmp_path, twelve), "--scale", NEGATIVE)
+    assert found.exit_code == 1
+    first, second = sorted([bad, opposite])
+    assert f"position {first + 1} (line {first + 2}) or {second + 1} (line {second + 2})" in found.stderr
+
+
+def test_too_few_positions_are_refused_with_what_would_help(tmp_path: Path) -> None:
+    found = run(written(tmp_path, readings(cube(1))), "--scale", NEGATIVE)
+    assert found.exit_code == 1
+    assert "6 positions determine 6 of the 9 parameters" in found.stderr
+    content = json.loads((tmp_path / "readings.calibration.json").read_text())
+    assert content["parameters"] == []
+    assert content["accel"] is None
+    assert content["outcome"]["unobservable"] == list(TRIAD.names)
+
+
+def test_nine_positions_have_values_and_no_uncertainties(tmp_path: Path) -> None:
+    nine = np.vstack([cube(1), cube(2)[[0, 1, 4]]])
+    found = run(written(tmp_path, readings(nine)), "--scale", NEGATIVE)
+    assert found.exit_code == 0, found.stderr
+    assert "nothing checks the fit" in found.stdout
+    calibration = read_calibration(tmp_path / "readings.calibration.json")
+    assert calibration.covariance is None
+    assert all(p.u is None for p in calibration.parameters)
+
+
+# -------------------- unusable tables and options --------------------
+
+ROW = "1,2,3\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("", "expected a header of three columns and a row per position, found an empty file"),
+        (f"{HEADER}\n", "expected a row per position below the header, found none"),
+        ("a,b\n1,2\n", "line 1: expected a header of three columns, one per channel, found 2"),
+        ("a,b,c,d\n1,2,3,4\n", "line 1: expected a header of three columns, one per channel, found 4"),
+        ("a;b;c\n1;2;3\n", "line 1: expected commas between the columns, found 'a;b;c'"),
+        (ROW, "line 1: expected a header with the names of three columns, found numbers"),
+        (f"a,a,b\n{ROW}", "line 1: expected three different columns, found 'a' 2 times"),
+        (f"a,,b\n{ROW}", "line 1: expected names of three columns, found an empty one in column 2"),
+        (f"{HEADER}\n{ROW}1,2\n", "line 3: expected three numbers, one per column, found 2 values"),
+        (f"{HEADER}\n{ROW}1,2,3,4\n", "line 3: expected three numbers, one per column, found 4 values"),
+        (f"{HEADER}\n{ROW}1,x,3\n", "line 3, column 'uy': expected a number, found 'x'"),
+        (f"{HEADER}\n{ROW}\n1,,3\n", "line 4, column 'uy': expected a number, found an empty value"),
+        (f"{HEADER}\n{ROW}1,nan,3\n", "line 3, column 'uy': expected a number, found 'nan'"),
+        (f"{HEADER}\n{ROW}1,2,inf\n", "line 3, column 'uz': expected a number, found 'inf'"),
+        (f'{HEADER}\n{ROW}1,"2,3\n', "line 3: expected comma-separated numbers"),
+        (b"\xff\xfe\x00", "expected UTF-8 text"),
+    ],
+)
+def test_a_malformed_table_is_refused_in_one_line(tmp_path: Path, content: str | bytes, said: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    found = run(path)
+    assert found.exit_code == 2
+    assert said in found.stderr
+    assert str(path) in found.stderr
+    assert len(found.stderr.strip().splitlines()) == 1
+    assert not list(tmp_path.glob("*.json"))
+
+
+def test_a_table_that_does_not_exist_is_refused_in_one_line(tmp_path: Path) -> None:
+    found = run(tmp_path / "none.csv")
+    assert found.exit_code == 2
+    assert "No such file" in found.stderr
+    assert len(found.stderr.strip().splitlines()) == 1
+
+
+def test_a_byte_order_mark_blank_lines_and_spaces_do_no_harm(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("\ufeff ux , uy,uz\n\n1, 2,3\n \n4,5,6\n", encoding="utf-8")
+    table = read_table(path)
+    assert table.columns == ("ux", "uy", "uz")
+    assert table.values.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    assert table.lines == (3, 5)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--unit", "mV"], "--unit: expected one of V, count, g, m/s^2 for --sensor accel, found 'mV'"),
+        (["--unit", "g", "--scale", "1"], "--scale: expected only with --unit V or count, found --unit g"),
+        (["--scale", "1,2"], "--scale: expected one number or three, one per column, found 2"),
+        (["--scale", "1,0,2"], "--scale: expected numbers other than zero, found 1, 0, 2"),
+        (["--scale", "two"], "--scale: expected numbers with commas between them, found 'two'"),
+        (["--scale", "1", "--scale-per", "mg"], "--scale-per: expected one of g, m/s^2 for --sensor accel"),
+        (["--gravity", "0"], "--gravity: expected a positive number, found 0"),
+        (["--gravity", "nan"], "--gravity: expected a positive number, found nan"),
+        (["--modulus", "1"], "--modulus: expected --gravity for accelerometers"),
+        (["--sensor", "gyro"], "--modulus: expected the rate of the table for --sensor gyro, found none"),
+        (["--sensor", "mag", "--unit", "uT"], "--modulus: expected the field"),
+        (["--sensor", "mag", "--unit", "uT", "--modulus", "-1"], "--modulus: expected a positive number, found -1"),
+        (["--sensor", "gyro", "--modulus", "1", "--frame", "paper"], "--frame: expected accelerometer"),
+        (["--position", "15=1,0,0"], "--position: expected a position from 1 to 14 of the table, found 15"),
+        (["--position", "1=1,0"], "--position: expected N=X,Y,Z, the number of a position and a direction"),
+        (["--position", "x=1,0,0"], "--position: expected N=X,Y,Z"),
+        (["--position", "1=0,0,0"], "--position: expected N=X,Y,Z"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused_in_one_line(tmp_path: Path, options: list[str], said: str) -> None:
+    found = run(written(tmp_path, volts()), *options)
+    assert found.exit_code == 2
+    assert said in found.stderr
+    assert len(found.stderr.strip().splitlines()) == 1
+
+
+def test_a_table_of_equal_rows_is_refused(tmp_path: Path) -> None:
+    found = run(written(tmp_path, np.ones((10, 3))))
+    assert found.exit_code == 1
+    assert "10 positions, only 1 of them distinct, determine 1 of the 9 parameters" in found.stderr
+
+
+def test_the_messages_of_the_library_are_input_errors(tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        read_table(tmp_path)

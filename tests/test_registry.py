@@ -1,0 +1,490 @@
+"""The registry: records are added and kept, whoever writes, on SQLite and on PostgreSQL."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, cast
+
+import alembic.autogenerate
+import alembic.migration
+import pytest
+from postgresql_server import Server, postgresql_server
+from registry_files import NAMES, content, digest, write
+from registry_writer import write_all
+from sqlalchemy import text
+
+from tumble.errors import InputError, MissingExtraError
+from tumble.registry import connect
+from tumble.registry.connect import Registry, open_registry
+from tumble.registry.exchange import Imported, export_lines, import_file
+from tumble.registry.records import LaunchRow, Particulars, Submission, read_submission, submission
+from tumble.registry.schema import METADATA, VERSION, VERSION_TABLE
+from tumble.registry.store import Added, add, file_of, limits_in_force, parameters_of, record, records, set_limits
+
+ROOT = Path(__file__).parents[1]
+LIMITS = 'format = 1\n[periodic]\n"accel.bias" = "5 mg"\n'
+CORRECTION = Particulars(supersedes=1, reason="wrong gravity")
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[Server]:
+    with postgresql_server() as running:
+        yield running
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Where an empty registry may be made."""
+    if request.param == "sqlite":
+        return str(tmp_path / "registry.sqlite")
+    running: Server = request.getfixturevalue("server")
+    return running.new_database()
+
+
+@pytest.fixture
+def registry(place: str) -> Iterator[Registry]:
+    with open_registry(place, create=True) as opened:
+        yield opened
+
+
+@pytest.fixture
+def file_registry(tmp_path: Path) -> Iterator[Registry]:
+    """A registry on SQLite, where the database makes no difference."""
+    with open_registry(str(tmp_path / "file.sqlite"), create=True) as opened:
+        yield opened
+
+
+def log(name: str) -> LaunchRow:
+    """A launch whose log is called so."""
+    return LaunchRow(session=None, log_sha256=digest(name))
+
+
+def added(registry: Registry, particulars: Particulars | None = None, **what: Any) -> Added:
+    """A calibration with `what` in it, added."""
+    return add(registry, submission(json.dumps(content(**what)), "file", particulars or Particulars()))
+
+
+# -------------------- records are kept as they were added --------------------
+
+
+def test_a_record_keeps_the_whole_file_and_its_parameters_as_rows(registry: Registry, tmp_path: Path) -> None:
+    values = {"accel.bias.x": 0.1 + 0.2, "gyro.axis.zy": -1e-300}  # every bit of them
+    launches = [{"accel.bias.x": 0.25}, {"accel.bias.x": 0.35}]
+    file = write(tmp_path / "calibration.json", content(values=values, launches=launches))
+    number = add(registry, read_submission(file, Particulars())).record.number
+    assert file_of(registry, number) == file.read_text(encoding="utf-8")
+    rows = parameters_of(registry, [number])[number]
+    assert [row.name for row in rows] == [*NAMES] * 3
+    found = {(row.launch, row.name): row.value for row in rows}
+    assert {name: found[0, name] for name in values} == values
+    assert [found[launch, "accel.bias.x"] for launch in (1, 2)] == [0.25, 0.35]
+
+
+def test_the_same_calibration_is_one_record_however_its_file_is_laid_out(registry: Registry) -> None:
+    whole = content()
+    first = added(registry)
+    for layout in ({}, {"indent": 4}, {"sort_keys": True}, {"ensure_ascii": False, "separators": (" , ", " : ")}):
+        again = add(registry, submission(json.dumps(whole, **layout), "again", Particulars()))
+        assert (again.new, again.record) == (False, first.record)
+    assert first.new
+    assert len(records(registry)) == 1
+
+
+def test_a_correction_supersedes_and_what_it_corrects_stays(registry: Registry) -> None:
+    added(registry, values={"accel.bias.x": 1.0})
+    before = record(registry, 1), file_of(registry, 1), parameters_of(registry, [1])
+    corrected = added(registry, CORRECTION, values={"accel.bias.x": 2.0}).record
+    assert (corrected.number, corrected.supersedes, corrected.reason) == (2, 1, "wrong gravity")
+    assert corrected.occasion == before[0].occasion == "incoming"
+    after = record(registry, 1), file_of(registry, 1), parameters_of(registry, [1])
+    assert after == (replace(before[0], superseded_by=2), *before[1:])
+    with pytest.raises(InputError, match="record 1: expected one that is in force, found one superseded by 2"):
+        added(registry, CORRECTION, values={"accel.bias.x": 3.0})
+    assert len(records(registry)) == 2
+
+
+@pytest.mark.parametrize("particulars", [Particulars(supersedes=1), Particulars(reason="because")])
+def test_a_correction_needs_a_record_and_a_reason(file_registry: Registry, particulars: Particulars) -> None:
+    added(file_registry)
+    with pytest.raises(InputError, match="expected --supersedes NUMBER with --reason TEXT, found one of them"):
+        added(file_registry, particulars, log="other")
+
+
+def test_a_correction_of_nothing_is_refused(file_registry: Registry) -> None:
+    with pytest.raises(InputError, match="record 1: expected a record of the registry, found none"):
+        added(file_registry, CORRECTION)
+
+
+def test_the_database_itself_refuses_changes(registry: Registry) -> None:
+    added(registry)
+    set_limits(registry, "BCHE-501", LIMITS, None)
+    before = list(export_lines(registry))
+    for table in ("calibration", "launch", "parameter", "limits"):
+        column = "file" if table in ("calibration", "limits") else "session" if table == "launch" else "name"
+        for statement in (f"UPDATE {table} SET {column} = 'x'", f"DELETE FROM {table}"):
+            with pytest.raises(InputError, match="a registry is added to, never changed"), registry.writing() as c:
+                c.execute(text(statement))
+    assert list(export_lines(registry)) == before
+
+
+def test_a_log_does_not_count_twice(file_registry: Registry) -> None:
+    """Not by another method, not within the mean of several launches, until its record is superseded."""
+    added(file_registry, log="one-1")
+    with pytest.raises(InputError, match=r"found that of record 1 .* to correct that record give --supersedes 1"):
+        added(file_registry, values={"accel.bias.x": 1.0}, log="one-1")
+    with pytest.raises(InputError, match="found that of record 1"):
+        added(file_registry, log="one", launches=[{}, {}])  # the log of its first launch is one-1
+    added(file_registry, CORRECTION, values={"accel.bias.x": 1.0}, log="one-1")
+    with pytest.raises(InputError, match="found that of record 2"):
+        added(file_registry, log="one", launches=[{}, {}])
+
+
+def test_a_serial_number_is_of_one_type(file_registry: Registry) -> None:
+    added(file_registry, log="a")
+    with pytest.raises(InputError, match=r"device.model: expected 'BCHE-501', as device A-0007 has it in record 1"):
+        added(file_registry, model="other", log="b")
+    assert added(file_registry, model=None, log="c").record.model == "BCHE-501"
+    assert added(file_registry, serial="B", model="other", log="d").record.model == "other"
+
+
+def test_the_first_check_is_incoming_and_later_ones_are_periodic(file_registry: Registry) -> None:
+    occasions = [added(file_registry, log=log).record.occasion for log in "abc"]
+    again = added(file_registry, Particulars(occasion="incoming"), log="d").record.occasion
+    assert [*occasions, again] == ["incoming", "periodic", "periodic", "incoming"]
+
+
+def test_records_of_a_device_are_in_the_order_in_which_they_were_performed(file_registry: Registry) -> None:
+    for year in (2024, 2022, 2023):
+        added(file_registry, Particulars(performed=datetime(year, 1, 1, tzinfo=UTC)), log=str(year))
+    assert [r.performed.year for r in records(file_registry, "A-0007")] == [2022, 2023, 2024]
+    with pytest.raises(InputError, match="device 'B': expected a device of the registry, found none"):
+        records(file_registry, "B")
+
+
+def test_a_time_keeps_its_moment(registry: Registry) -> None:
+    moment = datetime.fromisoformat("2026-03-01T23:30:00.123456-05:00")
+    assert added(registry, Particulars(performed=moment)).record.performed == moment
+    assert record(registry, 1).performed == moment
+
+
+def change(path: str, value: object) -> Callable[[dict[str, Any]], None]:
+    """Puts a value at a path of keys into a content."""
+
+    def changed(whole: Any) -> None:
+        *keys, last = path.split("/")
+        for key in keys:
+            whole = whole[int(key) if key.isdigit() else key]
+        whole[last] = value
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (change("outcome", {"accepted": False, "reasons": ["rest 3 moved"]}), "one that was not: rest 3 moved"),
+        (change("parameters", []), "found a covariance of shape (21, 21) for 0 parameters"),
+        (change("parameters/0/value", float("inf")), "expected a calibration file of tumble, found Infinity in place"),
+        (change("parameters/0/u", -1.0), "accel.bias.x: expected a finite value and a u of 0 or more, found 0.0 and"),
+        (change("parameters/1/name", "accel.bias.x"), "expected every name once, found 'accel.bias.x' twice"),
+        (change("parameters/1/name", "accel\x1b[31m"), "parameters: expected 1 to 200 printable characters"),
+        (change("device/serial", ""), "device.serial: expected 1 to 200 printable characters, found ''"),
+        (change("device/serial", "A\0B"), "device.serial: expected 1 to 200 printable characters"),
+        (change("device/serial", "A" * 201), "device.serial: expected 1 to 200 printable characters"),
+        (change("device/model", "\ud800"), "device.model: expected 1 to 200 printable characters"),
+        (change("device/serial", 7), "expected a calibration file of tumble, found 7 in place of a text"),
+        (change("provenance/created", "yesterday"), "provenance.created: expected a date such as 2026-03-31, found"),
+        (change("provenance/created", "2999-01-01"), "expected a date that is past, found 2999-01-01; give --date"),
+        (change("provenance", {}), "provenance.created: expected a time, found none; give --date"),
+        (change("format", 2), "expected format 1, found 2"),
+    ],
+)  # fmt: skip
+def test_what_is_no_calibration_to_keep_is_refused_in_one_line(
+    edit: Callable[[dict[str, Any]], None], said: str, tmp_path: Path
+) -> None:
+    whole = content()
+    edit(whole)
+    with pytest.raises(InputError) as refused:
+        read_submission(write(tmp_path / "calibration.json", whole), Particulars())
+    assert said in str(refused.value)
+    assert str(refused.value).startswith(str(tmp_path / "calibration.json"))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_number_too_large_for_a_float_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "calibration.json"
+    file.write_text(json.dumps(content()).replace('"value": 0.0', '"value": 1e999', 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"accel.bias.x: expected a finite value and a u of 0 or more, found inf"):
+        read_submission(file, Particulars())
+
+
+# -------------------- writers and readers at once --------------------
+
+
+def test_eight_writers_at_once_lose_nothing(place: str) -> None:
+    """They also make the registry at once, and all add the same calibrations of a common device."""
+    writers, each = 8, 10
+    template = submission(json.dumps(content()), "file", Particulars())
+
+    def several(serial: str) -> list[Submission]:
+        return [
+            replace(template, serial=serial, sha256=digest(f"{serial}-{i}"), launches=(log(f"{serial}-{i}"),))
+            for i in range(each)
+        ]
+
+    context = multiprocessing.get_context("spawn")
+    mixed = [[*several(f"device-{i}")[:5], *several("common"), *several(f"device-{i}")[5:]] for i in range(writers)]
+    processes = [context.Process(target=write_all, args=(place, own)) for own in mixed]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * writers
+    with open_registry(place) as registry:
+        found = records(registry)
+        rows = parameters_of(registry, [r.number for r in found])
+    serials = [f"device-{i}" for i in range(writers)] + ["common"]
+    assert {r.sha256 for r in found} == {own.sha256 for serial in serials for own in several(serial)}
+    assert len(found) == len({r.number for r in found}) == 90
+    assert all([row.name for row in own] == list(NAMES) for own in rows.values())
+    assert sorted(r.serial for r in found if r.occasion == "incoming") == sorted(serials)
+
+
+def test_a_killed_writer_leaves_every_acknowledged_record(server: Server) -> None:
+    """On PostgreSQL; test_studies.py runs the same on SQLite."""
+    study = ROOT / "studies" / "registry_interruptions.py"
+    command = [sys.executable, "-W", "error", str(study), "--short", "--registry", server.new_database()]
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "20 writers killed" in done.stdout
+    assert done.stdout.endswith("when its writer is killed? No.\n")
+
+
+def test_a_reader_sees_one_state_and_a_writer_does_not_wait_for_it(place: str, registry: Registry) -> None:
+    added(registry, log="a")
+    with open_registry(place) as other, other.reading() as reading:
+        counted = text("SELECT count(*) FROM calibration")
+        assert reading.execute(counted).scalar() == 1
+        added(registry, log="b")
+        assert reading.execute(counted).scalar() == 1
+    assert len(records(registry)) == 2
+
+
+def test_a_writer_that_waits_in_vain_says_so(place: str, registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connect, "PATIENCE", 1.0)
+    said = "another writer has held it for 1 s; try again"
+    with (
+        open_registry(place) as other,
+        other.writing(),
+        open_registry(place) as late,
+        pytest.raises(InputError, match=said),
+    ):
+        added(late)
+    assert records(registry) == []
+
+
+def test_what_goes_wrong_on_the_way_leaves_nothing(registry: Registry) -> None:
+    whole = submission(json.dumps(content()), "file", Particulars())
+    broken = replace(whole, parameters=(*whole.parameters[:-1], replace(whole.parameters[-1], value=cast(float, None))))
+    with pytest.raises(InputError):
+        add(registry, broken)
+    assert records(registry) == []
+    assert add(registry, whole).record.number >= 1
+
+
+# -------------------- export and import --------------------
+
+
+def filled(registry: Registry) -> None:
+    """Limits that were replaced, and records of two devices, one of them corrected."""
+    set_limits(registry, "BCHE-501", LIMITS, json.dumps(content(serial="passport")))
+    added(registry, log="a")
+    set_limits(registry, "BCHE-501", LIMITS.replace("5", "6"), None)
+    added(registry, CORRECTION, log="b", serial="Ж-7 \"<'")
+    added(registry, Particulars(state="as-found"), log="c", launches=[{}, {}])
+
+
+def exported(registry: Registry, path: Path) -> Path:
+    path.write_text("".join(f"{line}\n" for line in export_lines(registry)), encoding="utf-8")
+    return path
+
+
+def test_an_export_is_imported_whole_and_only_once(
+    registry: Registry, file_registry: Registry, server: Server, tmp_path: Path
+) -> None:
+    filled(registry)
+    file = exported(registry, tmp_path / "export.jsonl")
+    for place in (str(tmp_path / "other.sqlite"), server.new_database()):
+        with open_registry(place, create=True) as other:
+            added(other, serial="own", log="own")  # so that numbers differ
+            assert import_file(other, file) == Imported(added=3, known=0)
+            assert import_file(other, file) == Imported(added=0, known=3)
+            assert [r.superseded_by is None for r in records(other, "A-0007")] == [False, True]
+            assert limits_in_force(other) == limits_in_force(registry)
+    assert import_file(file_registry, file).added == 3
+    assert exported(file_registry, tmp_path / "again.jsonl").read_text() == file.read_text()
+
+
+def last(edit: Callable[[str], str]) -> Callable[[list[str]], list[str]]:
+    """Changes the last line."""
+    return lambda lines: [*lines[:-1], edit(lines[-1])]
+
+
+def lines_without(number: int) -> Callable[[list[str]], list[str]]:
+    """Leaves out a line."""
+    return lambda lines: lines[:number] + lines[number + 1 :]
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (lambda lines: lines[:-1], "that line 1 says, 2 limits and 3 calibrations, found 2 limits and 2 calibrations"),
+        (lambda lines: [*lines[:-1], lines[-1][:100]], "line 6: expected a line of JSON, found an error in its syntax"),
+        (lambda _: [], "line 1: expected a line of JSON"),
+        (lambda lines: lines[1:], "line 1: expected an export of a tumble registry of format 1, found another file"),
+        (last(lambda _: '{"kind": "calibration"}'), "line 6: expected a line of an export, found one without"),
+        (last(lambda _: '{"kind": "device"}'), "line 6: kind: expected limits or calibration, found 'device'"),
+        (last(lambda _: "[]"), "line 6: expected a JSON object"),
+        (last(lambda line: line.replace('"as-found"', '"lost"')), "line 6: state: expected one of as-found,"),
+        (last(lambda line: line.replace('"incoming"', '"x"')), "line 6: occasion: expected one of incoming,"),
+        (last(lambda line: line.replace('reasons\\": []', 'reasons\\": [\\"no\\"]')), "line 6: expected an accepted"),
+        (lambda lines: [lines[0], lines[1].replace("5 mg", "5 furlong"), *lines[2:]], "line 2: periodic: accel.bias"),
+        (lines_without(3), "line 4: expected a line of an export, found one without"),
+    ],
+)  # fmt: skip
+def test_an_export_that_cannot_be_imported_adds_nothing(
+    edit: Callable[[list[str]], list[str]], said: str, file_registry: Registry, tmp_path: Path
+) -> None:
+    filled(file_registry)
+    file = exported(file_registry, tmp_path / "export.jsonl")
+    whole = file.read_text(encoding="utf-8").splitlines()
+    assert len(whole) == 6
+    file.write_text("\n".join(edit(whole)), encoding="utf-8")
+    with open_registry(str(tmp_path / "other.sqlite"), create=True) as other:
+        with pytest.raises(InputError) as refused:
+            import_file(other, file)
+        assert said in str(refused.value)
+        assert str(file) in str(refused.value)
+        assert "\n" not in str(refused.value)
+        assert records(other) == []
+        assert limits_in_force(other) == {}
+
+
+# -------------------- the schema --------------------
+
+
+def test_the_migrations_make_the_tables_that_the_program_knows(registry: Registry) -> None:
+    with registry.reading() as connection:
+        options = {"version_table": VERSION_TABLE, "compare_type": True}
+        context = alembic.migration.MigrationContext.configure(connection, opts=options)
+        assert alembic.autogenerate.compare_metadata(context, METADATA) == []
+        assert context.get_current_revision() == VERSION
+
+
+def test_an_older_program_says_that_the_registry_is_newer(registry: Registry, place: str) -> None:
+    with registry.writing() as connection:
+        connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = 'v0999'"))
+    said = "expected a registry of schema v0001 or older, found v0999, written by a newer tumble than this one"
+    with pytest.raises(InputError, match=said), open_registry(place):
+        pass
+
+
+def test_an_open_registry_needs_no_alembic(tmp_path: Path) -> None:
+    """Only the making of tables does, which takes half a second more."""
+    place = str(tmp_path / "registry.sqlite")
+    code = (
+        "import sys; from tumble.registry.connect import open_registry\n"
+        f"with open_registry({place!r}, create=True): print('alembic' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code]
+    said = [subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(2)]
+    assert said == ["True\n", "False\n"]
+
+
+# -------------------- places that cannot be used --------------------
+
+
+def refused(place: str, *, create: bool = False) -> str:
+    """The one line for which a registry is not opened."""
+    with pytest.raises(InputError) as error, open_registry(place, create=create):
+        pass
+    said = str(error.value)
+    assert "\n" not in said
+    return said
+
+
+def test_places_that_cannot_be_used_are_refused_in_one_line(tmp_path: Path) -> None:
+    missing, note = tmp_path / "none.sqlite", tmp_path / "note.txt"
+    note.write_text("This is a note, and it is longer than the header of a database would be. " * 3, encoding="utf-8")
+    assert (
+        refused(str(missing)) == f"{missing}: expected a registry, found no such file; `tumble registry add` makes one"
+    )
+    assert not missing.exists()
+    assert refused(str(tmp_path)) == f"{tmp_path}: expected a registry, found a folder"
+    assert "expected a folder for the registry, found no" in refused(str(tmp_path / "no" / "x.sqlite"), create=True)
+    assert "file is not a database" in refused(str(note), create=True)
+    form = "registry: expected a file or postgresql://USER@HOST/NAME, found a URL of "
+    assert refused("mysql://user:secret@localhost/x") == f"{form}'mysql'"
+    assert refused("oddbase://user:secret@localhost/x").startswith(form)
+    assert refused("sqlite:///:memory:") == f"{form}'sqlite'"
+    assert "secret" not in refused("postgresql://user:secret@localhost:port/x")
+
+
+def test_the_database_of_another_program_is_left_alone(place: str) -> None:
+    if "://" in place:
+        import psycopg
+
+        with psycopg.connect(place) as connection:
+            connection.execute("CREATE TABLE device (serial text)")
+    else:
+        with sqlite3.connect(place) as other:
+            other.execute("CREATE TABLE device (serial text)")
+        other.close()
+    assert "expected a registry or an empty database, found the tables of another program" in refused(
+        place, create=True
+    )
+
+
+def test_an_empty_database_is_no_registry_to_read(server: Server) -> None:
+    url = server.new_database()
+    assert "expected a registry, found an empty database; `tumble registry add` makes one" in refused(url)
+
+
+def test_a_server_that_does_not_answer_is_named_without_the_password(server: Server) -> None:
+    said = refused(server.url("nowhere"))
+    assert 'database "nowhere" does not exist' in said
+    assert server.password not in said
+    wrong = refused(server.url("postgres").replace(server.password, "hunter2"))
+    assert "password authentication failed" in wrong
+    assert "hunter2" not in wrong
+
+
+def test_the_default_is_a_file_in_the_users_data_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("platformdirs.user_data_path", lambda name, **_: tmp_path / name)
+    with open_registry(create=True) as registry:
+        added(registry)
+    assert (tmp_path / "tumble" / "registry.sqlite").exists()
+
+
+@pytest.mark.parametrize("module", ["sqlalchemy", "alembic", "psycopg", "platformdirs"])
+def test_without_the_extra_it_is_named(module: str, tmp_path: Path) -> None:
+    place = {"psycopg": "postgresql://localhost/x", "platformdirs": None}.get(module, str(tmp_path / "r.sqlite"))
+    code = (
+        f"import sys; sys.modules[{module!r}] = None\n"
+        "from tumble.errors import MissingExtraError\n"
+        "from tumble.registry.connect import open_registry\n"
+        "try:\n"
+        f"    with open_registry({place!r}, create=True): pass\n"
+        "except MissingExtraError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "the registry needs SQLAlchemy and more; install them with: pip install 'tumble[registry]'\n"
+    assert MissingExtraError.__name__ in code
