@@ -136,7 +136,8 @@ def from_cross_axes(doubled: bool, scatter: float, lean: float, draws: int, rng:
         solution = design @ (BLOCK.model(truth).predict(tilted) + NOISE * rng.standard_normal(nominal.shape))
         found = SensorModel(matrix=solution[:3].T, bias=solution[3])
         errors[i] = BLOCK.parameters(to_accelerometer_frame(BLOCK, found, None)[0]) - truth
-    return np.sqrt((errors**2).reshape(draws, 3, 3).mean(axis=(0, 2)))[[1, 2, 0]] * 1e6
+    rms = np.sqrt((errors**2).reshape(draws, 3, 3).mean(axis=(0, 2)))
+    return np.asarray(rms[[1, 2, 0]] * 1e6)
 
 
 def alignment_of_the_case(u: Array, draws: int, rng: np.random.Generator) -> float | None:

@@ -42,12 +42,9 @@ BY_HAND = ("joint", "staged", "ellipsoid")
 POSITIONS = 20
 
 NEEDS: Mapping[str, tuple[str, str]] = {
-    "joint": ("rests in nine attitudes or more, turns between them", "all parameters"),
-    "staged": ("rests in nine attitudes or more, turns between them", "all parameters"),
-    "scalar": (
-        "the positions and the known turns of `rough-table`; Earth's rate above the gyros' errors",
-        "all parameters",
-    ),
+    "joint": ("rests in nine attitudes or more; turns between them", "all parameters"),
+    "staged": ("rests in nine attitudes or more; turns between them", "all parameters"),
+    "scalar": ("the positions and known turns of a programme like `rough-table`; triads", "all parameters"),
     "sequential": ("the same", "all parameters"),
     "ellipsoid": ("rests in nine attitudes or more; no gyros", "accelerometers"),
 }

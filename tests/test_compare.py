@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from tumble.calibration import Calibration, Parameter
 from tumble.cli import main
-from tumble.compare import compare, in_frame
+from tumble.compare import compare
 from tumble.errors import InputError
 from tumble.frames import Frame
 from tumble.model import Block
@@ -86,7 +86,7 @@ def test_one_parameter_beyond_is_found() -> None:
 @pytest.mark.parametrize("frame", [f for f in FRAMES if f != "accelerometer"])
 def test_frames_are_made_the_same_before_anything_is_compared(frame: Frame) -> None:
     made = calibration()
-    other = in_frame(made, frame)
+    other = made.in_frame(frame)
     assert {p.name for p in other.parameters} != {p.name for p in made.parameters}
     for found, expected in ((compare(made, other), "accelerometer"), (compare(other, made), frame)):
         assert found.frame == expected
@@ -102,7 +102,7 @@ def test_a_converted_calibration_has_the_same_readings_of_one_motion() -> None:
     assert made.gyro is not None
     true = np.random.default_rng(3).standard_normal((20, 3))
     for frame in FRAMES:
-        other = in_frame(made, frame)
+        other = made.in_frame(frame)
         assert other.accel is not None
         assert other.gyro is not None
         Q = np.linalg.solve(made.accel.matrix, other.accel.matrix)

@@ -43,8 +43,11 @@ RUN = (
     "docs/rough-table.md",
     "docs/conventions.md",
     "docs/cube.md",
+    "docs/ellipsoid.md",
     "docs/xsens.md",
     "docs/recordings.md",
+    "docs/registry.md",
+    "docs/campaigns.md",
 )
 RECORDINGS = {"docs/xsens.md": "xsens-mti"}
 """Pages that need a recording: the folder of the shared data that is copied into the empty one."""

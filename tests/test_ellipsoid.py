@@ -257,6 +257,38 @@ def test_many_units_are_fitted_as_each_alone() -> None:
         assert together.shape[u] == pytest.approx(alone.shape[0], abs=1e-12)
 
 
+def pencil_solved_as_written(unit: Array) -> tuple[Array, float]:
+    """Centre (3,) of one unit's ellipsoid by Eqs. (9)–(20) with a general eigenvalue solver, and the positive λ as a part
+    of the smallest other one."""
+    mean, size = unit.mean(axis=0), np.sqrt(3.0) * unit.std(axis=0)
+    x, y, z = ((unit - mean) / size).T
+    D = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * y * z, 2 * x * z, x, y, z, np.ones_like(x)], axis=1)
+    S = D.T @ D
+    C = np.diag([-1.0, -1.0, -1.0, -4.0, -4.0, -4.0])
+    C[:3, :3] += 1.0 - np.eye(3)
+    down = -np.linalg.solve(S[6:, 6:], S[6:, :6])
+    eigenvalues, vectors = np.linalg.eig(np.linalg.solve(C, S[:6, :6] + S[:6, 6:] @ down))
+    assert (eigenvalues.real > 0.0).sum() == 1
+    xi1 = vectors[:, np.argmax(eigenvalues.real)].real
+    H = xi1[[[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
+    centre = mean - 0.5 * size * np.linalg.solve(H, (down @ xi1)[:3])
+    return centre, float(eigenvalues.real.max() / np.abs(np.sort(eigenvalues.real)[-2]))
+
+
+@pytest.mark.parametrize("noise", [1e-5, 1e-2, 0.3])
+def test_the_fit_is_the_eigenvector_of_the_pencil_at_any_noise(noise: float) -> None:
+    rng = np.random.default_rng(22)
+    volts = draws(readings(placed(FOURTEEN, rng)), noise, 60, rng)
+    found = fit_many(volts)
+    assert found.found.any()
+    dominance = []
+    for u in np.flatnonzero(found.found):
+        centre, ratio = pencil_solved_as_written(volts[u])
+        assert found.centre[u] == pytest.approx(centre, abs=1e-7)
+        dominance.append(ratio)
+    assert (max(dominance) > 0.1) == (noise > 0.1)  # where power iteration alone would not do
+
+
 def test_one_bad_unit_does_not_spoil_the_others() -> None:
     rng = np.random.default_rng(11)
     volts = draws(readings(placed(FOURTEEN, rng)), 1e-5, 3, rng)

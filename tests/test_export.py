@@ -11,12 +11,14 @@ import pytest
 from calibrated import HEXAD, calibration
 from click.testing import CliRunner
 
+from tumble.calibration import Parameter
 from tumble.cli import main
 from tumble.commands import export as command
 from tumble.errors import InputError
 from tumble.estimate import Outcome
 from tumble.export import FORMATS, export
 from tumble.export.certificate import Certificate, Party, Person
+from tumble.export.exported import NO_MAGNETOMETER
 from tumble.export.kalibr import Densities, NoiseDensities
 
 PLAIN = tuple(name for name in FORMATS if name not in ("kalibr", "dcc"))
@@ -25,7 +27,7 @@ NOISE = NoiseDensities(
     accel=Densities(white=1e-3, walk=2e-4, bounds=()),
     gyro=Densities(white=1e-4, walk=2e-5, bounds=("random walk of the gyros: bounded",)),
     rate=200.0,
-    source="a test",
+    source="the longest rest, 0.0–3600.0 s",
 )
 PARTY = Party(name="Inertial laboratory", city="Braunschweig", country="DE")
 CERTIFICATE = Certificate.model_validate(
@@ -131,3 +133,20 @@ def test_the_command_writes_the_file_and_says_what_is_lost(tmp_path: Path) -> No
     assert CliRunner().invoke(main, words).exit_code == 2
     assert CliRunner().invoke(main, [*words, "--force"]).exit_code == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.json", "imu.params"]
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_magnetometer_is_named_as_lost_and_disturbs_nothing(to: str) -> None:
+    """Its parameters are there or not, the numbers of the others are the same."""
+    made = calibration()
+    assert made.covariance is not None
+    field = Parameter(name="mag.bias.x", value=3.0, u=0.5, unit="uT")
+    covariance = np.pad(made.covariance, (0, 1))
+    covariance[-1, -1] = 0.25
+    more = {"noise": NOISE} if to == "kalibr" else {"certificate": CERTIFICATE} if to == "dcc" else {}
+    with_mag = replace(made, parameters=(*made.parameters, field), covariance=covariance, mag=made.accel)
+    one, other = export(made, to, **more), export(with_mag, to, **more)
+    assert set(other.losses) - set(one.losses) == {NO_MAGNETOMETER}
+    if to not in ("mat", "csv"):
+        assert b"uT" not in other.content
+        assert len(other.content.splitlines()) - len(one.content.splitlines()) in (0, 1)

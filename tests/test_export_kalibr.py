@@ -13,7 +13,6 @@ from calibrated import FRAMES, calibration
 from test_export import NOISE
 
 from tumble.calibration import Calibration
-from tumble.compare import in_frame
 from tumble.errors import InputError
 from tumble.export import export
 from tumble.export.kalibr import noise_densities
@@ -75,7 +74,7 @@ def test_both_matrices_are_lower_triangular_and_rotations_are_rotations(seed: in
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_the_frame_of_the_calibration_does_not_matter(frame: Frame) -> None:
-    one, other = read(calibration()), read(in_frame(calibration(), frame))
+    one, other = read(calibration()), read(calibration().in_frame(frame))
     for name in ("Ta", "Tw", "R_IMUtoGYRO"):
         np.testing.assert_allclose(one[name], other[name], atol=1e-14)
 

@@ -24,6 +24,7 @@ ANSWERS = {
     "rest_noise.py": "too small, and the scatter between rests has to be estimated.",
     "sequential_against_scalar.py": "When is the scalar method better? After one pass from ±",
     "table_errors_as_unknowns.py": "Is anything gained by the tilts as unknowns? No: converged, it is the scalar",
+    "which_method_when.py": "Which method, when? joint wherever there are gyros and turns",
 }
 """What the last line of a study says."""
 

@@ -33,7 +33,7 @@ from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.session import Site
 from tumble.units import Array, BoolArray, IntArray
 
-ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))  # type: ignore[arg-type]
+ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
 """The triads of a set-up."""
 
 

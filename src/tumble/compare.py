@@ -12,9 +12,8 @@ common, such as an error of the site's gravity, is counted twice in u(d), which 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
-from typing import cast, get_args
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -24,8 +23,6 @@ from scipy.stats import chi2
 
 from tumble.calibration import Calibration, Parameter
 from tumble.errors import InputError
-from tumble.frames import Frame, convert, triad_axes
-from tumble.model import Block
 from tumble.units import Array, engineering, rounded
 
 COVERAGE = 2.0
@@ -80,9 +77,9 @@ def compare(first: Calibration, second: Calibration) -> Comparison:
     """Compare two calibrations parameter by parameter. The second is converted to the frame of the first where they
     differ; to the case only what is in it already can be compared, so then the first is converted.
 
-    Raises InputError where they have no parameter in common, or cannot be converted."""
+    Raises InputError where they have no parameter in common, CalibrationError where they cannot be converted."""
     frame = second.frame if first.frame == "case" else first.frame
-    a, b = in_frame(first, frame), in_frame(second, frame)
+    a, b = first.in_frame(frame), second.in_frame(frame)
     ours, theirs = ({p.name: p for p in c.parameters} for c in (a, b))
     common = [name for name in ours if name in theirs]
     if not common:
@@ -102,44 +99,6 @@ def compare(first: Calibration, second: Calibration) -> Comparison:
         probability=probability,
         missing=tuple(name for name in (*ours, *theirs) if name not in common),
         remarks=tuple(_remarks(first, second, frame)),
-    )
-
-
-def in_frame(calibration: Calibration, frame: str) -> Calibration:
-    """The same calibration, its parameters, covariance and models in another frame; without its iterations and
-    launches, which are not converted."""
-    if calibration.frame == frame:
-        return calibration
-    if calibration.accel is None or frame not in get_args(Frame):
-        raise InputError(
-            f"calibration of {calibration.serial!r}: expected every accelerometer parameter, to convert it from the "
-            f"frame {calibration.frame!r} to {frame!r}, found {len(calibration.parameters)} parameters"
-        )
-    accel, gyro = calibration.accel, calibration.gyro
-    axes = triad_axes(accel.matrix)
-    used = [p for p in calibration.parameters if p.name.startswith("accel") or gyro is not None]
-    framed = convert(
-        Block(kind="accel", axes=axes),
-        None if gyro is None else Block(kind="gyro", axes=triad_axes(gyro.matrix)),
-        source=cast(Frame, calibration.frame),
-        values=np.array([p.value for p in used]),
-        covariance=None if calibration.covariance is None else calibration.covariance[: len(used), : len(used)],
-        target=cast(Frame, frame),
-    )
-    us = [None] * len(framed.names) if framed.covariance is None else np.sqrt(np.diag(framed.covariance)).tolist()
-    parameters = tuple(
-        Parameter(name=name, value=float(value), u=u, unit=unit)
-        for name, value, u, unit in zip(framed.names, framed.values, us, framed.units, strict=True)
-    )
-    return replace(
-        calibration,
-        frame=frame,
-        parameters=parameters,
-        covariance=framed.covariance,
-        accel=framed.accel,
-        gyro=framed.gyro,
-        iterations=(),
-        launches=(),
     )
 
 

@@ -6,7 +6,7 @@ names it; when they do not fit, the outcome says which rest or turn, and by how 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,7 +134,12 @@ class Solution:
 
 def spreads(block: Block) -> Array:
     """The spread of each parameter of a block, SI."""
-    return np.array([SPREAD[".".join(name.split(".")[:2])] for name in block.names])
+    return spreads_of(block.names)
+
+
+def spreads_of(names: Sequence[str]) -> Array:
+    """The spread of parameters of these names, SI."""
+    return np.array([SPREAD[".".join(name.split(".")[:2])] for name in names])
 
 
 def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:

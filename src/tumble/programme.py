@@ -15,6 +15,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cache
 from itertools import permutations, product
 from types import MappingProxyType
 
@@ -221,11 +222,20 @@ def _standing(signs: Array, choice: int) -> str:
     lifts = {1: "", 2: " N+45", 3: f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"}
     lift = lifts[int(np.count_nonzero(signs))]
     up = signs / np.linalg.norm(signs)
-    codes = [code + lift for code in _TRIPLES if np.allclose(attitude(code + lift)[1], up, atol=1e-9)]
+    codes = [code for code, vertical_b in _lifted(lift).items() if np.abs(vertical_b - up).max() < _SAME]
     return codes[choice % len(codes)]
 
 
-_TRIPLES = [
+_SAME = 1e-9
+
+
+@cache
+def _lifted(lift: str) -> dict[str, Array]:
+    """The vertical in the body of every right-handed triple, lifted, by its code."""
+    return {letters + lift: attitude(letters + lift)[1] for letters in TRIPLES}
+
+
+TRIPLES = [
     letters
     for letters in map("".join, permutations("NUESDW", 3))
     if np.linalg.det(np.column_stack([_DIRECTIONS[letter] for letter in letters])) > 0.5

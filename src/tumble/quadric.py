@@ -27,13 +27,17 @@ _PENCIL[:3, :3] = 1.0 - 2.0 * np.eye(3)
 _PENCIL[3:, 3:] = -4.0 * np.eye(3)
 """C* (17)."""
 
+_SPHERE = np.array([[1.0], [1.0], [1.0], [0.0], [0.0], [0.0]])
+
+_POWERS = 4
+_CONVERGED = 1e-10
 _LEAST_EIGENVALUE = 1e-14
 """Added to the diagonals of S, on scaled readings: the square of what no reading resolves, and far enough above
 rounding for the other λ of (20) to be told where the readings have no noise."""
 _LEAST_SECOND = 1e-3
-"""Second smallest |λ| of (20), on scaled readings: below, the readings do not determine the ellipsoid. Good programmes
-have 0.01 to 0.06."""
-_UNITS_AT_ONCE = 2048
+"""Second smallest |λ| of (20), on scaled readings (or what the others together make of it): below, the readings do not
+determine the ellipsoid. Good programmes have 0.01 to 0.06."""
+_UNITS_AT_ONCE = 512
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -99,9 +103,29 @@ def _conic(scaled: Array) -> tuple[Array, BoolArray]:
     D[:, 6:9] = scaled
     S = D @ np.swapaxes(D, 1, 2) / positions
     to_xi2 = -np.linalg.solve(S[:, 6:, 6:] + _LEAST_EIGENVALUE * np.eye(4), S[:, 6:, :6])
-    inverse = np.linalg.inv(np.linalg.cholesky(S[:, :6, :6] + S[:, :6, 6:] @ to_xi2 + _LEAST_EIGENVALUE * np.eye(6)))
-    eigenvalues, vectors = np.linalg.eigh(inverse @ _PENCIL @ np.swapaxes(inverse, 1, 2))
-    xi1 = np.swapaxes(inverse, 1, 2) @ vectors[:, :, -1:]
+    L = np.linalg.cholesky(S[:, :6, :6] + S[:, :6, 6:] @ to_xi2 + _LEAST_EIGENVALUE * np.eye(6))
+    inverse = np.linalg.inv(L)
+    pencil = inverse @ _PENCIL @ np.swapaxes(inverse, 1, 2)
+    value, z = _positive(pencil, np.swapaxes(L, 1, 2) @ _SPHERE)
+    others = pencil - value * z * np.swapaxes(z, 1, 2)
+    xi1 = np.swapaxes(inverse, 1, 2) @ z
     xi = np.concatenate([xi1, to_xi2 @ xi1], axis=1)[:, :, 0]
     scale = np.sign(xi[:, :3].sum(axis=1)) / np.abs(xi[:, :6]).max(axis=1)
-    return xi * scale[:, None], -1.0 / eigenvalues[:, 0] > _LEAST_SECOND
+    return xi * scale[:, None], np.linalg.norm(others, axis=(1, 2)) < 1.0 / _LEAST_SECOND
+
+
+def _positive(pencil: Array, start: Array) -> tuple[Array, Array]:
+    """The only positive eigenvalue 1/λ (U, 1, 1) of symmetric matrices (U, 6, 6) and its unit vector (U, 6, 1), near
+    `start` (U, 6, 1). Where noise is small it is by far the largest and found by power iteration; the few others are
+    decomposed."""
+    z = start
+    for _ in range(_POWERS):
+        image = pencil @ z
+        z = image / np.linalg.norm(image, axis=1, keepdims=True)
+    image = pencil @ z
+    value = np.swapaxes(z, 1, 2) @ image
+    off = np.linalg.norm(image - value * z, axis=1)[:, 0] > _CONVERGED * value[:, 0, 0]
+    if off.any():
+        eigenvalues, vectors = np.linalg.eigh(pencil[off])
+        value[off], z[off] = eigenvalues[:, -1:, None], vectors[:, :, -1:]
+    return value, z

@@ -5,7 +5,7 @@ Frames: b body X, Y, Z; n geographic N (north), U (up), E (east), right-handed i
 
 from __future__ import annotations
 
-from math import cos, sin
+import math
 
 import numpy as np
 
@@ -54,7 +54,9 @@ def rotation_vector(matrix: Array) -> Array:
 def axes_matrix(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float) -> Array:
     """Directions of three nearly orthogonal sensing axes in the body frame as unit rows, Eq. (1).
 
-    Each angle γ_pq (rad) is how far the axis of sensor p leans towards body axis q."""
+    Each angle γ_pq (rad) is how far the axis of sensor p leans towards body axis q. Angles that are arrays of one shape
+    (...) give (3, 3, ...)."""
+    cos, sin = (math.cos, math.sin) if isinstance(xy, float) else (np.cos, np.sin)
     return np.array(
         [
             [cos(xy) * cos(xz), sin(xy), cos(xy) * sin(xz)],

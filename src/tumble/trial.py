@@ -28,9 +28,10 @@ from tumble.errors import InputError
 from tumble.estimate import DETERMINED, spreads
 from tumble.grades import NoiseModel, grade
 from tumble.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.methods.compensation import triad_model
 from tumble.model import Block
 from tumble.observe import Observations
-from tumble.rotation import axes_matrix, rotation_matrix
+from tumble.rotation import rotation_matrix
 from tumble.simulate import HandHeld, Request, Scenario, draw_parameters, itinerary, typical_scenario, write_simulation
 from tumble.simulated_observations import simulate_observations
 from tumble.statics import fit_statics
@@ -160,7 +161,8 @@ def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
     gravity, sigma = scenario.site.gravity, _of_a_mean(scenario)
     truth = _drawn_triads(cell.request.grade, rng)
     force = gravity * _verticals(scenario, rng)
-    readings = force @ _transposed_matrices(truth) + truth[:, None, :3]
+    model = triad_model(truth[:, :3], truth[:, 3:6], truth[:, 6:])
+    readings = force @ np.ascontiguousarray(np.swapaxes(model.matrix, 1, 2)) + model.bias[:, None]
     readings += sigma * rng.standard_normal(readings.shape)
     values, variance, step = fit_statics(readings, gravity)
     variance *= sigma**2
@@ -192,14 +194,6 @@ def _drawn_triads(name: str, rng: np.random.Generator) -> Array:
     spread = grade(name).accel
     spreads = np.repeat([spread.bias, spread.scale, spread.axis], 3)
     return np.asarray(spreads * rng.standard_normal((BLOCK, len(spreads))))
-
-
-def _transposed_matrices(parameters: Array) -> Array:
-    """(diag(1 + k) A(γ))ᵀ, (n, 3, 3), of parameters (n, 9)."""
-    none = np.zeros(len(parameters))
-    yx, zx, zy = parameters[:, 6:].T
-    axes = axes_matrix(none, none, yx, none, zx, zy)  # type: ignore[arg-type]
-    return np.ascontiguousarray((axes * (1.0 + parameters[:, 3:6].T[:, None])).T)
 
 
 def _verticals(scenario: Scenario, rng: np.random.Generator) -> Array:

@@ -172,8 +172,8 @@ def verify(calibration: Calibration, positions: Positions) -> Verification:
     own = calibration.provenance.get("log_sha256") == positions.sha256
     if any(launch.log_sha256 == positions.sha256 for launch in calibration.launches):
         raise InputError(
-            "expected positions that did not take part in the calibration, or those of its only session, found one of "
-            f"its {len(calibration.launches)} launches; verify with another session"
+            f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
+            f"only session, found one of its {len(calibration.launches)} launches; verify with another session"
         )
     fit = _accelerometer_fit(calibration)
     across = seen.direction[:, None, :] @ calibration.accel.inverse()
@@ -228,14 +228,15 @@ def verticals(calibration: Calibration, positions: Positions) -> Verticals:
     blocks (`case.relate`). Raises as `verify`."""
     if calibration.accel is None or not calibration.outcome.accepted:
         raise CalibrationError(
-            f"expected an accepted calibration of accelerometers, found {'; '.join(calibration.outcome.reasons)}"
+            f"calibration of {calibration.serial!r}: expected an accepted one of accelerometers, found "
+            f"{'; '.join(calibration.outcome.reasons) or 'none of accelerometers'}"
         )
     convention = Convention(frame=frame_of(calibration.frame), block=positions.block)
     names = tuple(p.name for p in calibration.parameters if p.name.startswith(positions.block.kind))
     if names != convention.names:
         raise InputError(
-            f"expected readings of the sensors of the calibration, {len(calibration.accel.bias)} accelerometers, found "
-            f"{positions.block.size} with other axes; verify with recordings of the same device"
+            f"calibration of {calibration.serial!r}: expected readings of its {len(calibration.accel.bias)} "
+            f"accelerometers, found {positions.block.size} with other axes; verify with recordings of the same device"
         )
     count = len(names)
     known = np.zeros((count, count)) if calibration.covariance is None else calibration.covariance[:count, :count]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from datetime import UTC, date, datetime
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +21,22 @@ _DAY = click.DateTime(["%Y-%m-%d"])
 
 
 def _place(command: Callable[..., None]) -> Callable[..., None]:
+    """Gives a command the option of where the registry is, and a line for the extra where it is missing."""
+
+    @wraps(command)
+    def with_extra(*args: Any, **options: Any) -> None:
+        from tumble.registry.connect import extra_named
+
+        with extra_named():
+            command(*args, **options)
+
     return click.option(
         "--registry",
         "place",
         metavar="FILE|URL",
         envvar="TUMBLE_REGISTRY",
         help="An SQLite file or postgresql://USER@HOST/NAME; default: TUMBLE_REGISTRY, else a file of the user's.",
-    )(command)
+    )(with_extra)
 
 
 @click.group()

@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 from tumble.errors import InputError
+from tumble.export.exported import NO_MAGNETOMETER
 
 if TYPE_CHECKING:
     from tumble.calibration import Calibration
@@ -42,6 +44,15 @@ def export(
     data of a certificate; the others take neither.
 
     Raises InputError for a calibration that was not accepted or that the format has no place for."""
+    exported = _export(calibration, to, noise, certificate)
+    if calibration.mag is None:
+        return exported
+    return replace(exported, losses=(*exported.losses, NO_MAGNETOMETER))
+
+
+def _export(
+    calibration: Calibration, to: str, noise: NoiseDensities | None, certificate: Certificate | None
+) -> Exported:
     wanted = {"kalibr": ("noise", noise), "dcc": ("certificate", certificate)}
     for name, (what, given) in wanted.items():
         if (given is not None) != (to == name):

@@ -1,7 +1,7 @@
 """A Digital Calibration Certificate: the XML of PTB's DCC, schema 3.3.0, with quantities in D-SI 2.2.1.
 
-Every parameter is a quantity with its expanded uncertainty U = 2u (k = 2). A list of all of them has their covariance
-matrix, the matrices and biases of the model equation follow, and an example worked with it:
+Every parameter of accelerometers and gyros is a quantity with its expanded uncertainty U = 2u (k = 2). A list of all of
+them has their covariance matrix, the matrices and biases of the model equation follow, and an example worked with it:
 
     reading = matrix · true + bias,    true = matrix⁻¹ (reading − bias)
 
@@ -15,6 +15,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -56,6 +57,12 @@ def d_si(*units: str) -> str:
 def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     """The XML file of a calibration with the administrative data of its certificate."""
     known = models(calibration)
+    inertial = [i for i, p in enumerate(calibration.parameters) if p.unit in _DIMENSIONS]
+    calibration = replace(
+        calibration,
+        parameters=tuple(calibration.parameters[i] for i in inertial),
+        covariance=None if calibration.covariance is None else calibration.covariance[np.ix_(inertial, inertial)],
+    )
     ET.register_namespace("dcc", _DCC)
     ET.register_namespace("si", _SI)
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})

@@ -19,6 +19,7 @@ EXAMPLE = {"accel": np.array([0.5, -1.0, 9.7]), "gyro": np.array([0.1, -0.2, 0.3
 """True vectors near which the examples are, m/s² and rad/s."""
 
 NO_UNCERTAINTY = "uncertainties and their covariance have no place in this file"
+NO_MAGNETOMETER = "matrix and bias of the magnetometer have no place in this file"
 SINGLE_PRECISION = "the target computes in single precision: 7 digits of each number"
 
 
@@ -101,6 +102,7 @@ def origin(calibration: Calibration) -> list[str]:
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {unit} are (raw - offset) / scale: offset {offset}, scale {scale}")
+    lines += [NO_MAGNETOMETER] if calibration.mag is not None else []
     return [one_line(line) for line in lines]
 
 

@@ -34,6 +34,7 @@ from tumble.likelihood import (
     Point,
     Prior,
     Problem,
+    Rows,
     Scatter,
     Step,
     TurnsAbout,
@@ -74,16 +75,16 @@ def joint(observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool =
     """All parameters of a session by maximum likelihood, with covariance and outcome. With `robust`, rests and turns
     that do not fit are left out, the worst first, and keep the sigmas that say so."""
     problem = Problem.of(observations, prior)
-    point, about, increments = _started(problem)
+    at, increments = _started(problem)
     out = _Out.nothing(problem)
     while True:
-        fitted = _fitted(problem, point, about, out)
+        fitted = _fitted(problem, at, out)
         increments += fitted.increments
         rest_sigmas, turn_sigmas = _sigmas(fitted, out)
         found = _worst(rest_sigmas, turn_sigmas, out) if robust else None
         if found is None:
             return _estimate(problem, fitted, increments, rest_sigmas, turn_sigmas)
-        point, about, out = fitted.point, fitted.about, found
+        at, out = _At.of(problem, fitted.solved.point, fitted.solved.last.about), found
 
 
 # Which rests and turns count
@@ -126,8 +127,8 @@ def _worst(rest_sigmas: Array, turn_sigmas: Array, out: _Out) -> _Out | None:
 # The start
 
 
-def _started(problem: Problem) -> tuple[Point, TurnsAbout | None, tuple[Array, ...]]:
-    """A point near the solution, in closed form, the turns about its gyros, and the step there from zero."""
+def _started(problem: Problem) -> tuple[_At, tuple[Array, ...]]:
+    """A point near the solution, in closed form, and the step there from zero."""
     observations = problem.observations
     block, gyro_block = observations.accel_block, observations.gyro_block
     accel = observations.start_values(block)
@@ -140,7 +141,7 @@ def _started(problem: Problem) -> tuple[Point, TurnsAbout | None, tuple[Array, .
     values = np.append(accel, gyro)
     attitudes = _headings(problem, vertical, values, about)
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
-    return point, about, (point.values,)
+    return _At.of(problem, point, about), (values,)
 
 
 def _started_gyros(problem: Problem, vertical: Array) -> tuple[TurnsAbout | None, Array]:
@@ -219,56 +220,73 @@ def _sums(values: Array, chain: IntArray) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Fitted:
-    """Where the iteration ended, its last step with what that leaves, and the fits of the groups."""
+class _At:
+    """A point, the turns about gyros near it, and the rows linearised there."""
 
     point: Point
     about: TurnsAbout | None
+    rows: Rows
+
+    @staticmethod
+    def of(problem: Problem, point: Point, about: TurnsAbout | None) -> _At:
+        return _At(point=point, about=about, rows=linearise(problem, point, about))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Solved:
+    """The point where the iteration ended, the last step, where that began, and the changes of the parameters."""
+
+    point: Point
+    last: _At
     step: Step
+    increments: tuple[Array, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Fitted:
+    """The solution with its scatter, what it leaves of the residuals, and the fits of the groups."""
+
+    solved: _Solved
     left: Left
     scatter: Scatter
     fits: Mapping[str, Fit]
     increments: tuple[Array, ...]
-    converged: bool
 
 
-def _fitted(problem: Problem, point: Point, about: TurnsAbout | None, out: _Out) -> _Fitted:
+def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
     """The solution with the scatter that it shows."""
     scatter = Scatter()
-    point, about, step, increments = _iterated(problem, point, about, out.weights(problem, scatter))
-    without = left(problem, step)
+    solved = _iterated(problem, start, out.weights(problem, scatter))
+    without = after = left(problem, solved.step)
+    increments = solved.increments
     for _ in range(SCATTER_ROUNDS):
-        found = _scattered(problem, point, about, scatter, out)
+        found = _scattered(problem, solved.last.rows, after, scatter, out)
         if found == scatter:
             break
         scatter = found
-        point, about, step, more = _iterated(problem, point, about, out.weights(problem, scatter))
-        increments += more
-    after = left(problem, step)
+        solved = _iterated(problem, solved.last, out.weights(problem, scatter))  # the last step again, with scatter
+        after = left(problem, solved.step)
+        increments = increments[:-1] + solved.increments
     return _Fitted(
-        point=point,
-        about=about,
-        step=step,
+        solved=solved,
         left=after,
         scatter=scatter,
         fits=_fits(problem, after, scatter, without),
         increments=increments,
-        converged=_negligible(problem, step),
     )
 
 
-def _iterated(
-    problem: Problem, point: Point, about: TurnsAbout | None, weight: Weights
-) -> tuple[Point, TurnsAbout | None, Step, tuple[Array, ...]]:
+def _iterated(problem: Problem, at: _At, weight: Weights) -> _Solved:
     """Gauss–Newton with these weights."""
     increments: list[Array] = []
     while True:
-        step = solve(problem, linearise(problem, point, about), weight)
-        point, moved = _moved(problem, point, step)
+        step = solve(problem, at.rows, weight)
+        point, moved = _moved(problem, at.point, step)
         increments.append(moved)
-        before, about = about, _integrated(problem, point, about)
-        if (_negligible(problem, step) and about is before) or len(increments) == MAX_ITERATIONS:
-            return point, about, step, tuple(increments)
+        about = _integrated(problem, point, at.about)
+        if (_negligible(problem, step) and about is at.about) or len(increments) == MAX_ITERATIONS:
+            return _Solved(point=point, last=at, step=step, increments=tuple(increments))
+        at = _At.of(problem, point, about)
 
 
 def _negligible(problem: Problem, step: Step) -> bool:
@@ -317,28 +335,38 @@ def _parts(after: Left) -> tuple[tuple[Array, Array], ...]:
     return after.accel, after.gyro, after.turn
 
 
-def _scattered(problem: Problem, point: Point, about: TurnsAbout | None, start: Scatter, out: _Out) -> Scatter:
+def _scattered(problem: Problem, rows: Rows, after: Left, start: Scatter, out: _Out) -> Scatter:
     """The scatter that makes the squares of each group that has one what they are expected to be: steps of Fisher
-    scoring, at one linearisation."""
-    rows = linearise(problem, point, about)
+    scoring, at one linearisation. `after` is what the solution with the scatter `start` leaves."""
     variance = np.array([start.accel, start.gyro, start.turn]) ** 2
-    active = variance > 0.0
+    scatter, active = start, variance > 0.0
+    if not active.any():
+        active = np.array([_chance(part) < SCATTER_PROBABILITY for part in _parts(after)])
     for _ in range(SCATTER_STEPS):
-        scatter = Scatter(**dict(zip(("accel", "gyro", "turn"), np.sqrt(variance).tolist(), strict=True)))
-        weight = out.weights(problem, scatter)
-        parts = _parts(left(problem, solve(problem, rows, weight)))
-        squares = np.array([(r**2).sum() for r, _ in parts])
-        expected = np.array([v.sum() for _, v in parts])
-        if not active.any():
-            needed = [chance_of(s, e) < SCATTER_PROBABILITY and e > 0.5 for s, e in zip(squares, expected, strict=True)]
-            active = np.array(needed)
-        off = np.abs(squares - expected) > SCATTER_CONVERGED * expected
-        if not np.any(active & off & ((variance > 0.0) | (squares > expected))):
-            return scatter
-        gain = np.array([(v * g).sum() for (_, v), g in zip(parts, _inverse_variances(problem, weight), strict=True)])
+        squares, expected = np.array([_squares(part) for part in _parts(after)]).T
+        off = active & (np.abs(squares - expected) > SCATTER_CONVERGED * expected)
+        if not np.any(off & ((variance > 0.0) | (squares > expected))):
+            break
+        gains = _inverse_variances(problem, out.weights(problem, scatter))
+        gain = np.array([(v * g).sum() for (_, v), g in zip(_parts(after), gains, strict=True)])
         change = (squares - expected) / np.where(gain > 0.0, gain, np.inf)
         variance = np.where(active, np.maximum(variance + change, 0.0), 0.0)
+        accel, gyro, turn = np.sqrt(variance).tolist()
+        scatter = Scatter(accel=accel, gyro=gyro, turn=turn)
+        after = left(problem, solve(problem, rows, out.weights(problem, scatter)))
     return scatter
+
+
+def _squares(part: tuple[Array, Array]) -> tuple[float, float]:
+    """Sum of the squares of a group, and what is expected of it."""
+    residual, variance = part
+    return float((residual**2).sum()), float(variance.sum())
+
+
+def _chance(part: tuple[Array, Array]) -> float:
+    """Probability that chance alone exceeds the chi-square of a group; 1 where nothing is left to judge by."""
+    squares, expected = _squares(part)
+    return chance_of(squares, expected) if expected > 0.5 else 1.0
 
 
 def _inverse_variances(problem: Problem, weight: Weights) -> Iterator[Array]:
@@ -361,12 +389,8 @@ def _fits(problem: Problem, after: Left, scatter: Scatter, without: Left) -> dic
 
 
 def _fit(parts: list[tuple[Array, Array]], scatter: float, unit: str) -> Fit:
-    return Fit(
-        chi_square=float(sum((r**2).sum() for r, _ in parts)),
-        degrees=float(sum(v.sum() for _, v in parts)),
-        scatter=scatter,
-        scatter_unit=unit,
-    )
+    squares, expected = np.sum([_squares(part) for part in parts], axis=0).tolist()
+    return Fit(chi_square=squares, degrees=expected, scatter=scatter, scatter_unit=unit)
 
 
 # What fits
@@ -411,7 +435,7 @@ def _estimate(
 ) -> Estimate:
     observations = problem.observations
     blocks = [b for b in (observations.accel_block, observations.gyro_block) if b is not None]
-    values, solution = fitted.point.values, fitted.step.solution
+    values, solution = fitted.solved.point.values, fitted.solved.step.solution
     accel = problem.accel_model(values)
     force = accel.apply(observations.rests.accel)
     return Estimate(
@@ -429,5 +453,5 @@ def _estimate(
         turn_sigmas=turn_sigmas,
         increments=increments,
         fits=fitted.fits,
-        converged=fitted.converged,
+        converged=_negligible(problem, fitted.solved.step),
     )

@@ -26,6 +26,7 @@ WRITERS_LOCK = 7_848_652_101
 
 FILE_NAME = "registry.sqlite"
 
+_LIBRARIES = ("alembic", "platformdirs", "psycopg", "sqlalchemy")
 _PLACE = "expected a file or postgresql://USER@HOST/NAME"
 
 
@@ -67,10 +68,17 @@ def open_registry(place: str | None = None, *, create: bool = False) -> Iterator
 
     Raises InputError, one line: no such registry, another program's database, a newer schema, a server that does not
     answer; MissingExtraError without the extra."""
+    with extra_named():
+        registry = _connected(place, create)
     try:
-        from tumble.registry.schema import bring_up_to_date
-    except ModuleNotFoundError as error:
-        raise missing_extra() from error
+        yield registry
+    finally:
+        registry.engine.dispose()
+
+
+def _connected(place: str | None, create: bool) -> Registry:
+    from tumble.registry.schema import bring_up_to_date
+
     url = _url(place)
     file = Path(url.database or "") if _is_file(url) else None
     name = str(file) if file else url.render_as_string(hide_password=True)
@@ -79,16 +87,23 @@ def open_registry(place: str | None = None, *, create: bool = False) -> Iterator
     registry = Registry(name=name, engine=_engine(url, name))
     try:
         bring_up_to_date(registry, create)
-        yield registry
-    finally:
+    except BaseException:
         registry.engine.dispose()
+        raise
+    return registry
 
 
-def missing_extra() -> MissingExtraError:
-    """What to install."""
-    return MissingExtraError(
-        "the registry needs SQLAlchemy and more; install them with: pip install 'tumble[registry]'"
-    )
+@contextmanager
+def extra_named() -> Iterator[None]:
+    """Where a library of the extra is missing, what to install."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.split(".")[0] not in _LIBRARIES:
+            raise
+        raise MissingExtraError(
+            "the registry needs SQLAlchemy and more; install them with: pip install 'tumble[registry]'"
+        ) from error
 
 
 def _url(place: str | None) -> URL:
@@ -96,6 +111,8 @@ def _url(place: str | None) -> URL:
     from sqlalchemy import URL, make_url
     from sqlalchemy.exc import ArgumentError
 
+    if place == "":
+        raise InputError(f"registry: {_PLACE}, found an empty name")
     if place is None or "://" not in place:
         path = default_file() if place is None else Path(place)
         return URL.create("sqlite", database=str(path))
@@ -113,10 +130,8 @@ def _url(place: str | None) -> URL:
 
 def default_file() -> Path:
     """registry.sqlite in the folder for data of the user's programs."""
-    try:
-        from platformdirs import user_data_path
-    except ModuleNotFoundError as error:
-        raise missing_extra() from error
+    from platformdirs import user_data_path
+
     return user_data_path("tumble", appauthor=False) / FILE_NAME
 
 
@@ -145,8 +160,6 @@ def _engine(url: URL, name: str) -> Engine:
     try:
         arguments: dict[str, Any] = {"timeout": PATIENCE} if _is_file(url) else {"connect_timeout": int(PATIENCE)}
         engine = create_engine(url, connect_args=arguments)
-    except ModuleNotFoundError as error:
-        raise missing_extra() from error
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: expected a URL of a registry, found {error}") from error
     if _is_file(url):

@@ -32,7 +32,7 @@ from sqlalchemy import (
 
 from tumble import __version__
 from tumble.errors import InputError
-from tumble.registry.connect import Registry, missing_extra
+from tumble.registry.connect import Registry
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection
@@ -160,11 +160,9 @@ def _keep_a_write_ahead_log(registry: Registry) -> None:
 
 
 def _migrate(connection: Connection) -> None:
-    try:
-        from alembic import command
-        from alembic.config import Config
-    except ModuleNotFoundError as error:
-        raise missing_extra() from error
+    from alembic import command
+    from alembic.config import Config
+
     config = Config()
     config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
     config.attributes["connection"] = connection

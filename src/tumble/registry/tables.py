@@ -316,4 +316,4 @@ def limit_cell(value: float, size: float) -> str:
 
 def significant(value: float | None, size: float) -> str:
     """A standard deviation to two digits."""
-    return "" if value is None else f"{value / size:.2g}"
+    return "" if value is None else f"{float(f'{value / size:.2g}'):g}"

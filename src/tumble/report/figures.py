@@ -138,7 +138,8 @@ def correlations(name: str, names: Sequence[str], correlation: Array) -> str:
         axes.spines[:].set_visible(False)
         bar = figure.colorbar(mesh, ax=axes, shrink=0.5, pad=0.01, label="correlation coefficient")
         bar.outline.set_visible(False)
-        bar.solids.set(rasterized=False, edgecolor="face")
+        if bar.solids is not None:  # a picture of pixels else
+            bar.solids.set(rasterized=False, edgecolor="face")
 
     return drawn(name, PAGE, 0.86 * PAGE, draw)
 

@@ -1,0 +1,41 @@
+"""The pages of the exports show what is written for docs/export/example.json."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_docs import lines_of, same_output
+from test_export import CERTIFICATE, NOISE
+
+from tumble.calibration import read_calibration
+from tumble.export import FORMATS, export
+from tumble.model import Block
+
+PAGES = Path(__file__).parents[1] / "docs" / "export"
+BLOCK = re.compile(r"<!-- example: (\S+) -->\n```text\n(.*?)^```$", re.M | re.S)
+EXAMPLE = read_calibration(PAGES / "example.json")
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_every_format_has_a_page_with_what_is_written_for_the_example(to: str) -> None:
+    text = (PAGES / f"{to}.md").read_text(encoding="utf-8")
+    assert "## What is lost" in text
+    assert f"({to}.md)" in (PAGES.parent / "export.md").read_text(encoding="utf-8").replace("(export/", "(")
+    blocks = BLOCK.findall(text)
+    assert [name for name, _ in blocks] == ([] if to == "mat" else [to])
+    more = {"noise": NOISE} if to == "kalibr" else {"certificate": CERTIFICATE} if to == "dcc" else {}
+    found = export(EXAMPLE, to, **more).content.decode("latin-1").encode("latin-1")
+    for _, shown in blocks:
+        assert same_output(lines_of(shown), lines_of(found.decode()))
+
+
+def test_the_examples_matrices_are_those_of_its_parameters() -> None:
+    for kind, model in (("accel", EXAMPLE.accel), ("gyro", EXAMPLE.gyro)):
+        values = np.array([p.value for p in EXAMPLE.parameters if p.name.startswith(kind)])
+        made = Block(kind=kind, axes=np.eye(3)).model(values)  # type: ignore[arg-type]
+        assert model is not None
+        np.testing.assert_allclose(model.matrix, made.matrix, atol=1e-16)
+        np.testing.assert_array_equal(model.bias, made.bias)
