@@ -258,8 +258,8 @@ def test_many_units_are_fitted_as_each_alone() -> None:
 
 
 def pencil_solved_as_written(unit: Array) -> tuple[Array, float]:
-    """Centre (3,) of one unit's ellipsoid by Eqs. (9)–(20) with a general eigenvalue solver, and the positive λ as a part
-    of the smallest other one."""
+    """Centre (3,) of one unit's ellipsoid by Eqs. (9)–(20) with a general eigenvalue solver, and the positive λ as a
+    part of the smallest other one."""
     mean, size = unit.mean(axis=0), np.sqrt(3.0) * unit.std(axis=0)
     x, y, z = ((unit - mean) / size).T
     D = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * y * z, 2 * x * z, x, y, z, np.ones_like(x)], axis=1)

@@ -69,13 +69,11 @@ def certificate_file(folder: Path, text: str = TOML) -> Path:
 
 
 @pytest.fixture(scope="module")
-def schema(data: Path) -> Any:
-    """Schema 3.3.0 of the DCC with D-SI 2.2.1 (LGPL-3.0, PTB), which is not part of this repository."""
+def schema() -> Any:
+    """Schema 3.3.0 of the DCC with D-SI 2.2.1."""
     import xmlschema
 
-    folder = data / "dcc-3.3.0"
-    if not folder.is_dir():
-        pytest.skip(f"no schema in {folder}: dcc.xsd, SI_Format.xsd, qudt.xsd and xmldsig-core-schema.xsd")
+    folder = Path(__file__).parent / "schemas"
     locations = {
         "https://ptb.de/si": str(folder / "SI_Format.xsd"),
         "http://qudt.org/vocab/": str(folder / "qudt.xsd"),
@@ -84,7 +82,6 @@ def schema(data: Path) -> Any:
     return xmlschema.XMLSchema(str(folder / "dcc.xsd"), locations=locations, allow="local")
 
 
-@pytest.mark.data
 @pytest.mark.parametrize(
     "made",
     [
@@ -102,13 +99,11 @@ def test_the_certificate_is_valid_against_the_published_schema(schema: Any, made
     assert errors == []
 
 
-@pytest.mark.data
 def test_every_entry_of_the_certificate_file_is_valid(schema: Any, tmp_path: Path) -> None:
     made = export(calibration(), "dcc", certificate=read_certificate(certificate_file(tmp_path)))
     assert schema.is_valid(made.content.decode(), use_location_hints=False)
 
 
-@pytest.mark.data
 def test_the_schema_sees_what_is_wrong(schema: Any) -> None:
     """Otherwise the tests above prove nothing."""
     text = content(calibration()).decode()

@@ -19,6 +19,7 @@ combination of unit length that is determined worst. For accelerometers alone th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,14 +102,15 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of a course; of the set-up, all but programme, table and mounting counts. Raises InputError."""
     seen = view(course, setup, gyros=gyros)
     step = solve(seen.problem, linearise(seen.problem, seen.point, seen.about), seen.weights)
-    names, units = _parameters(gyros)
-    solution, natural = step.solution, natural_units(setup, gyros)
+    blocks = blocks_of(gyros)
+    units = tuple(unit for block in blocks for unit in block.units)
+    solution, natural = step.solution, _natural_units(setup, units)
     size, direction = np.linalg.eigh(solution.covariance / np.outer(natural, natural))
     null = solution.null * seen.problem.spread / natural
     null /= np.linalg.norm(null, axis=1, keepdims=True)
     worst = null[0] if len(null) else direction[:, -1]
     return Bound(
-        names=names,
+        names=tuple(name for block in blocks for name in block.names),
         units=units,
         covariance=solution.covariance,
         observable=solution.observable,
@@ -120,15 +122,15 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
     )
 
 
-def _parameters(gyros: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and SI units of the parameters."""
-    return (ACCEL.names + GYRO.names, ACCEL.units + GYRO.units) if gyros else (ACCEL.names, ACCEL.units)
+def blocks_of(gyros: bool) -> tuple[Block, ...]:
+    """The triads that are calibrated: accelerometers, with gyros or alone."""
+    return (ACCEL, GYRO) if gyros else (ACCEL,)
 
 
-def natural_units(setup: Setup, gyros: bool) -> Array:
+def _natural_units(setup: Setup, units: Sequence[str]) -> Array:
     """Sizes (m,) in SI of the units in which parameters are compared: gravity, the rate of the turns, 1, 1 rad."""
     sizes = {"m/s^2": setup.gravity, "rad/s": setup.turn_rate, "1": 1.0, "rad": 1.0}
-    return np.array([sizes[unit] for unit in _parameters(gyros)[1]])
+    return np.array([sizes[unit] for unit in units])
 
 
 # The course of a programme

@@ -39,6 +39,8 @@ _SETTINGS = {
     "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
     "distributed.scheduler.http.routes": [],  # the servers cannot be left out, but serve nothing
     "distributed.worker.http.routes": [],
+    # Ctrl-C goes to all processes of a terminal: this one ends the others
+    "distributed.worker.preload": ["import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"],
     "distributed.admin.large-graph-warning-threshold": "1GB",
 }
 
@@ -78,7 +80,7 @@ def _local(workers: int) -> Iterator[Executor]:
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",  # None would be port 8787
             scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.CRITICAL,  # what fails becomes a row
+            silence_logs=logging.CRITICAL,
         ) as cluster,
         distributed.Client(cluster) as client,
     ):
@@ -119,7 +121,7 @@ def _version() -> str:
 
 
 def _imported() -> tuple[Any, Any]:
-    """dask and distributed."""
+    """dask and distributed, which are silent here: what fails becomes a row or an exception."""
     try:
         import dask
         import distributed
@@ -128,6 +130,7 @@ def _imported() -> tuple[Any, Any]:
             "work on several processes needs distributed; install it with: pip install 'tumble[cluster]', or give "
             "--serial to compute in this process"
         ) from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     return dask, distributed
 
 

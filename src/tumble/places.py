@@ -90,9 +90,7 @@ class Places:
         attitudes = np.array([position.matrix for position in positions])
         still = course_through(attitudes, np.zeros((len(attitudes) - 1, 3)), setup)
         rest, _ = view(still, setup, gyros=gyros).whitened()
-        return Places(
-            table=table, setup=setup, gyros=gyros, positions=tuple(positions), attitudes=attitudes, rest=rest
-        )
+        return Places(table=table, setup=setup, gyros=gyros, positions=tuple(positions), attitudes=attitudes, rest=rest)
 
     def index(self, matrix: Array) -> int:
         """The place with this attitude."""
@@ -179,6 +177,14 @@ class Ways:
             places=legs.places[:, None], moves=legs.moves[:, None], turned=legs.turned[:, None], rows=legs.rows[:, None]
         )
 
+    @staticmethod
+    def at(place: int, places: Places) -> Ways:
+        """The way that ends where it begins."""
+        legs = Ways.of(places.onward(place))
+        return Ways(
+            places=np.array([[place]]), moves=legs.moves[:1, :0], turned=legs.turned[:1, :0], rows=legs.rows[:1, :0]
+        )
+
     def followed(self, chosen: IntArray, others: Ways, then: IntArray, *, meeting: bool = False) -> Ways:
         """Ways of these, each followed by one of others; if `meeting`, the last place of the one is the first of the
         other."""
@@ -187,6 +193,21 @@ class Ways:
             moves=np.concatenate([self.moves[chosen], others.moves[then]], axis=1),
             turned=np.concatenate([self.turned[chosen], others.turned[then]], axis=1),
             rows=np.concatenate([self.rows[chosen], others.rows[then]], axis=1),
+        )
+
+    def spliced(self, start: int, stop: int, others: Ways, chosen: int) -> Ways:
+        """One way with the places start … stop − 1, and the legs to, between and from them, replaced by those of
+        another."""
+        first = max(start - 1, 0)
+
+        def put(old: Array, new: Array, a: int) -> Array:
+            return np.concatenate([old[:, :a], new[chosen : chosen + 1], old[:, stop:]], axis=1)
+
+        return Ways(
+            places=put(self.places, others.places, start),
+            moves=put(self.moves, others.moves, first),
+            turned=put(self.turned, others.turned, first),
+            rows=put(self.rows, others.rows, first),
         )
 
 

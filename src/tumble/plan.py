@@ -24,18 +24,22 @@ from typing import Literal
 import numpy as np
 
 from tumble._chain import eliminate
-from tumble.bounds import Bound, View, bound, course_of, course_through, view
+from tumble.bounds import Bound, blocks_of, bound, course_of, view
 from tumble.budget import Setup
 from tumble.errors import InputError
+from tumble.estimate import spreads
 from tumble.places import Places, Table, Ways, ways_through
 from tumble.programme import ANY_MOVE, Move, Position, Programme
 from tumble.programme import programme as built_in
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import Array, IntArray
 
 Letter = Literal["A", "D"]
 
 SAME = 1e-9
 """Criteria that differ by this part are equal."""
+
+ALIKE = 1e-6
+"""Next positions whose criteria differ by this part are as good as each other: symmetry makes them so."""
 
 COMPARED = ("nine", "cube-14", "rough-table", "faces-edges-18")
 """What an optimised programme is compared with: the nine, 14, 15 and 18 positions of the literature."""
@@ -54,22 +58,26 @@ class Aim:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Criterion:
     """How good a programme is: by A, with `weight` (m,), SI, of the parameters, infinite for those that do not count,
-    or by D. `prior` (m,) are the spreads, SI."""
+    or by D. `prior` (m,) are the spreads, SI, and `known` the triangle of what is known before: measured gravity, and
+    the prior."""
 
     letter: Letter
     weight: Array
     prior: Array
+    known: Array
 
     @staticmethod
-    def of(aim: Aim, seen: View) -> Criterion:
-        """The criterion for the parameters of a view. Raises InputError if it is for none of them."""
-        observations, spread = seen.problem.observations, seen.problem.spread
-        blocks = [b for b in (observations.accel_block, observations.gyro_block) if b is not None]
+    def of(aim: Aim, setup: Setup) -> Criterion:
+        """The criterion of an aim. Raises InputError if it is for no parameter."""
+        blocks = blocks_of(aim.gyros)
+        prior = np.concatenate([spreads(block) for block in blocks])
         groups = [name.rpartition(".")[0] for block in blocks for name in block.names]
-        weight = spread if not aim.wanted else np.array([aim.wanted.get(group, np.inf) for group in groups])
+        weight = np.array([aim.wanted.get(group, np.inf) for group in groups]) if aim.wanted else prior
         if not np.any(np.isfinite(weight)):
             raise InputError("wanted: expected an accuracy of parameters that are calibrated, found none")
-        return Criterion(letter=aim.letter, weight=weight, prior=spread)
+        gravity = 1.0 / setup.gravity_u if setup.gravity_u > 0.0 else 0.0
+        known = np.diag([gravity, *(1.0 / prior), 0.0])
+        return Criterion(letter=aim.letter, weight=weight, prior=prior, known=known)
 
     def of_triangles(self, triangles: Array) -> Array:
         """Its values (q,) for triangles (q, 1 + m + 1, 1 + m + 1) on gravity and the parameters."""
@@ -116,20 +124,15 @@ def _backwards(turn: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Search:
-    """What a search needs: places, criterion, and the triangle of what is known before: measured gravity, and the
-    prior."""
+    """What a search needs."""
 
     places: Places
     criterion: Criterion
-    known: Array
 
-    @staticmethod
-    def of(places: Places, aim: Aim) -> _Search:
-        course = course_through(places.attitudes[:1], np.zeros((0, 3)), places.setup)
-        criterion = Criterion.of(aim, view(course, places.setup, gyros=aim.gyros))
-        gravity_u = places.setup.gravity_u
-        diagonal = [1.0 / gravity_u if gravity_u > 0.0 else 0.0, *(1.0 / criterion.prior), 0.0]
-        return _Search(places=places, criterion=criterion, known=np.diag(diagonal))
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """How many neighbours are exchanged at a time: where every place can be reached from every other, one."""
+        return (1,) if self.places.table.by_hand else (1, 2)
 
     def exchanged(self, way: Ways, start: int, k: int) -> tuple[Ways, float]:
         """A programme with the k places from `start` on exchanged for the best, or added at its end, and its value:
@@ -138,7 +141,7 @@ class _Search:
         before = int(places[start - 1]) if start > 0 else None
         after = int(places[stop]) if stop < len(places) else None
         ways = ways_through(self.places, before, after, k)
-        q, triangle, chain = len(ways.places), self.known, [rest[ways.places]]
+        q, triangle, chain = len(ways.places), self.criterion.known, [rest[ways.places]]
         if q == 0:
             return way, np.inf
         if before is not None:
@@ -155,18 +158,18 @@ class _Search:
         return way.spliced(start, stop, ways, best), float(values[best])
 
     def grown(self, start: int, positions: int) -> tuple[Ways, float]:
-        """So many positions from a place on, each the best to add."""
+        """So many positions from a place on, each the best to add, or two at a time."""
         way, value = Ways.at(start, self.places), np.inf
-        for n in range(1, positions):
-            way, value = self.exchanged(way, n, 1)
+        while (n := way.places.shape[1]) < positions:
+            way, value = self.exchanged(way, n, min(self.widths[-1], positions - n))
         return way, value
 
     def improved(self, way: Ways, value: float) -> tuple[Ways, float]:
         """A programme after exchanges, until none makes it better."""
-        positions, widths = way.places.shape[1], (1,) if self.places.table.by_hand else (1, 2)
+        positions = way.places.shape[1]
         while True:
             before = value
-            for k in widths:
+            for k in self.widths:
                 for start in range(positions - k + 1):
                     other, found = self.exchanged(way, start, k)
                     if found < value * (1.0 - SAME):
@@ -190,7 +193,7 @@ def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: Table = Tab
     if positions < 2:
         raise InputError(f"positions: expected at least 2, found {positions}")
     places = Places.of(table, setup, gyros=aim.gyros)
-    search = _Search.of(places, aim)
+    search = _Search(places=places, criterion=Criterion.of(aim, setup))
     found = []
     for start in (int(np.argmax(places.attitudes[:, 1, p] > 0.99)) for p in range(3)):
         found.append(search.improved(*search.grown(start, positions)))
@@ -233,10 +236,9 @@ def next_positions(setup: Setup, aim: Aim = Aim(), table: Table = Table(), *, co
     places = Places.of(table, setup, gyros=aim.gyros, last=setup.programme.positions[-1])
     before, values, legs = candidates(setup, aim, places)
     order = np.argsort(values, kind="stable")
-    steps = np.diff(np.log(values[order]), prepend=-np.inf) > 1e3 * SAME
-    groups = [order[np.sort(group)] for group in np.split(np.arange(len(order)), np.flatnonzero(steps))[1:]]
+    steps = np.flatnonzero(np.diff(np.log(values[order])) > ALIKE)
     found = []
-    for group in groups[:count]:
+    for group in np.split(order, steps + 1)[:count]:
         best = int(np.min(group))
         position, move = places.positions[legs.places[best, 0]], _move(legs.moves[best, 0], bool(legs.turned[best, 0]))
         found.append(
@@ -254,12 +256,24 @@ def next_positions(setup: Setup, aim: Aim = Aim(), table: Table = Table(), *, co
 def candidates(setup: Setup, aim: Aim, places: Places) -> tuple[float, Array, Ways]:
     """The criterion of a set-up's programme, and its values (q,) with one more position, by each leg (q) from where it
     ends."""
-    search, seen = _Search.of(places, aim), view(course_of(setup), setup, gyros=aim.gyros)
-    last, triangle = _eliminated(*seen.whitened(), seen.problem.link, search.known)
+    criterion = Criterion.of(aim, setup)
+    last, triangle = _shown(setup, aim, criterion)
     legs = Ways.of(places.onward(places.index(setup.programme.positions[-1].matrix)))
     rest = np.concatenate([_repeated(last, len(legs.places)), places.rest[legs.places]], axis=1)
-    values = search.criterion.of_triangles(_triangles(rest, legs.rows, triangle))
-    return float(search.criterion.of_triangles(triangle[None])[0]), values, legs
+    values = criterion.of_triangles(_triangles(rest, legs.rows, triangle))
+    return float(criterion.of_triangles(triangle[None])[0]), values, legs
+
+
+def _shown(setup: Setup, aim: Aim, criterion: Criterion) -> tuple[Array, Array]:
+    """What a set-up's programme shows, see `_eliminated`."""
+    seen = view(course_of(setup), setup, gyros=aim.gyros)
+    return _eliminated(*seen.whitened(), seen.problem.link, criterion.known)
+
+
+def value_of(setup: Setup, aim: Aim = Aim()) -> float:
+    """The criterion of a set-up's programme."""
+    criterion = Criterion.of(aim, setup)
+    return float(criterion.of_triangles(_shown(setup, aim, criterion)[1][None])[0])
 
 
 def extended(programme: Programme, position: Position, move: Move) -> Programme:
@@ -280,17 +294,11 @@ class Compared:
 
 
 def compared(setup: Setup, programmes: Sequence[Programme], aim: Aim = Aim()) -> tuple[Compared, ...]:
-    """Programmes beside each other in the same set-up."""
-    out = []
-    for listed in programmes:
-        with_it = replace(setup, programme=listed)
-        places = Places.of(Table(), with_it, gyros=aim.gyros, last=listed.positions[-1])
-        out.append(Compared(programme=listed, bound=bound(with_it, gyros=aim.gyros), value=value_of(with_it, aim)))
-    return tuple(out)
-
-
-def value_of(setup: Setup, aim: Aim = Aim()) -> float:
-    """The criterion of a set-up's programme."""
+    """Programmes beside each other in the same set-up. Raises InputError."""
+    return tuple(
+        Compared(programme=listed, bound=bound(one, gyros=aim.gyros), value=value_of(one, aim))
+        for listed, one in ((listed, replace(setup, programme=listed)) for listed in programmes)
+    )
 
 
 def of_the_literature() -> tuple[Programme, ...]:
