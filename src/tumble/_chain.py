@@ -213,58 +213,50 @@ def left_over(
     parameters: Array,
     covariances: tuple[Array, Array, Array],
 ) -> tuple[Array, Array, Array, Array]:
-    """Residuals that the rows leave, and their variances where the noise of a row is 1: (N, r) twice for the rests,
-    (K, t) twice for the turns. `covariances`: of the parameters, and what `put_back` returns."""
+    """Residuals that the rows leave, and their covariances where the noise of the rows is 1: (N, r) and (N, r, r) of
+    the rests, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and what `put_back` returns."""
     N, r = rest.shape[:2]
     K, t = turn.shape[:2]
     covariance, own, shared = covariances
     p = len(parameters)
-    rest_left, rest_variance = np.empty((N, r)), np.empty((N, r))
-    turn_left, turn_variance = np.empty((K, t)), np.empty((K, t))
+    rest_left, rest_covariance = np.empty((N, r)), np.empty((N, r, r))
+    turn_left, turn_covariance = np.empty((K, t)), np.empty((K, t, t))
+    unknown, joint = np.empty(6 + p), np.zeros((6 + p, 6 + p))
+    unknown[6:], joint[6:, 6:] = parameters, covariance
     for i in range(N):
-        for row in range(r):
-            x = rest[i, row]
-            value, variance = x[3 + p], 1.0 - _quadratic(x[3 : 3 + p], covariance)
-            for a in range(3):
-                value -= x[a] * angles[i, a]
-                for b in range(3):
-                    variance -= x[a] * own[i, a, b] * x[b]
-                for c in range(p):
-                    variance -= 2.0 * x[a] * shared[i, a, c] * x[3 + c]
-            for c in range(p):
-                value -= x[3 + c] * parameters[c]
-            rest_left[i, row], rest_variance[i, row] = value, variance
+        unknown[:3] = angles[i]
+        joint[:3, :3], joint[:3, 6:], joint[6:, :3] = own[i, :, :3], shared[i], shared[i].T
+        _left(rest[i], 3, unknown, joint, rest_left[i], rest_covariance[i])
         k = link[i]
-        if k < 0:
-            continue
-        for row in range(t):
-            x = turn[k, row]
-            value, variance = x[6 + p], 1.0 - _quadratic(x[6 : 6 + p], covariance)
-            for a in range(3):
-                value -= x[a] * angles[i, a] + x[3 + a] * angles[i + 1, a]
-                for b in range(3):
-                    variance -= x[a] * own[i, a, b] * x[b] + x[3 + a] * own[i + 1, a, b] * x[3 + b]
-                    variance -= 2.0 * x[a] * own[i, a, 3 + b] * x[3 + b]
-                for c in range(p):
-                    variance -= 2.0 * (x[a] * shared[i, a, c] + x[3 + a] * shared[i + 1, a, c]) * x[6 + c]
-            for c in range(p):
-                value -= x[6 + c] * parameters[c]
-            turn_left[k, row], turn_variance[k, row] = value, variance
-    return rest_left, rest_variance, turn_left, turn_variance
+        if k >= 0:
+            unknown[3:6] = angles[i + 1]
+            joint[3:6, 3:6], joint[3:6, 6:], joint[6:, 3:6] = own[i + 1, :, :3], shared[i + 1], shared[i + 1].T
+            joint[:3, 3:6], joint[3:6, :3] = own[i, :, 3:], own[i, :, 3:].T
+            _left(turn[k], 6, unknown, joint, turn_left[k], turn_covariance[k])
+    return rest_left, rest_covariance, turn_left, turn_covariance
 
 
 @_compiled(error_model="numpy")
-def _quadratic(x: Array, matrix: Array) -> float:
-    """xᵀ A x of a symmetric matrix."""
-    total = 0.0
-    for a in range(len(x)):
-        if x[a] == 0.0:
-            continue
-        part = 0.5 * matrix[a, a] * x[a]
-        for b in range(a + 1, len(x)):
-            part += matrix[a, b] * x[b]
-        total += 2.0 * x[a] * part
-    return total
+def _left(rows: Array, first: int, unknown: Array, joint: Array, residual: Array, covariance: Array) -> None:
+    """What rows on `first` angles and the parameters leave: with `unknown` and its covariance `joint`, six angles and
+    the parameters; of three angles the others are passed over."""
+    count, columns = len(rows), rows.shape[1] - 1
+    skipped = 6 - first
+    by = np.empty(columns)
+    for a in range(count):
+        residual[a] = rows[a, columns]
+        for c in range(columns):
+            place = c if c < first else c + skipped
+            residual[a] -= rows[a, c] * unknown[place]
+            total = 0.0
+            for d in range(columns):
+                total += joint[place, d if d < first else d + skipped] * rows[a, d]
+            by[c] = total
+        for b in range(count):
+            total = 1.0 if a == b else 0.0
+            for c in range(columns):
+                total -= rows[b, c] * by[c]
+            covariance[a, b] = total
 
 
 @_compiled(error_model="numpy")

@@ -41,7 +41,6 @@ _SETTINGS = {
     "distributed.worker.http.routes": [],
     # Ctrl-C goes to all processes of a terminal: this one ends the others
     "distributed.worker.preload": ["import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"],
-    "distributed.admin.large-graph-warning-threshold": "1GB",
 }
 
 

@@ -119,8 +119,8 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Left:
-    """Whitened residuals after a step, and their variances, 1 where the fit has no part in them: (N, n) of the
-    accelerometers and of the gyros at rest, (K, t) of the turns."""
+    """Whitened residuals after a step, and their covariances, 1 where the fit has no part in them: (N, n) and
+    (N, n, n) of the accelerometers and of the gyros at rest, (K, t) and (K, t, t) of the turns."""
 
     accel: tuple[Array, Array]
     gyro: tuple[Array, Array]
@@ -440,13 +440,13 @@ def _with_gravity(row: Array, solution: Solution) -> tuple[Array, Array]:
 def left(problem: Problem, step: Step) -> Left:
     """What a step leaves of the residuals."""
     rest, turn = step.whitened
-    residual, variance, turn_residual, turn_variance = left_over(
+    residual, covariance, turn_residual, turn_covariance = left_over(
         rest, turn, problem.link, step.angles, step.parameters, (step.covariance, *step.shared)
     )
     n = problem.observations.accel_block.size
     stop = n + problem.observations.rests.gyro.shape[1]
     return Left(
-        accel=(residual[:, :n], variance[:, :n]),
-        gyro=(residual[:, n:stop], variance[:, n:stop]),
-        turn=(turn_residual, turn_variance),
+        accel=(residual[:, :n], covariance[:, :n, :n]),
+        gyro=(residual[:, n:stop], covariance[:, n:stop, n:stop]),
+        turn=(turn_residual, turn_covariance),
     )
