@@ -71,7 +71,7 @@ def postgresql_server() -> Iterator[Server]:
         _wait(server, process, folder / "log")
         yield server
     finally:
-        process.send_signal(signal.SIGINT)  # a fast shutdown
+        process.send_signal(signal.SIGQUIT)  # an immediate shutdown: nothing is to be kept
         process.wait(timeout=PATIENCE)
         shutil.rmtree(folder)
 

@@ -27,7 +27,7 @@ from tumble.simulated_observations import simulate_observations
 from tumble.trial import BLOCK, NAMES, Cell, session_rows, statics_rows
 
 TABLE = Cell(request=Request(rest=20.0), noise_factor=1.0)
-SESSIONS = {"seed": 3, "trials": 4, "grid": {"method": ["staged", "ellipsoid"], "table_error_deg": [0.5, 5]}}
+SESSIONS = {"seed": 3, "trials": 4, "grid": {"method": ["joint", "ellipsoid"], "table_error_deg": [0.5, 5]}}
 STATICS = {"kind": "statics", "trials": 3, "grid": {"programme": "cube-26", "noise_factor": [1.0, 3.0]}}
 
 

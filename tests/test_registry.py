@@ -240,7 +240,8 @@ def test_eight_writers_at_once_lose_nothing(place: str) -> None:
             for i in range(each)
         ]
 
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")  # of a process that has imported no more than this
+    context.set_forkserver_preload(["pytest", "alembic.command", "psycopg", "registry_writer"])
     mixed = [[*several(f"device-{i}")[:5], *several("common"), *several(f"device-{i}")[5:]] for i in range(writers)]
     processes = [context.Process(target=write_all, args=(place, own)) for own in mixed]
     for process in processes:

@@ -129,7 +129,8 @@ def _imported() -> tuple[Any, Any]:
             "work on several processes needs distributed; install it with: pip install 'tumble[cluster]', or give "
             "--serial to compute in this process"
         ) from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     return dask, distributed
 
 

@@ -168,7 +168,7 @@ def _begun(job: Job, folder: Path) -> bool:
     if manifest.exists():
         _check_same(job, manifest)
         return True
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.exists() and not (folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())):
         raise InputError(f"{folder}: expected a new folder, or one that was begun by the same command, found another")
     folder.mkdir(parents=True, exist_ok=True)
     content = {"format": 1, "sha256": job.sha256, **job._identity()}

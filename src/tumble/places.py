@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from tumble.rotation import rotation_vector
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
 _AXES = "NUE"
+T = TypeVar("T", Array, IntArray, BoolArray)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,6 +47,9 @@ class Table:
             raise InputError(f"axes: expected some of N, U, E, as in N,U, found {axes!r}")
         return Table(axes="".join(letters), step=step_deg * DEGREE, by_hand=False)
 
+
+ANY = Table()
+"""Whatever the table, the device can be taken in hand."""
 
 SMALLEST_STEP = 5.0
 """Degrees; with finer ones there are too many places to try."""
@@ -200,7 +205,7 @@ class Ways:
         another."""
         first = max(start - 1, 0)
 
-        def put(old: Array, new: Array, a: int) -> Array:
+        def put(old: T, new: T, a: int) -> T:
             return np.concatenate([old[:, :a], new[chosen : chosen + 1], old[:, stop:]], axis=1)
 
         return Ways(

@@ -9,10 +9,10 @@ A position costs little to add or to exchange. Eliminating the attitudes of all 
 attitude of the last of them and a triangle on the parameters (`tumble._chain`), and those after it likewise. What a
 candidate shows is then an elimination of two to four rests, whatever the length of the programme: some 50 µs.
 
-A programme is begun with the device mounted with X, Y or Z up, grows by the best position to add, and is improved by
-exchange of one position at a time, or, where the device stays as it is mounted, of two neighbours, too, until no
-exchange makes it better; the best of the three is taken. Nothing is random: of equally good candidates the first is
-taken, and turns come before other moves.
+A programme is begun with X, Y or Z up, grows by the best position to add, and is improved by exchange of one position
+at a time, or of neighbours where the table leaves no other way, until no exchange makes it better. By A it is sought
+once more from what is found by D, which is the better guide while positions are few. The best of what is found is
+taken. Nothing is random: of equally good candidates the first is taken, and turns come before other moves.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from tumble._chain import eliminate
 from tumble.bounds import Bound, blocks_of, bound, course_of, view
 from tumble.budget import Setup
 from tumble.errors import InputError
-from tumble.estimate import spreads
-from tumble.places import Places, Table, Ways, ways_through
+from tumble.estimate import DETERMINED, spreads
+from tumble.places import ANY, Places, Table, Ways, ways_through
 from tumble.programme import ANY_MOVE, Move, Position, Programme
 from tumble.programme import programme as built_in
 from tumble.units import Array, IntArray
@@ -40,6 +40,12 @@ SAME = 1e-9
 
 ALIKE = 1e-6
 """Next positions whose criteria differ by this part are as good as each other: symmetry makes them so."""
+
+UPRIGHT = 0.99
+"""Cosine from which an axis is up."""
+
+_FIRST: Mapping[Letter, tuple[Letter, ...]] = {"A": ("A", "D"), "D": ("D",)}
+"""By which criteria a programme is sought before it is improved by its own."""
 
 COMPARED = ("nine", "cube-14", "rough-table", "faces-edges-18")
 """What an optimised programme is compared with: the nine, 14, 15 and 18 positions of the literature."""
@@ -129,11 +135,6 @@ class _Search:
     places: Places
     criterion: Criterion
 
-    @property
-    def widths(self) -> tuple[int, ...]:
-        """How many neighbours are exchanged at a time: where every place can be reached from every other, one."""
-        return (1,) if self.places.table.by_hand else (1, 2)
-
     def exchanged(self, way: Ways, start: int, k: int) -> tuple[Ways, float]:
         """A programme with the k places from `start` on exchanged for the best, or added at its end, and its value:
         infinite where there is nothing to exchange them for."""
@@ -157,25 +158,43 @@ class _Search:
         best = int(np.argmax(values <= values.min() * (1.0 + SAME)))
         return way.spliced(start, stop, ways, best), float(values[best])
 
-    def grown(self, start: int, positions: int) -> tuple[Ways, float]:
-        """So many positions from a place on, each the best to add, or two at a time."""
-        way, value = Ways.at(start, self.places), np.inf
+    def grown(self, start: int, positions: int) -> Ways:
+        """So many positions from a place on, each the best to add; where not every place can be reached from every
+        other, two at a time."""
+        way, k = Ways.at(start, self.places), 1 if self.places.table.by_hand else 2
         while (n := way.places.shape[1]) < positions:
-            way, value = self.exchanged(way, n, min(self.widths[-1], positions - n))
-        return way, value
+            way, _ = self.exchanged(way, n, min(k, positions - n))
+        return way
 
-    def improved(self, way: Ways, value: float) -> tuple[Ways, float]:
-        """A programme after exchanges, until none makes it better."""
-        positions = way.places.shape[1]
+    def improved(self, way: Ways) -> tuple[Ways, float]:
+        """A programme after exchanges, until none makes it better: of one position at a time or, where not every place
+        can be reached from every other, of up to two neighbours, and three while not all is determined."""
+        if self.places.table.by_hand:
+            return self._settled(way, (1,))
+        way, value = self._settled(way, (1, 2))
+        return (way, value) if self._determined(way) else self._settled(way, (1, 2, 3))
+
+    def _settled(self, way: Ways, widths: Sequence[int]) -> tuple[Ways, float]:
+        """A programme that no exchange of so many neighbours makes better."""
+        value = float(self.criterion.of_triangles(self._triangle(way))[0])
         while True:
             before = value
-            for k in self.widths:
-                for start in range(positions - k + 1):
+            for k in widths:
+                for start in range(way.places.shape[1] - k + 1):
                     other, found = self.exchanged(way, start, k)
                     if found < value * (1.0 - SAME):
                         way, value = other, found
             if value == before:
                 return way, value
+
+    def _triangle(self, way: Ways) -> Array:
+        """The triangle (1, p + 1, p + 1) of a programme."""
+        return _triangles(self.places.rest[way.places], way.rows, self.criterion.known)
+
+    def _determined(self, way: Ways) -> bool:
+        """Whether a programme determines all parameters."""
+        R = self._triangle(way)[0, 1:-1, 1:-1]
+        return bool(np.linalg.svd(R * self.criterion.prior, compute_uv=False)[-1] > DETERMINED)
 
 
 def _repeated(last: Array, q: int) -> Array:
@@ -186,17 +205,15 @@ def _repeated(last: Array, q: int) -> Array:
 # Optimised programmes
 
 
-def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: Table = Table()) -> Programme:
+def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: Table = ANY) -> Programme:
     """A programme of so many positions that shows most by a criterion; the set-up's own does not count.
 
     Raises InputError for fewer than two positions, for values that make no sense, and where there is no noise."""
     if positions < 2:
         raise InputError(f"positions: expected at least 2, found {positions}")
     places = Places.of(table, setup, gyros=aim.gyros)
-    search = _Search(places=places, criterion=Criterion.of(aim, setup))
-    found = []
-    for start in (int(np.argmax(places.attitudes[:, 1, p] > 0.99)) for p in range(3)):
-        found.append(search.improved(*search.grown(start, positions)))
+    starts = [int(np.argmax(places.attitudes[:, 1, p] > UPRIGHT)) for p in range(3)]
+    found = [_from(start, positions, places, setup, aim, first) for start in starts for first in _FIRST[aim.letter]]
     way, _ = min(found, key=lambda one: round(np.log(one[1]), 8))
     return Programme(
         name=f"{aim.letter}-optimal",
@@ -204,6 +221,16 @@ def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: Table = Tab
         moves=tuple(_move(*leg) for leg in zip(way.moves[0], way.turned[0], strict=True)),
         ordered=True,
     )
+
+
+def _from(start: int, positions: int, places: Places, setup: Setup, aim: Aim, first: Letter) -> tuple[Ways, float]:
+    """The programme that is found from a place on by one criterion first, and then by that of the aim."""
+    search = _Search(places=places, criterion=Criterion.of(aim, setup))
+    if first == aim.letter:
+        return search.improved(search.grown(start, positions))
+    other = _Search(places=places, criterion=Criterion.of(replace(aim, letter=first), setup))
+    way, _ = other.improved(other.grown(start, positions))
+    return search.improved(way)
 
 
 def _move(vector: Array, turned: bool) -> Move:
@@ -229,7 +256,7 @@ class Next:
     bound: Bound
 
 
-def next_positions(setup: Setup, aim: Aim = Aim(), table: Table = Table(), *, count: int = 5) -> tuple[Next, ...]:
+def next_positions(setup: Setup, aim: Aim = Aim(), table: Table = ANY, *, count: int = 5) -> tuple[Next, ...]:
     """The positions that a set-up's programme gains most by, the best first; of equally good ones the first.
 
     Raises InputError for values that make no sense, and where there is no noise."""

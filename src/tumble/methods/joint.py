@@ -16,6 +16,11 @@ Scatter on top of the noise within rests: of the accelerometers and the gyros fr
 where the residuals of its group are larger than expected (SCATTER_PROBABILITY); then it is what makes the
 two equal. What is expected of a squared residual is its variance less what the fit takes, the leverage. A scatter of
 the gyros lasts through the turn that follows.
+
+What fits: a rest or turn is judged by how much chi-square falls without it, rᵀ M⁻¹ r with M the covariance of its
+residuals r after the fit, as Gaussian sigmas of the same probability (F where the scale is estimated too). One bad rest
+of few hides behind the scatter it makes. So where a group scatters and one of it stands out before the scatter is
+allowed for, everything is estimated again without it, and so on; then these are judged by what the others predict.
 """
 
 from __future__ import annotations
@@ -24,10 +29,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
 from tumble._chain import carry
 from tumble.earth import EARTH_RATE
-from tumble.estimate import FIT_SIGMAS, Estimate, Fit, chance_of, sigmas
+from tumble.estimate import FIT_SIGMAS, Estimate, Fit, chance_of
 from tumble.likelihood import (
     NO_PRIOR,
     Left,
@@ -63,6 +69,10 @@ SCATTER_ROUNDS = 3
 SCATTER_STEPS = 30
 SCATTER_CONVERGED = 1e-2  # of the expected sum of squares
 LEFT_OUT = 1e4  # times its noise: what a rest or turn that is left out has
+FREE = 0.01  # of the variance of the noise: directions in which residuals have less say nothing
+STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 without a bad one, 1 % have such a one
+MOST_LEFT_OUT = 6
+LEAST_CHANCE = 1e-300
 ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
 ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
 
@@ -72,19 +82,14 @@ TOTAL = "noise within rests"
 
 
 def joint(observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool = False) -> Estimate:
-    """All parameters of a session by maximum likelihood, with covariance and outcome. With `robust`, rests and turns
-    that do not fit are left out, the worst first, and keep the sigmas that say so."""
+    """All parameters of a session by maximum likelihood, with covariance and outcome. With `robust`, the estimate is
+    that without the rests and turns that do not fit; their sigmas say which they are."""
     problem = Problem.of(observations, prior)
-    at, increments = _started(problem)
-    out = _Out.nothing(problem)
-    while True:
-        fitted = _fitted(problem, at, out)
-        increments += fitted.increments
-        rest_sigmas, turn_sigmas = _sigmas(fitted, out)
-        found = _worst(rest_sigmas, turn_sigmas, out) if robust else None
-        if found is None:
-            return _estimate(problem, fitted, increments, rest_sigmas, turn_sigmas)
-        at, out = _At.of(problem, fitted.solved.point, fitted.solved.last.about), found
+    at, first = _started(problem)
+    everything = _fitted(problem, at, _Out.nothing(problem))
+    fitting = _fitting(problem, everything)
+    shown = fitting if robust else everything
+    return _estimate(problem, shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
 
 
 # Which rests and turns count
@@ -111,17 +116,6 @@ class _Out:
             return all_of_them
         rest, turn = (np.where(out, 1.0 / LEFT_OUT, 1.0)[:, None, None] for out in (self.rest, self.turn))
         return Weights(rest=rest * all_of_them.rest, turn=turn * all_of_them.turn)
-
-
-def _worst(rest_sigmas: Array, turn_sigmas: Array, out: _Out) -> _Out | None:
-    """With the rest or turn that fits worst left out too, if it does not fit."""
-    n = len(rest_sigmas)
-    every = np.where(np.append(out.rest, out.turn), 0.0, np.append(rest_sigmas, turn_sigmas))
-    worst = int(np.argmax(every))
-    if every[worst] <= FIT_SIGMAS:
-        return None
-    here = np.arange(len(every)) == worst
-    return _Out(rest=out.rest | here[:n], turn=out.turn | here[n:])
 
 
 # The start
@@ -244,11 +238,14 @@ class _Solved:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Fitted:
-    """The solution with its scatter, what it leaves of the residuals, and the fits of the groups."""
+    """The solution with its scatter, what it leaves of the residuals with it and what without, the fits of the groups,
+    and what was left out."""
 
     solved: _Solved
     left: Left
+    without: Left
     scatter: Scatter
+    out: _Out
     fits: Mapping[str, Fit]
     increments: tuple[Array, ...]
 
@@ -270,7 +267,9 @@ def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
     return _Fitted(
         solved=solved,
         left=after,
+        without=without,
         scatter=scatter,
+        out=out,
         fits=_fits(problem, after, scatter, without),
         increments=increments,
     )
@@ -331,7 +330,7 @@ def _second_order(about: TurnsAbout, now: SensorModel) -> Array:
 
 
 def _parts(after: Left) -> tuple[tuple[Array, Array], ...]:
-    """Residuals and variances of the groups, in the order of GROUPS."""
+    """Residuals and their covariances of the groups, in the order of GROUPS."""
     return after.accel, after.gyro, after.turn
 
 
@@ -348,7 +347,7 @@ def _scattered(problem: Problem, rows: Rows, after: Left, start: Scatter, out: _
         if not np.any(off & ((variance > 0.0) | (squares > expected))):
             break
         gains = _inverse_variances(problem, out.weights(problem, scatter))
-        gain = np.array([(v * g).sum() for (_, v), g in zip(_parts(after), gains, strict=True)])
+        gain = np.array([(_variances(part) * g).sum() for part, g in zip(_parts(after), gains, strict=True)])
         change = (squares - expected) / np.where(gain > 0.0, gain, np.inf)
         variance = np.where(active, np.maximum(variance + change, 0.0), 0.0)
         accel, gyro, turn = np.sqrt(variance).tolist()
@@ -359,8 +358,12 @@ def _scattered(problem: Problem, rows: Rows, after: Left, start: Scatter, out: _
 
 def _squares(part: tuple[Array, Array]) -> tuple[float, float]:
     """Sum of the squares of a group, and what is expected of it."""
-    residual, variance = part
-    return float((residual**2).sum()), float(variance.sum())
+    return float((part[0] ** 2).sum()), float(_variances(part).sum())
+
+
+def _variances(part: tuple[Array, Array]) -> Array:
+    """Variances of the residuals of a group."""
+    return np.diagonal(part[1], axis1=1, axis2=2)
 
 
 def _chance(part: tuple[Array, Array]) -> float:
@@ -396,34 +399,93 @@ def _fit(parts: list[tuple[Array, Array]], scatter: float, unit: str) -> Fit:
 # What fits
 
 
-def _sigmas(fitted: _Fitted, out: _Out) -> tuple[Array, Array]:
-    """How far each rest (N,) and turn (K,) is from the fit, in sigmas: a rest by the worse of its blocks."""
-    scatter = fitted.scatter
-    accel, gyro, turn = (
-        _group_sigmas(part, fitted.fits[name].degrees if name in fitted.fits else 0.0, value > 0.0, left_out)
-        for part, name, value, left_out in zip(
-            _parts(fitted.left),
-            GROUPS,
-            (scatter.accel, scatter.gyro, scatter.turn),
-            (out.rest, out.rest, out.turn),
-            strict=True,
-        )
-    )
+def _drops(part: tuple[Array, Array], left_out: BoolArray) -> tuple[Array, Array]:
+    """By how much chi-square falls without each rest or turn of a group, and the number of directions in which it has
+    residuals; of those that are left out, the chi-square of their readings about what all others predict."""
+    residual, covariance = part
+    variance, directions = np.linalg.eigh(covariance)
+    seen = (variance > FREE) | left_out[:, None]
+    share = np.where(seen, variance, 1.0)
+    square = np.einsum("ia,iab->ib", residual, directions) ** 2
+    predicted = LEFT_OUT**2 / share**2 / (1.0 + LEFT_OUT**2 * np.maximum(1.0 / share - 1.0, 0.0))
+    drop = square * np.where(left_out[:, None], predicted, 1.0 / share)
+    return np.where(seen, drop, 0.0).sum(axis=1), seen.sum(axis=1)
+
+
+def _groups(fitted: _Fitted) -> Iterator[tuple[tuple[Array, Array], tuple[Array, Array], BoolArray, float, float]]:
+    """Of every group: its residuals with and without scatter, what of it is left out, its scatter and its degrees of
+    freedom."""
+    out, scatter = fitted.out, fitted.scatter
+    for name, part, before, left_out, value in zip(
+        GROUPS,
+        _parts(fitted.left),
+        _parts(fitted.without),
+        (out.rest, out.rest, out.turn),
+        (scatter.accel, scatter.gyro, scatter.turn),
+        strict=True,
+    ):
+        yield part, before, left_out, value, fitted.fits[name].degrees if name in fitted.fits else 0.0
+
+
+def _sigmas(fitted: _Fitted, scatter: Scatter) -> tuple[Array, Array]:
+    """How far each rest (N,) and turn (K,) is from the fit, in sigmas: a rest by the worse of its blocks. Groups that
+    have a `scatter` when nothing is left out are judged by their own scale: that they have none without some of them
+    may be by choice of these."""
+    found = []
+    scales = (scatter.accel, scatter.gyro, scatter.turn)
+    for (part, _, left_out, _, degrees), scale in zip(_groups(fitted), scales, strict=True):
+        drop, count = _drops(part, left_out)
+        k = np.maximum(count, 1)
+        others = np.maximum(degrees - k * max(1, left_out.sum()), 1.0)  # what was chosen has taken the largest with it
+        chance = special.fdtrc(k, others, drop / k) if scale > 0.0 else special.chdtrc(k, drop)
+        found.append(-special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
+    accel, gyro, turn = found
     return np.maximum(accel, gyro), turn
 
 
-def _group_sigmas(part: tuple[Array, Array], degrees: float, scaled: bool, left_out: BoolArray) -> Array:
-    """Root of the squares of each rest or turn over what is expected of them. What is left out is judged by what all
-    others predict."""
-    residual, variance = part
-    free = variance.sum(axis=1)
-    z = np.sqrt((residual**2).sum(axis=1) / np.where(free > 1e-3, free, np.inf))
-    judged = sigmas(z, degrees, scaled)
-    if left_out.any():
-        predicted = 1.0 + LEFT_OUT**2 * np.maximum(1.0 - variance, 0.0)
-        own = LEFT_OUT * np.sqrt((residual**2).sum(axis=1) / np.maximum(predicted.sum(axis=1), 1e-300))
-        judged = np.where(left_out, own, judged)
-    return judged
+def _suspect(fitted: _Fitted) -> _Out | None:
+    """With the rest or turn left out too that stands out most among those of a group that scatters, before the scatter
+    is allowed for; None where none does."""
+    most, found = STANDS_OUT, None
+    for group, (_, before, left_out, scatter, _) in enumerate(_groups(fitted)):
+        drop, count = _drops(before, left_out)
+        judged = (count > 0) & ~left_out
+        if scatter == 0.0 or judged.sum() < 3:
+            continue
+        size = np.where(judged, drop / np.maximum(count, 1), 0.0)
+        ratio = size / np.median(size[judged])
+        worst = int(np.argmax(ratio))
+        if ratio[worst] > most:
+            most, found = float(ratio[worst]), (group, worst)
+    if found is None:
+        return None
+    rest, turn = fitted.out.rest.copy(), fitted.out.turn.copy()
+    (turn if found[0] == 2 else rest)[found[1]] = True
+    return _Out(rest=rest, turn=turn)
+
+
+def _fitting(problem: Problem, everything: _Fitted) -> _Fitted:
+    """The fit without what does not fit. Suspects are left out one after the other, for they hide each other; those
+    that the others confirm stay out."""
+    fitted = everything
+    for _ in range(MOST_LEFT_OUT):
+        suspect = _suspect(fitted)
+        if suspect is None:
+            break
+        fitted = _again(problem, fitted, suspect)
+    rest, turn = _sigmas(fitted, everything.scatter)
+    confirmed = _Out(rest=fitted.out.rest & (rest > FIT_SIGMAS), turn=fitted.out.turn & (turn > FIT_SIGMAS))
+    count = confirmed.rest.sum() + confirmed.turn.sum()
+    if count == 0:
+        return everything
+    if count == fitted.out.rest.sum() + fitted.out.turn.sum():
+        return fitted
+    return _again(problem, fitted, confirmed)
+
+
+def _again(problem: Problem, fitted: _Fitted, out: _Out) -> _Fitted:
+    """The fit with something else left out."""
+    return _fitted(problem, _At.of(problem, fitted.solved.point, fitted.solved.last.about), out)
 
 
 def _estimate(
