@@ -23,8 +23,8 @@ def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
     Raises CalibrationError where it cannot be taken to the frame of the limits."""
     if calibration.frame != limits.frame:
         calibration = calibration.in_frame(limits.frame)
-    rows = list(parameter_rows(calibration.parameters))
-    return [found for occasion in OCCASIONS if (found := judge(limits, occasion, rows)) is not None]
+    rows, unseen = list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable
+    return [found for occasion in OCCASIONS if (found := judge(limits, occasion, rows, unseen)) is not None]
 
 
 def section(calibration: Calibration, limits: Limits | None) -> Section:
