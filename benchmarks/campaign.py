@@ -33,7 +33,7 @@ from tumble.statics import fit_statics
 from tumble.trial import BLOCK
 
 SHORT = "--short" in sys.argv
-PAIRS = 3 if SHORT else 7
+PAIRS = 3 if SHORT else 5
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -72,8 +72,8 @@ class OneByOne(Chunks):
 
 def two_against_one() -> tuple[list[float], float]:
     """Ratios of the wall times of one process and of two, pair by pair, and trials a second with two."""
-    job = campaign_of({"trials": 100 if SHORT else 400, "grid": {"method": "joint"}}).job()
-    warm = campaign_of({"trials": 8, "grid": {"method": "joint"}}).job()
+    job = campaign_of({"trials": 600 if SHORT else 2000, "grid": {"method": "joint"}}).job()
+    warm = campaign_of({"trials": 50, "grid": {"method": "joint"}}).job()
     with executor_for(workers=1) as one, executor_for(workers=2) as two:
         for executor in (one, two):
             wall(warm, executor)

@@ -106,7 +106,7 @@ def test_the_size_of_chunks_changes_no_row(size: int, expected: pl.DataFrame, tm
     def in_chunks(of: Job, pending: Sequence[int]) -> Iterator[Done]:
         for first in reversed(range(0, len(pending), size)):
             chunk = pending[first : first + size]
-            yield chunk, engine.compute(of.task, of.label, [(i, of.items[i]) for i in chunk])[0]
+            yield chunk, engine.compute(of.task, of.label, of.columns, [(i, of.items[i]) for i in chunk])[0]
 
     assert rows(job(), tmp_path / "out", in_chunks).equals(expected)
 
@@ -143,7 +143,7 @@ def test_an_interrupted_job_is_resumed_without_losing_or_repeating_a_row(
 
     def one_by_one(of: Job, pending: Sequence[int]) -> Iterator[Done]:
         for i in pending:
-            yield [i], engine.compute(of.task, of.label, [(i, of.items[i])])[0]
+            yield [i], engine.compute(of.task, of.label, of.columns, [(i, of.items[i])])[0]
 
     with pytest.raises(KeyboardInterrupt):
         run(once, tmp_path / "out", executor=one_by_one, progress=interrupt)

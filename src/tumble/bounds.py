@@ -1,7 +1,7 @@
 """The best a programme allows: the Cramér–Rao bound of the joint likelihood, before anything is measured.
 
-The rows are those of `tumble.likelihood`, taken at perfect sensors and at the attitudes of the programme, and solved as
-`joint` solves them: so the bound is the covariance that `joint` would state for an exact programme. What a log has of
+The rows are those of `tumble.likelihood`, taken at perfect sensors and at the attitudes of the programme, which are
+eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has of
 it: the rests, with white noise and in-run instability in their covariances (the instability of the gyros lasts through
 the turn that follows), and the moves between them, all of which the gyros record. A move goes about one axis at a
 constant rate; the body turns about a fixed axis in inertial space, so that with v the rotation vector of the turn in
@@ -24,10 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble._chain import eliminate
 from tumble.budget import Setup, check_setup
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.likelihood import Point, Problem, Scatter, TurnsAbout, Weights, left_jacobian, linearise, solve, weights
+from tumble.estimate import least_squares
+from tumble.likelihood import Point, Problem, Scatter, TurnsAbout, Weights, left_jacobian, linearise, weights
 from tumble.model import Block
 from tumble.observe import ACCEL_FLOOR, GYRO_FLOOR, TURN_FLOOR, Observations, Rests, Turns
 from tumble.rotation import rotation_matrix, rotation_vector
@@ -101,10 +103,10 @@ def bound(setup: Setup, *, gyros: bool = True) -> Bound:
 def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of a course; of the set-up, all but programme, table and mounting counts. Raises InputError."""
     seen = view(course, setup, gyros=gyros)
-    step = solve(seen.problem, linearise(seen.problem, seen.point, seen.about), seen.weights)
+    solution = least_squares(seen.information(), np.zeros(len(seen.problem.spread)), seen.problem.spread)
     blocks = blocks_of(gyros)
     units = tuple(unit for block in blocks for unit in block.units)
-    solution, natural = step.solution, _natural_units(setup, units)
+    natural = _natural_units(setup, units)
     size, direction = np.linalg.eigh(solution.covariance / np.outer(natural, natural))
     null = solution.null * seen.problem.spread / natural
     null /= np.linalg.norm(null, axis=1, keepdims=True)
@@ -169,6 +171,15 @@ class View:
     point: Point
     about: TurnsAbout | None
     weights: Weights
+
+    def information(self) -> Array:
+        """A square root (m, m), a triangle, of what the course says of the parameters."""
+        rest, turn = self.whitened()
+        p, gravity_u = rest.shape[2] - 4, self.problem.observations.site.gravity_u
+        triangle, factor = np.zeros((p + 1, p + 1)), np.empty((len(rest), 3, 7 + p))
+        triangle[0, 0] = 1.0 / gravity_u if gravity_u > 0.0 else 0.0
+        eliminate(rest, turn, self.problem.link, factor, triangle)
+        return triangle[1:-1, 1:-1]
 
     def whitened(self) -> tuple[Array, Array]:
         """The whitened rows of the rests (N, r, 3 + p + 1) and turns (K, t, 6 + p + 1), see `tumble._chain`."""

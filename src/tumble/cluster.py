@@ -19,7 +19,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from tumble import __version__
-from tumble.engine import Chunk, Chunks, Done, Executor, Job, compute, failed, serially
+from tumble.engine import Chunk, Chunks, Done, Executor, Job, compute, failed, parquet_of, serially
 from tumble.errors import InputError, MissingExtraError, TumbleError
 
 if TYPE_CHECKING:
@@ -169,31 +169,31 @@ def _spread(job: Job, pending: Sequence[int], client: Client, suspects: list[int
         future = next(arriving)
         chunk = sent.pop(future)
         try:
-            rows, seconds = future.result()
+            part, seconds = future.result()
         except CancelledError:
             raise
         except Exception:
             suspects += chunk
             continue
         chunks.took(len(chunk), seconds)
-        yield chunk, rows
+        yield chunk, part
 
 
-def _alone(job: Job, number: int, client: Client) -> list[Any]:
+def _alone(job: Job, number: int, client: Client) -> bytes:
     """The rows of a task while nothing else runs."""
     from distributed import KilledWorker
 
     try:
-        rows, _ = _submit(job, [number], client).result()
+        return bytes(_submit(job, [number], client).result()[0])
     except CancelledError:
         raise
     except KilledWorker:
-        return [failed(number, job.label(job.items[number]), "every process that computed it died")]
+        said: BaseException | str = "every process that computed it died"
     except Exception as error:
-        return [failed(number, job.label(job.items[number]), error)]
-    return list(rows)
+        said = error
+    return parquet_of([failed(number, job.label(job.items[number]), said)], job.columns)
 
 
 def _submit(job: Job, chunk: Chunk, client: Client) -> Future[Any]:
     tasks = [(number, job.items[number]) for number in chunk]
-    return client.submit(compute, job.task, job.label, tasks, pure=False)
+    return client.submit(compute, job.task, job.label, job.columns, tasks, pure=False)

@@ -12,7 +12,7 @@ from itertools import permutations, product
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.estimate import FIT_SIGMAS, SEEN, Estimate, Outcome, spreads, spreads_of
+from tumble.estimate import FIT_SIGMAS, SEEN, SPREAD, Estimate, Outcome, spreads, spreads_of
 from tumble.model import SensorModel
 from tumble.observe import Observations
 from tumble.programme import from_attitudes, programme
@@ -46,9 +46,8 @@ BIAS_LIMIT = 100.0
 REST_SHARE = 0.2
 """At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
 
-POORLY_KNOWN = 1.0 / 30.0
-"""Of the spreads: a combination of parameters that is known no better is poorly observable. Its effects of second
-order are then no longer small against what the data resolve."""
+POORLY_KNOWN = 0.05
+"""Of the spreads: a combination of parameters that is known no better is poorly observable."""
 
 SCATTER_LIMIT = 1e-3 * G_STANDARD
 TURN_SCATTER_LIMIT = 1.0 * DEGREE
@@ -404,7 +403,7 @@ def verdict(estimate: Estimate, observations: Observations) -> Outcome:
     missing = estimate.unobservable
     if missing and not reasons:
         reasons.append(f"not observable in this session: {', '.join(missing)}; {_most_helpful(estimate, observations)}")
-    elif not missing and not reasons and (weak := _weak_combinations(estimate)):
+    elif not missing and not reasons and (weak := _weak_combinations(estimate, observations)):
         reasons.append(f"poorly observable in this session: {'; '.join(weak)}; {_most_helpful(estimate, observations)}")
     if not missing and not estimate.converged:
         reasons.append(
@@ -452,31 +451,46 @@ def _turn_named(observations: Observations, k: int) -> str:
 # What is missing
 
 
-def _weak(estimate: Estimate) -> tuple[Array, Array]:
+def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]:
     """Combinations (q, m) of the parameters, in units of their spreads, that the data determine poorly or not at all,
-    the worst first, and how well they are known, in the same units."""
+    the worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty,
+    as an angle, is not small against what the data resolve: u does not hold then, for effects of second order count."""
     spread = spreads_of(estimate.names)
     variance, vectors = np.linalg.eigh(estimate.covariance / np.outer(spread, spread))
-    poor = np.flatnonzero(variance > POORLY_KNOWN**2)[::-1]
+    limit = min(POORLY_KNOWN, float(np.sqrt(_resolution(estimate, observations))) / SPREAD["accel.axis"])
+    poor = np.flatnonzero(variance > limit**2)[::-1]
     return vectors[:, poor].T, np.sqrt(variance[poor])
 
 
-def _weak_combinations(estimate: Estimate) -> list[str]:
+def _resolution(estimate: Estimate, observations: Observations) -> float:
+    """The smallest angle, rad, that a rest or turn resolves, scatter included."""
+
+    def typical(covariance: Array, group: str) -> float:
+        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2))
+        return float(np.hypot(np.sqrt(variance), estimate.fits[group].scatter if group in estimate.fits else 0.0))
+
+    tilt = typical(observations.rests.accel_covariance, "accelerometers") / observations.site.gravity
+    if observations.turns is None or estimate.gyro is None:
+        return tilt
+    return min(tilt, typical(observations.turns.covariance, "gyro turns"))
+
+
+def _weak_combinations(estimate: Estimate, observations: Observations) -> list[str]:
     """The poorly determined combinations in words, each by its largest parts."""
     said = []
-    for combination, known in zip(*_weak(estimate), strict=True):
+    for combination, known in zip(*_weak(estimate, observations), strict=True):
         order = np.argsort(-np.abs(combination))
         largest = [i for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
         sign = np.sign(combination[largest[0]])
         parts = [f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in largest]
-        said.append(f"{' '.join(parts).removeprefix('+ ')} (known to {100.0 * known:.0f} % of its usual size)")
+        said.append(f"{' '.join(parts).removeprefix('+ ')} (known to {100.0 * known:.2g} % of its usual size)")
     return said
 
 
 def _most_helpful(estimate: Estimate, observations: Observations) -> str:
     """The rests, or the turns, that together would say what the data do not determine, the most telling first."""
     m = len(observations.accel_block.names)
-    unseen = estimate.null if estimate.unobservable else _weak(estimate)[0]
+    unseen = estimate.null if estimate.unobservable else _weak(estimate, observations)[0]
     null = unseen[:, :m]
     if np.abs(null).max(initial=0.0) > SEEN:
         rests = {standing(u): _rest_rows(observations, u) for u in faces_and_edges()}

@@ -15,6 +15,7 @@ one that ends every process it runs in: see `tumble.cluster`.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 import shutil
@@ -22,14 +23,11 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tumble import __version__
 from tumble.errors import InputError
 from tumble.whole_file import whole_file
-
-if TYPE_CHECKING:
-    import polars as pl
 
 CHUNK_SECONDS = 1.0
 """How long a chunk should take: a task on a cluster costs 1.6 ms of overhead, a lost worker a chunk or two."""
@@ -67,13 +65,20 @@ class Job:
         text = json.dumps(self._identity(), sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The polars types of all columns of the table."""
+        import polars as pl
+
+        return {"task": pl.Int64, **self.schema, "error": pl.String}
+
     def _identity(self) -> dict[str, Any]:
         return {**self.definition, "tasks": len(self.items), "software": f"tumble {__version__}"}
 
 
 Chunk = Sequence[int]
-Done = tuple[Chunk, list[Row]]
-"""Numbers of tasks, and their rows."""
+Done = tuple[Chunk, bytes]
+"""Numbers of tasks, and their rows as a Parquet file."""
 Executor = Callable[[Job, Sequence[int]], Iterator[Done]]
 """Computes tasks, given by their numbers, and returns them chunk by chunk as they are finished, in any order."""
 
@@ -94,8 +99,8 @@ def run(
     pending = [number for number in range(len(job.items)) if number not in done]
     count = len(job.items) - len(pending)
     progress(count, len(job.items))
-    for numbers, rows in (executor or serially)(job, pending):
-        _write_part(job, folder, numbers, rows)
+    for numbers, part in (executor or serially)(job, pending):
+        _write_part(folder, numbers, part)
         count += len(numbers)
         progress(count, len(job.items))
     _join_parts(job, folder)
@@ -109,9 +114,9 @@ def serially(job: Job, pending: Sequence[int]) -> Iterator[Done]:
     """Chunks of tasks with their rows, computed here."""
     chunks = Chunks(pending, workers=1)
     while chunk := chunks.next():
-        rows, seconds = compute(job.task, job.label, [(number, job.items[number]) for number in chunk])
+        part, seconds = compute(job.task, job.label, job.columns, [(number, job.items[number]) for number in chunk])
         chunks.took(len(chunk), seconds)
-        yield chunk, rows
+        yield chunk, part
 
 
 class Chunks:
@@ -138,9 +143,12 @@ class Chunks:
 
 
 def compute(
-    task: Callable[[int, Any], list[Row]], label: Callable[[Any], Row], tasks: Iterable[tuple[int, Any]]
-) -> tuple[list[Row], float]:
-    """The rows of tasks, and how long they took, s."""
+    task: Callable[[int, Any], list[Row]],
+    label: Callable[[Any], Row],
+    columns: Mapping[str, Any],
+    tasks: Iterable[tuple[int, Any]],
+) -> tuple[bytes, float]:
+    """The rows of tasks as a Parquet file with these columns, and how long they took, s."""
     start = time.perf_counter()
     rows: list[Row] = []
     for number, item in tasks:
@@ -150,7 +158,16 @@ def compute(
             rows.append(failed(number, label(item), error))
         else:
             rows += [{"task": number, **label(item), **row} for row in found]
-    return rows, time.perf_counter() - start
+    return parquet_of(rows, columns), time.perf_counter() - start
+
+
+def parquet_of(rows: Sequence[Row], columns: Mapping[str, Any]) -> bytes:
+    """Rows as a Parquet file."""
+    import polars as pl
+
+    file = io.BytesIO()
+    pl.DataFrame(rows, schema=columns).write_parquet(file)
+    return file.getvalue()
 
 
 def failed(number: int, label: Row, error: BaseException | str) -> Row:
@@ -209,17 +226,10 @@ def _tasks_of_parts(folder: Path) -> set[int]:
     return set(pl.scan_parquet(parts).select("task").collect().to_series().to_list()) if parts else set()
 
 
-def _write_part(job: Job, folder: Path, numbers: Chunk, rows: list[Row]) -> None:
+def _write_part(folder: Path, numbers: Chunk, part: bytes) -> None:
     """Write the rows of a chunk. Every part has a name of its own: first and last task, and how many."""
-    path = folder / "parts" / f"{numbers[0]:09d}-{numbers[-1]:09d}-{len(numbers)}.parquet"
-    with whole_file(path) as temporary:
-        _frame(job, rows).write_parquet(temporary)
-
-
-def _frame(job: Job, rows: list[Row]) -> pl.DataFrame:
-    import polars as pl
-
-    return pl.DataFrame(rows, schema={"task": pl.Int64, **job.schema, "error": pl.String})
+    with whole_file(folder / "parts" / f"{numbers[0]:09d}-{numbers[-1]:09d}-{len(numbers)}.parquet") as temporary:
+        temporary.write_bytes(part)
 
 
 def _join_parts(job: Job, folder: Path) -> None:
@@ -228,7 +238,7 @@ def _join_parts(job: Job, folder: Path) -> None:
     import polars as pl
 
     parts = _parts(folder)
-    frame = pl.scan_parquet(parts, include_file_paths="part") if parts else _frame(job, []).lazy()
+    frame = pl.scan_parquet(parts, include_file_paths="part") if parts else pl.DataFrame(schema=job.columns).lazy()
     if parts:
         frame = frame.filter(pl.col("part") == pl.col("part").min().over("task")).drop("part")
     table = frame.sort("task", maintain_order=True).collect()

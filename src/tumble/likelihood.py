@@ -12,7 +12,8 @@ of every rest. Minimised is the sum of squares, each over its covariance (method
 with S_G ω of the turn in C(θ) = exp([φ×]) C, φ = −(M : E + B δ), about the model the turn was integrated with (see
 `tumble.observe`). The turn's residual is §8's log(e^{−[Ω×]T} L_i C L_jᵀ) in other axes, those in which its covariance
 is given. Gravity is the same for all rests, so it is an unknown that has been measured; no table angle has a prior
-unless a `Prior` is given. What n > 3 gyros say of a turn beyond the rotation is one row each of n − 3.
+unless a `Prior` is given. The parameters have their spreads (`estimate.SPREAD`) as a prior, which decides what the data
+leave open and is nothing beside what they show. What n > 3 gyros say of a turn beyond its rotation is n − 3 rows more.
 
 Attitudes change in the body, L → L exp([δ×]), with δ in the basis t₁, t₂, u of the rest, so that
 
@@ -32,7 +33,7 @@ import numpy as np
 
 from tumble._chain import eliminate, left_over, put_back
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimate import Solution, least_squares, spreads
+from tumble.estimate import spreads_of
 from tumble.model import Block, SensorModel
 from tumble.observe import Observations, Turns
 from tumble.rotation import rotation_matrix, rotation_vector, skew
@@ -43,8 +44,8 @@ _UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Prior:
-    """What is known beforehand: standard deviations, SI, of parameters about their start values, by name, and of the
-    attitudes about those of the programme, rad an axis."""
+    """What is known beforehand: standard deviations, SI, of parameters about their start values, by name (others have
+    their spread, `estimate.SPREAD`), and of the attitudes about those of the programme, rad an axis."""
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     attitude: float | None = None
@@ -106,13 +107,12 @@ class Weights:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Step:
-    """The least-squares step: of gravity and the parameters (1 + m,), their covariance without what is not determined,
-    the angles (N, 3), the solution for the parameters, and the sums that `Problem.left` needs."""
+    """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, and of the angles (N, 3);
+    and what `left` needs."""
 
     parameters: Array
     covariance: Array
     angles: Array
-    solution: Solution
     whitened: tuple[Array, Array]
     shared: tuple[Array, Array]
 
@@ -140,7 +140,8 @@ class Problem:
     accel_count: int
     """Number of accelerometer parameters."""
     measured: tuple[Array, Array]
-    """Gravity and the parameters (1 + m,) as they were known before, and standard deviations, zero for none."""
+    """Gravity and the parameters (1 + m,) as they were known before, with standard deviations; zero where gravity is
+    taken as exact."""
 
     @staticmethod
     def of(observations: Observations, prior: Prior = NO_PRIOR) -> Problem:
@@ -153,17 +154,19 @@ class Problem:
                 raise ValueError("turns: expected at most one between neighbouring rests, found others")
             link[turns.first] = np.arange(len(turns))
         blocks = [accel] if gyro is None else [accel, gyro]
-        names = tuple(name for block in blocks for name in block.names)
+        names = [name for block in blocks for name in block.names]
+        spread = spreads_of(names)
+        known = [prior.parameters.get(name, usual) for name, usual in zip(names, spread.tolist(), strict=True)]
         return Problem(
             observations=observations,
             prior=prior,
             link=link,
             earth=np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude)),
-            spread=np.concatenate([spreads(block) for block in blocks]),
+            spread=spread,
             accel_count=len(accel.names),
             measured=(
                 np.concatenate([[site.gravity], *(observations.start_values(block) for block in blocks)]),
-                np.array([site.gravity_u, *(prior.parameters.get(name, 0.0) for name in names)]),
+                np.array([site.gravity_u, *known]),
             ),
         )
 
@@ -404,37 +407,26 @@ def _joined(blocks: list[Array]) -> Array:
 
 
 def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
-    """The least-squares step with the attitudes eliminated; its parameters follow the null-space convention of
-    `estimate.least_squares`."""
+    """The least-squares step with the attitudes eliminated."""
     rest, turn = weight.rest @ rows.rest, weight.turn @ rows.turn
     N, p = len(rest), len(rows.prior) - 1
     factor, triangle = np.empty((N, 3, 7 + p)), rows.prior.copy()
     eliminate(rest, turn, problem.link, factor, triangle)
-    solution = least_squares(triangle[1:, 1:-1], triangle[1:, -1], problem.spread)
-    parameters, covariance = _with_gravity(triangle[0], solution)
+    parameters, covariance = _solved(triangle)
     angles = np.empty((N, 3))
     shared = put_back(factor, problem.link, parameters, covariance, angles)
-    return Step(
-        parameters=parameters,
-        covariance=covariance,
-        angles=angles,
-        solution=solution,
-        whitened=(rest, turn),
-        shared=shared,
-    )
+    return Step(parameters=parameters, covariance=covariance, angles=angles, whitened=(rest, turn), shared=shared)
 
 
-def _with_gravity(row: Array, solution: Solution) -> tuple[Array, Array]:
-    """Step and covariance of gravity and the parameters, from the row of the triangle that gives gravity."""
-    m = len(solution.step)
-    covariance = np.zeros((1 + m, 1 + m))
-    covariance[1:, 1:] = solution.gain @ solution.gain.T
-    if row[0] == 0.0:
-        return np.append(0.0, solution.step), covariance
-    by_values = -row[1:-1] / row[0]
-    covariance[0, 1:] = covariance[1:, 0] = covariance[1:, 1:] @ by_values
-    covariance[0, 0] = 1.0 / row[0] ** 2 + by_values @ covariance[1:, 1:] @ by_values
-    return np.append(row[-1] / row[0] + by_values @ solution.step, solution.step), covariance
+def _solved(triangle: Array) -> tuple[Array, Array]:
+    """Step (1 + m,) and covariance of gravity and the parameters; of gravity zero where it is taken as exact."""
+    first = int(triangle[0, 0] == 0.0)
+    p = len(triangle) - 1
+    step, covariance = np.zeros(p), np.zeros((p, p))
+    inverse = np.linalg.inv(triangle[first:p, first:p])
+    step[first:] = inverse @ triangle[first:p, p]
+    covariance[first:, first:] = inverse @ inverse.T
+    return step, covariance
 
 
 def left(problem: Problem, step: Step) -> Left:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -26,12 +26,12 @@ def bound_report(setup: Setup, bound: Bound) -> RenderableType:
         f"{programme.name}: {len(programme.positions)} positions in {_time(programme, setup)}, "
         f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s",
         f"rank {bound.rank} of {len(bound.names)}, condition {_condition(bound)}",
-        *not_determined(bound),
+        *_not_determined(bound),
     ]
     if not len(bound.null):
         largest = float(np.abs(bound.worst).max())
         lines.append(
-            f"worst determined, to {bound.worst_u / largest:.2g}: {sum_in_words(bound.worst / largest, bound.names)} "
+            f"worst determined: {sum_in_words(bound.worst / largest, bound.names)}, to {bound.worst_u / largest:.2g} "
             "(biases as parts of gravity and of the rate of the turns, angles in rad)"
         )
     table = Table(box=None, pad_edge=False)
@@ -43,11 +43,6 @@ def bound_report(setup: Setup, bound: Bound) -> RenderableType:
         share = f"{u / getattr(getattr(setup, kind), what):.2%}" if math.isfinite(u) else ""
         table.add_row(name, _shown(bound, f"{kind}.{what}", u), share)
     return Group(*map(Text, lines), Text(""), table)
-
-
-def not_determined(bound: Bound) -> list[str]:
-    """What a programme does not determine, in words: a line, or none."""
-    return [f"not determined: {', '.join(in_words(bound.null, bound.names))}"] if len(bound.null) else []
 
 
 def next_report(before: Bound, found: Sequence[Next], aim: Aim) -> RenderableType:
@@ -65,7 +60,7 @@ def next_report(before: Bound, found: Sequence[Next], aim: Aim) -> RenderableTyp
             move_text(one.move),
             f"+{one.as_good}" if one.as_good else "",
             str(one.bound.rank),
-            f"{one.ratio - 1.0:+.1%}".replace("-", "−"),
+            "" if len(before.null) else f"{one.ratio - 1.0:+.1%}".replace("-", "−"),
             *_groups(one.bound),
         )
     return table
@@ -102,10 +97,10 @@ def comparison_report(setup: Setup, rows: Sequence[Compared], aim: Aim) -> Rende
     return table
 
 
-def unmet(bound: Bound, wanted: Mapping[str, float], setup: Setup) -> list[str]:
-    """Wanted accuracies that a programme cannot give, in sentences."""
-    out = []
-    for group, value in wanted.items():
+def short_of(bound: Bound, aim: Aim, setup: Setup) -> list[str]:
+    """What a programme does not determine, and wanted accuracies that it cannot give, in sentences."""
+    out = _not_determined(bound)
+    for group, value in (aim.wanted or {}).items():
         if group in bound.groups and bound.rms(group) > value:
             size, unit = engineering(_unit(bound, group), value)
             out.append(
@@ -113,6 +108,11 @@ def unmet(bound: Bound, wanted: Mapping[str, float], setup: Setup) -> list[str]:
                 f"{_shown(bound, group, bound.rms(group))}; take more positions, or longer rests than {setup.rest:g} s"
             )
     return out
+
+
+def _not_determined(bound: Bound) -> list[str]:
+    """What a programme does not determine, in words: a line, or none."""
+    return [f"not determined: {', '.join(in_words(bound.null, bound.names))}"] if len(bound.null) else []
 
 
 def _groups(bound: Bound) -> list[str]:
@@ -123,7 +123,7 @@ def _groups(bound: Bound) -> list[str]:
 def _shown(bound: Bound, group: str, u: float) -> str:
     """An uncertainty in its engineering unit."""
     if not math.isfinite(u):
-        return "none"
+        return "–"
     size, unit = engineering(_unit(bound, group), u)
     return f"{u / size:.3g} {unit}"
 

@@ -19,6 +19,7 @@ from tumble.segment import Segmentation
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, BoolArray, engineering
 
 if TYPE_CHECKING:
+    from tumble.bounds import Bound
     from tumble.budget import Budget
     from tumble.noise import Panel
     from tumble.require import Requirements
@@ -180,21 +181,25 @@ def _numbers(chosen: BoolArray) -> str:
     return ", ".join(str(i + 1) for i in np.flatnonzero(chosen))
 
 
-def budget_report(budget: Budget) -> RenderableType:
-    """Expected errors of every method, pass and group of parameters."""
+def budget_report(budget: Budget, bound: Bound | None) -> RenderableType:
+    """Expected errors of every method, pass and group of parameters, beside the least that any method can have."""
     table = Table(box=None, pad_edge=False)
     for heading in ("method", "pass", "parameters", "estimator"):
         table.add_column(heading)
-    for heading in ("error (rms)", "of the spread"):
+    for heading in ("error (rms)", "of the spread", *(["bound"] if bound is not None else [])):
         table.add_column(heading, justify="right")
     table.add_column("mostly from")
     for row in budget.rows:
-        size, unit = engineering(row.unit, row.error)
-        error = f"{row.error / size:.3g} {unit}"
-        table.add_row(
-            row.method, str(row.iteration), row.group, row.estimator, error, f"{row.relative:.2%}", row.dominating
-        )
+        numbers = [_quantity(row.error, row.unit), f"{row.relative:.2%}"]
+        numbers += [_quantity(bound.rms(row.group), row.unit)] if bound is not None else []
+        table.add_row(row.method, str(row.iteration), row.group, row.estimator, *numbers, row.dominating)
     return table
+
+
+def _quantity(value: float, unit: str) -> str:
+    """A value, SI, in its engineering unit; nothing where it is infinite."""
+    size, shown = engineering(unit, value)
+    return f"{value / size:.3g} {shown}" if math.isfinite(value) else ""
 
 
 def requirements_report(requirements: Requirements) -> RenderableType:

@@ -14,11 +14,13 @@ from tumble.commands.arguments import BUDGETED_METHODS, setup_of, setup_options
 @click.option("--method", "methods", type=click.Choice(BUDGETED_METHODS), multiple=True, help="Default: all; repeat.")
 @click.option("--iterations", type=click.IntRange(1, 5), default=2, show_default=True, help="Passes.")
 def budget(methods: tuple[str, ...], iterations: int, **options: Any) -> None:
-    """Expected errors of a calibration before it is made, from the accuracy formulas."""
+    """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
+    from tumble.bounds import bound
     from tumble.budget import budget
     from tumble.text import budget_report, print_report
 
-    expected = budget(setup_of(options), methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]
-    print_report(budget_report(expected))
+    setup = setup_of(options)
+    expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]
+    print_report(budget_report(expected, None if options["noiseless"] else bound(setup)))
     for remark in expected.remarks:
         click.echo(f"note: {remark}", err=True)

@@ -36,57 +36,48 @@ def plan(
     **options: Any,
 ) -> None:
     """The least uncertainty a programme allows, the best next position, and better programmes."""
-    from tumble.bounds import bound
     from tumble.places import Table
     from tumble.plan import Aim
-    from tumble.plan_text import bound_report, not_determined, unmet
     from tumble.programme import from_attitudes
     from tumble.require import wanted_of
-    from tumble.text import print_report
 
     setup = setup_of(options)
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
     wishes = wanted_of(wanted, None, setup) if wanted else {}
     aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
-    if positions is not None:
-        setup = _found(setup, positions, aim, Table.of(axes, step))
-    best = bound(setup, gyros=aim.gyros)
-    print_report(bound_report(setup, best))
-    click.echo()
-    _beside(setup, aim) if positions is not None else _one_more(setup, aim, Table.of(axes, step))
-    reasons = [*not_determined(best), *unmet(best, wishes, setup)]
+    table = Table.of(axes, step)
+    reasons = _one_more(setup, aim, table) if positions is None else _found(setup, positions, aim, table)
     for reason in reasons:
         click.echo(reason, err=True)
     sys.exit(1 if reasons else 0)
 
 
-def _found(setup: Setup, positions: int, aim: Aim, table: Table) -> Setup:
-    """The set-up with the best programme that is found, which is printed."""
-    from tumble.plan import optimised
-    from tumble.plan_text import positions_report
-    from tumble.text import print_report
-
-    programme = optimised(setup, positions, aim, table)
-    print_report(positions_report(programme))
-    click.echo()
-    return replace(setup, programme=programme)
-
-
-def _beside(setup: Setup, aim: Aim) -> None:
-    """Print a set-up's programme beside those of the literature."""
-    from tumble.plan import compared, of_the_literature
-    from tumble.plan_text import comparison_report
-    from tumble.text import print_report
-
-    print_report(comparison_report(setup, compared(setup, (setup.programme, *of_the_literature()), aim), aim))
-
-
-def _one_more(setup: Setup, aim: Aim, table: Table) -> None:
-    """Print what one more position would buy."""
+def _one_more(setup: Setup, aim: Aim, table: Table) -> list[str]:
+    """Print what a set-up's programme can show and what one more position would buy; returns what it cannot."""
     from tumble.bounds import bound
     from tumble.plan import next_positions
-    from tumble.plan_text import next_report
+    from tumble.plan_text import bound_report, next_report, short_of
     from tumble.text import print_report
 
-    print_report(next_report(bound(setup, gyros=aim.gyros), next_positions(setup, aim, table), aim))
+    best, found = bound(setup, gyros=aim.gyros), next_positions(setup, aim, table)
+    print_report(bound_report(setup, best))
+    click.echo()
+    print_report(next_report(best, found, aim))
+    return short_of(best, aim, setup)
+
+
+def _found(setup: Setup, positions: int, aim: Aim, table: Table) -> list[str]:
+    """Print the best programme that is found, what it can show, and others beside it; returns what it cannot."""
+    from tumble.plan import compared, of_the_literature, optimised
+    from tumble.plan_text import bound_report, comparison_report, positions_report, short_of
+    from tumble.text import print_report
+
+    setup = replace(setup, programme=optimised(setup, positions, aim, table))
+    rows = compared(setup, (setup.programme, *of_the_literature()), aim)
+    print_report(positions_report(setup.programme))
+    click.echo()
+    print_report(bound_report(setup, rows[0].bound))
+    click.echo()
+    print_report(comparison_report(setup, rows, aim))
+    return short_of(rows[0].bound, aim, setup)

@@ -17,6 +17,9 @@ where the residuals of its group are larger than expected (SCATTER_PROBABILITY);
 two equal. What is expected of a squared residual is its variance less what the fit takes, the leverage. A scatter of
 the gyros lasts through the turn that follows.
 
+What is seen: a parameter counts as determined when it is known DETERMINED times better than its spread, which is its
+prior; so does a combination of parameters.
+
 What fits: a rest or turn is judged by how much chi-square falls without it, rᵀ M⁻¹ r with M the covariance of its
 residuals r after the fit, as Gaussian sigmas of the same probability (F where the scale is estimated too). One bad rest
 of few hides behind the scatter it makes. So where a group scatters and one of it stands out before the scatter is
@@ -33,7 +36,7 @@ from scipy import special
 
 from tumble._chain import carry
 from tumble.earth import EARTH_RATE
-from tumble.estimate import FIT_SIGMAS, Estimate, Fit, chance_of
+from tumble.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, chance_of
 from tumble.likelihood import (
     NO_PRIOR,
     Left,
@@ -290,7 +293,7 @@ def _iterated(problem: Problem, at: _At, weight: Weights) -> _Solved:
 
 def _negligible(problem: Problem, step: Step) -> bool:
     """Whether what is left to do after a step is: Gauss–Newton squares the error, in units of the spreads."""
-    change, u = np.abs(step.solution.step), np.sqrt(np.diag(step.solution.covariance))
+    change, u = np.abs(step.parameters[1:]), np.sqrt(np.diag(step.covariance)[1:])
     after = change * min(1.0, SQUARED * float(np.max(change / problem.spread)))
     return bool(np.all(after <= CONVERGED * u + 1e-15))
 
@@ -298,14 +301,14 @@ def _negligible(problem: Problem, step: Step) -> bool:
 def _moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
     parameters. Chains whose heading is hardly seen keep it."""
-    share = 1.0 / max(1.0, float(np.max(np.abs(step.solution.step) / problem.spread)))
+    share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
     angles = share * step.angles
     chain = _chains(problem.link)
     n = problem.observations.accel_block.size
     seen = _sums((step.whitened[0][:, n:, 2] ** 2).sum(axis=1, keepdims=True), chain)[:, 0]
     mean = _sums(angles[:, 2:], chain)[:, 0] / np.bincount(chain)
     angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[chain]
-    return point.moved(share * step.parameters, angles), share * step.solution.step
+    return point.moved(share * step.parameters, angles), share * step.parameters[1:]
 
 
 def _integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
@@ -497,7 +500,8 @@ def _estimate(
 ) -> Estimate:
     observations = problem.observations
     blocks = [b for b in (observations.accel_block, observations.gyro_block) if b is not None]
-    values, solution = fitted.solved.point.values, fitted.solved.step.solution
+    values, covariance = fitted.solved.point.values, fitted.solved.step.covariance[1:, 1:]
+    variance, combinations = np.linalg.eigh(covariance / np.outer(problem.spread, problem.spread))
     accel = problem.accel_model(values)
     force = accel.apply(observations.rests.accel)
     return Estimate(
@@ -505,9 +509,9 @@ def _estimate(
         names=tuple(name for block in blocks for name in block.names),
         units=tuple(unit for block in blocks for unit in block.units),
         values=values,
-        covariance=solution.covariance,
-        observable=solution.observable,
-        null=solution.null,
+        covariance=covariance,
+        observable=np.sqrt(np.diag(covariance)) < problem.spread / DETERMINED,
+        null=combinations[:, variance > DETERMINED**-2].T,
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
         rest_residual=np.linalg.norm(force, axis=1) - observations.site.gravity,
