@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 from calibrate import ONE_RUN, TUMBLE, machine
 
-from tumble.calibration import calibrate
+from tumble.procedure import calibrate
 from tumble.session import write_session
 from tumble.simulate import Request, simulate_session
 from tumble.table_file import write_tables

@@ -22,7 +22,7 @@ from typing import Literal
 
 import polars as pl
 
-from tumble.calibration import calibrate
+from tumble.procedure import calibrate
 from tumble.session import read_session
 from tumble.simulate import Request, simulate_session
 

@@ -18,13 +18,15 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import polars as pl
+import psutil
 
 from tumble.campaign import campaign_of
 from tumble.cluster import executor_for
@@ -70,15 +72,26 @@ class OneByOne(Chunks):
         """Stay at one."""
 
 
-def two_against_one() -> tuple[list[float], float]:
-    """Ratios of the wall times of one process and of two, pair by pair, and trials a second with two."""
+def two_against_one() -> tuple[list[float], float, float]:
+    """Ratios of the wall times of one process and of two, pair by pair; trials a second with two; and the processor
+    time of one process over the longest of two, which other work on the machine does not change."""
     job = campaign_of({"trials": 600 if SHORT else 2000, "grid": {"method": "joint"}}).job()
     warm = campaign_of({"trials": 50, "grid": {"method": "joint"}}).job()
     with executor_for(workers=1) as one, executor_for(workers=2) as two:
         for executor in (one, two):
             wall(warm, executor)
         pairs = [(wall(job, one), wall(job, two)) for _ in range(PAIRS)]
-    return [a / b for a, b in pairs], len(job.items) / min(b for _, b in pairs)
+        longest = [max(processor_times(executor, lambda e=executor: wall(job, e))) for executor in (one, two)]
+    return [a / b for a, b in pairs], len(job.items) / min(b for _, b in pairs), longest[0] / longest[1]
+
+
+def processor_times(executor: Executor, work: Callable[[], object]) -> list[float]:
+    """Processor time of each process of a cluster while something is done, s."""
+    (client,) = cast("partial[Any]", executor).args
+    workers = [psutil.Process(pid) for pid in client.run(os.getpid).values()]
+    before = [sum(worker.cpu_times()[:2]) for worker in workers]
+    work()
+    return [sum(worker.cpu_times()[:2]) - b for worker, b in zip(workers, before, strict=True)]
 
 
 def overheads() -> dict[str, float]:
@@ -124,8 +137,9 @@ def show(ratios: Sequence[float]) -> str:
 def main() -> None:
     cpus, load = os.cpu_count(), os.getloadavg()[0]
     print(f"{platform.machine()}, {cpus} cores, Python {platform.python_version()}, load before {load:.1f}")
-    ratios, rate = two_against_one()
+    ratios, rate, processor = two_against_one()
     print(f"two processes against one, sessions from observations: {show(ratios)}; {rate:.0f} trials/s with two")
+    print(f"processor time of one over the longest of two: {processor:.2f} times")
     for what, overhead in overheads().items():
         print(f"overhead of a task {what}: {1e3 * overhead:.3f} ms")
     for what, per_second in statics_rates().items():

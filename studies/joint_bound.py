@@ -27,7 +27,7 @@ from tumble.methods.scalar import scalar
 from tumble.methods.sequential import sequential
 from tumble.methods.staged import staged
 from tumble.observe import Observations
-from tumble.simulate import Scenario, itinerary
+from tumble.scenario import Scenario, itinerary
 from tumble.simulated_observations import scenario_of, simulate_observations
 from tumble.units import DEGREE, Array
 

@@ -42,10 +42,13 @@ from tumble.methods.joint import joint
 from tumble.methods.levelling import triad
 from tumble.methods.staged import staged
 from tumble.observe import Observations, observe
+from tumble.reduction import Reducer
 from tumble.rotation import rotation_matrix, skew
-from tumble.segment import Reducer, find_rests
+from tumble.scenario import Scenario
+from tumble.segment import find_rests
 from tumble.session import Site
-from tumble.simulate import Recording, Request, Scenario, record, typical_scenario
+from tumble.simulate import Request, typical_scenario
+from tumble.simulated_recording import Recording, record
 from tumble.units import DEGREE, Array
 
 REQUEST = Request(rest=30.0, sample_rate=50.0)

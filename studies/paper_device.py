@@ -27,7 +27,7 @@ import numpy as np
 
 from tumble.accuracy import scalar_scale_error
 from tumble.budget import Setup
-from tumble.calibration import Calibration, Launch, Parameter
+from tumble.calibration import Calibration
 from tumble.calibration_text import calibration_report
 from tumble.earth import earth_rate, normal_gravity
 from tumble.estimate import Outcome
@@ -41,6 +41,7 @@ from tumble.methods.sequential import accelerometers as sequential
 from tumble.methods.sequential import check_positions
 from tumble.model import SensorModel
 from tumble.programme import Programme
+from tumble.results import Launch, Parameter
 from tumble.rotation import rotation_matrix
 from tumble.text import print_report
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array

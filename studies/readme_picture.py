@@ -18,8 +18,9 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from tumble.calibration import Calibration, calibrate
+from tumble.calibration import Calibration
 from tumble.log import open_log
+from tumble.procedure import calibrate
 from tumble.programme import programme
 from tumble.session import read_session
 from tumble.simulate import Request, simulate_session

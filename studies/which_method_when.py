@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 from tumble.budget import GROUPS, UNITS
-from tumble.calibration import ITERATED_METHODS, METHODS
 from tumble.campaign import campaign_of, run_campaign
 from tumble.campaign_summary import Line, summary
+from tumble.procedure import ITERATED_METHODS, METHODS
 from tumble.simulate import Request
 from tumble.simulated_observations import simulate_observations
 from tumble.trial import Cell, scenario_of, stream

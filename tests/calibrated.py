@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration import Calibration, Parameter
+from tumble.calibration import Calibration
 from tumble.estimate import Outcome
 from tumble.frames import Frame
 from tumble.model import Block
+from tumble.results import Parameter
 from tumble.session import write_session
 from tumble.units import Array
 

@@ -12,8 +12,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import rq
 
-from tumble.calibration import Calibration, calibrate
+from tumble.calibration import Calibration
 from tumble.cli import main
+from tumble.procedure import calibrate
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 pytestmark = pytest.mark.data
@@ -185,9 +186,8 @@ def test_ln100_is_refused_by_the_names_of_what_two_rests_cannot_say(ln100: Path,
 def ferraris(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     file = data / "imucal-ferraris" / "example_ferraris_session.csv"
     folder = tmp_path_factory.mktemp("ferraris") / "session"
-    return calibrate(
-        session(folder, [file], "rate_hz = 102.4", "latitude_deg = 49.57\nheight_m = 280.0", *IN_SI_AND_DEGREES)
-    )
+    session(folder, [file], "rate_hz = 102.4", "latitude_deg = 49.57\nheight_m = 280.0", *IN_SI_AND_DEGREES)
+    return calibrate(folder, method="staged")
 
 
 def test_ferraris_rests_are_the_sections_its_authors_marked(ferraris: Calibration, data: Path) -> None:
@@ -229,6 +229,22 @@ def test_ferraris_gyros_are_those_of_its_full_turns(ferraris: Calibration, data:
         assert ferraris[f"gyro.bias.{name}"].value == pytest.approx(bias[axis] * DEGREE, abs=30 * DEGREE_PER_HOUR)
 
 
+def test_ferraris_is_poorly_observable_by_the_joint_method(ferraris: Calibration, data: Path, tmp_path: Path) -> None:
+    """The turns show what six faces do not, but poorly; the advice is the same, and the gyros agree."""
+    file = data / "imucal-ferraris" / "example_ferraris_session.csv"
+    folder = session(
+        tmp_path / "session", [file], "rate_hz = 102.4", "latitude_deg = 49.57\nheight_m = 280.0", *IN_SI_AND_DEGREES
+    )
+    found = calibrate(folder, method="joint")
+    assert not found.outcome.accepted
+    assert found.outcome.reasons[0].startswith("poorly observable in this session: ")
+    assert "rests that would help" in found.outcome.reasons[0]
+    for axis in "xyz":
+        p = found[f"gyro.scale.{axis}"]
+        assert p.u is not None
+        assert abs(p.value - ferraris[p.name].value) < 2.0 * p.u < 0.01
+
+
 # -------------------- PSINS, systematic --------------------
 
 PSINS_G = 9.7803267715
@@ -238,7 +254,7 @@ PSINS_GYRO_ANGLES = {"xy": 10, "xz": 20, "yx": 30, "yz": 40, "zx": 50, "zy": 60}
 PSINS_QUADRATIC = np.array([10e-6, 20e-6, 30e-6])
 
 
-def psins(data: Path, folder: Path, *, compensated: bool) -> Calibration:
+def psins(data: Path, folder: Path, *, compensated: bool, method: str = "joint") -> Calibration:
     """Increments, 100 Hz; the quadratic terms of the accelerometers, which 21 parameters do not contain, taken out or
     not. A float32 cannot count hundredths of a second: the rate stands for the time."""
     source = data / "psins-systematic" / "log.parquet"
@@ -260,7 +276,8 @@ def psins(data: Path, folder: Path, *, compensated: bool) -> Calibration:
             f"latitude_deg = 34.0\ngravity = {gravity}\ngravity_u = 1e-6",
             'columns = ["vx", "vy", "vz"]\nunit = "m/s"',
             'columns = ["tx", "ty", "tz"]\nunit = "rad"',
-        )
+        ),
+        method=method,
     )
 
 
@@ -288,7 +305,7 @@ def test_psins_truth_is_recovered_once_the_quadratic_terms_are_taken_out(data: P
 def test_psins_as_it_is_does_not_fit_21_parameters_and_says_so(data: Path, tmp_path: Path) -> None:
     """With the faces up and down, b and b + K₂g cannot be told apart: the biases come out with the quadratic terms.
     Without noise in the log, rests that do not fit stand out by many sigmas."""
-    result = psins(data, tmp_path, compensated=False)
+    result = psins(data, tmp_path, compensated=False, method="staged")
     assert not result.outcome.accepted
     assert any("does not fit" in reason for reason in result.outcome.reasons)
     for axis, size in zip("xyz", (1.0, 2.0, 3.0), strict=True):

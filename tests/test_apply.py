@@ -16,10 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tumble.apply import apply_to_session, rest_residuals
-from tumble.calibration import Calibration, calibrate, read_calibration
+from tumble.calibration import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import InputError, LogError
 from tumble.model import SensorModel
+from tumble.procedure import calibrate
 from tumble.session import read_session
 from tumble.simulate import Request, simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array

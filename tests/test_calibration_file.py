@@ -21,23 +21,15 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble import __version__
-from tumble.calibration import Calibration, calibrate, inspect_session, read_calibration
+from tumble.calibration import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import CalibrationError
 from tumble.grades import GRADES
 from tumble.model import Block, SensorModel
-from tumble.session import read_session
-from tumble.simulate import (
-    HandHeld,
-    Profile,
-    Request,
-    Scenario,
-    Site,
-    Vibration,
-    draw_parameters,
-    simulate_session,
-    write_simulation,
-)
+from tumble.procedure import calibrate, inspect_session
+from tumble.scenario import HandHeld, Profile, Scenario, Vibration, draw_parameters
+from tumble.session import Site, read_session
+from tumble.simulate import Request, simulate_session, write_simulation
 from tumble.units import DEGREE
 
 HAND = Request(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=50.0)
@@ -90,7 +82,7 @@ def content(file: Path) -> Any:
 def test_every_key_of_the_contract_is_there(content: Any) -> None:
     assert content["format"] == 1
     assert content["device"] == {"serial": "mems-1", "model": None}
-    assert content["method"] == "staged"
+    assert content["method"] == "joint"
     assert content["frame"] == "accelerometer"
     assert content["outcome"] == {"accepted": True, "reasons": [], "unobservable": []}
     assert content["launches"] == []
@@ -366,7 +358,7 @@ def test_a_file_from_the_same_log_and_method_is_replaced(session: Path, tmp_path
     "change",
     [
         lambda content: content["provenance"].update(log_sha256="0" * 64),
-        lambda content: content.update(method="joint"),
+        lambda content: content.update(method="staged"),
         lambda content: content.pop("provenance"),
         lambda content: content.clear(),
     ],
@@ -416,7 +408,7 @@ def interrupted(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("call", [(os, "fsync"), (os, "fdopen"), (Path, "chmod"), (Path, "replace")])
+@pytest.mark.parametrize("call", [(os, "fsync"), (Path, "write_text"), (Path, "chmod"), (Path, "replace")])
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(
     calibration: Calibration, file: Path, monkeypatch: pytest.MonkeyPatch, call: tuple[Any, str]
 ) -> None:

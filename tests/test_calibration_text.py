@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console, RenderableType
 
-from tumble.calibration import Calibration, calibrate
+from tumble.calibration import Calibration
 from tumble.calibration_text import (
     WHAT_AN_INCREMENT_SAYS,
     calibration_report,
@@ -21,6 +21,7 @@ from tumble.calibration_text import (
 )
 from tumble.cli import main
 from tumble.launches import Run, difference_percent, mean_of_launches
+from tumble.procedure import calibrate
 from tumble.session import read_session
 from tumble.simulate import Request, simulate_session
 from tumble.text import shown_units

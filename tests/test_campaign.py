@@ -22,7 +22,8 @@ from tumble.cli import main
 from tumble.engine import Executor, run, serially
 from tumble.errors import InputError, MissingExtraError
 from tumble.rotation import rotation_matrix
-from tumble.simulate import Request, itinerary
+from tumble.scenario import itinerary
+from tumble.simulate import Request
 from tumble.simulated_observations import simulate_observations
 from tumble.trial import BLOCK, NAMES, Cell, session_rows, statics_rows
 

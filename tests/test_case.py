@@ -12,16 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tumble.calibration import calibrate, read_calibration
+from tumble.calibration import read_calibration
 from tumble.case import CaseAlignment, Verticals, align_case, case_of, estimate_in, relate, verticals_of, wahba
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.staged import staged
 from tumble.model import Block, SensorModel
 from tumble.observe import Observations
+from tumble.procedure import calibrate
 from tumble.programme import attitude, from_attitudes, programme
 from tumble.rotation import rotation_matrix
-from tumble.simulate import OnTable, Request, Scenario, itinerary, simulate_session, typical_scenario
+from tumble.scenario import OnTable, Scenario, itinerary
+from tumble.simulate import Request, simulate_session, typical_scenario
 from tumble.simulated_observations import simulate_observations
 from tumble.units import DEGREE, Array
 

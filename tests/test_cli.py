@@ -149,7 +149,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "few", "--out", "no/such/file.json"], "cannot be written: No such file or directory"),
         (["calibrate", "few", "--method", "jiont"], "'jiont' is not"),
         (["calibrate", "few", "--iterations", "0", "--method", "scalar"], "0 is not in the range x>=1"),
-        (["calibrate", "few", "--iterations", "3"], "expected none with the method 'staged'"),
+        (["calibrate", "few", "--iterations", "3"], "expected none with the method 'joint'"),
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none/session.toml: expected a session folder with a session.toml, found no such fol"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none"),
@@ -584,7 +584,7 @@ def test_a_terminal_without_greek_gets_question_marks_and_no_traceback(sessions:
     settings = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = program("calibrate", sessions / "one", stdout=subprocess.PIPE, env=settings)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("device mems-7 ? method staged ? frame accelerometer")
+    assert done.stdout.startswith("device mems-7 ? method joint ? frame accelerometer")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")

@@ -10,12 +10,13 @@ import pytest
 from calibrated import FRAMES, HEXAD, calibration
 from click.testing import CliRunner
 
-from tumble.calibration import Calibration, Parameter
+from tumble.calibration import Calibration
 from tumble.cli import main
-from tumble.compare import compare
+from tumble.compare import compare_calibrations
 from tumble.errors import InputError
 from tumble.frames import Frame
 from tumble.model import Block
+from tumble.results import Parameter
 
 
 def moved(made: Calibration, by: dict[str, float]) -> Calibration:
@@ -35,7 +36,7 @@ def test_e_n_is_the_difference_over_the_expanded_uncertainty_of_both() -> None:
         replace(made, parameters=(Parameter(name=name, value=value, u=u, unit="m/s^2"),), covariance=np.array([[u**2]]))
         for value, u in ((25.0, 3.0), (5.0, 4.0))
     )
-    found = compare(one, other)
+    found = compare_calibrations(one, other)
     (d,) = found.differences
     assert (d.value, d.u, d.e_n) == pytest.approx((20.0, 5.0, 2.0))
     assert found.chi_square == pytest.approx(16.0)
@@ -46,7 +47,7 @@ def test_e_n_is_the_difference_over_the_expanded_uncertainty_of_both() -> None:
 
 def test_a_calibration_agrees_with_itself_and_it_is_said_that_the_log_is_the_same() -> None:
     made = calibration()
-    found = compare(made, made)
+    found = compare_calibrations(made, made)
     assert found.agree
     assert found.chi_square == 0.0
     assert found.degrees == 21
@@ -71,12 +72,12 @@ def test_correlations_count_in_chi_square() -> None:
         for values in ((1.0, -1.0), (0.0, 0.0))
     )
     # the eigenvector (1, −1)/√2 has variance 2 · 0.1, and d has √2 along it
-    assert compare(one, other).chi_square == pytest.approx(2.0 / 0.2)
+    assert compare_calibrations(one, other).chi_square == pytest.approx(2.0 / 0.2)
 
 
 def test_one_parameter_beyond_is_found() -> None:
     made = calibration()
-    found = compare(made, moved(made, {"gyro.scale.y": 4.0}))
+    found = compare_calibrations(made, moved(made, {"gyro.scale.y": 4.0}))
     beyond = [d.name for d in found.differences if abs(d.e_n or 0.0) > 1.0]
     assert beyond == ["gyro.scale.y"]
     # u(d) = √2 u: 4 u are E_n = 4 / (2 √2)
@@ -88,7 +89,10 @@ def test_frames_are_made_the_same_before_anything_is_compared(frame: Frame) -> N
     made = calibration()
     other = made.in_frame(frame)
     assert {p.name for p in other.parameters} != {p.name for p in made.parameters}
-    for found, expected in ((compare(made, other), "accelerometer"), (compare(other, made), frame)):
+    for found, expected in (
+        (compare_calibrations(made, other), "accelerometer"),
+        (compare_calibrations(other, made), frame),
+    ):
         assert found.frame == expected
         assert len(found.differences) == 21
         assert max(abs(d.e_n or 0.0) for d in found.differences) < 1e-6
@@ -128,7 +132,7 @@ def test_e_n_beyond_one_is_as_rare_as_chance_has_it() -> None:
             )
             for draw in pair
         )
-        found = compare(one, other)
+        found = compare_calibrations(one, other)
         beyond.append(np.mean([abs(d.e_n or 0.0) > 1.0 for d in found.differences]))
         rare += (found.probability or 0.0) < 0.05
     assert abs(np.mean(beyond) - 0.0455) < 5.0 * np.std(beyond) / np.sqrt(N)
@@ -137,7 +141,7 @@ def test_e_n_beyond_one_is_as_rare_as_chance_has_it() -> None:
 
 def test_parameters_of_one_only_are_named() -> None:
     made = calibration()
-    found = compare(made, calibration(with_gyro=False))
+    found = compare_calibrations(made, calibration(with_gyro=False))
     assert len(found.differences) == 9
     assert found.missing == tuple(p.name for p in made.parameters[9:])
 
@@ -145,7 +149,7 @@ def test_parameters_of_one_only_are_named() -> None:
 def test_without_uncertainties_nothing_is_judged() -> None:
     made = calibration()
     bare = replace(made, parameters=tuple(replace(p, u=None) for p in made.parameters), covariance=None)
-    found = compare(made, bare)
+    found = compare_calibrations(made, bare)
     assert not found.agree
     assert all(d.e_n is None for d in found.differences)
     assert found.chi_square is None
@@ -154,11 +158,11 @@ def test_without_uncertainties_nothing_is_judged() -> None:
 
 def test_devices_with_nothing_in_common_and_blocks_that_cannot_be_converted_are_refused() -> None:
     hexad = calibration(accel=HEXAD, with_gyro=False)
-    assert len(compare(hexad, hexad).differences) == len(hexad.parameters)
+    assert len(compare_calibrations(hexad, hexad).differences) == len(hexad.parameters)
     with pytest.raises(InputError, match="none in both"):
-        compare(calibration(with_gyro=False), hexad)
+        compare_calibrations(calibration(with_gyro=False), hexad)
     with pytest.raises(InputError, match="one along each body axis"):
-        compare(replace(hexad, frame="case"), hexad)
+        compare_calibrations(replace(hexad, frame="case"), hexad)
 
 
 def test_the_command_says_different_devices_and_ends_with_1_where_they_differ(tmp_path: Path) -> None:

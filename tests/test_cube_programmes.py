@@ -18,11 +18,14 @@ from tumble.errors import ProgrammeError
 from tumble.log import open_log
 from tumble.match import Match, match_rests
 from tumble.programme import ANY_MOVE, Position, Programme, programme
+from tumble.reduction import reduce_log
 from tumble.rotation import rotation_matrix
-from tumble.segment import find_rests, reduce_log
+from tumble.scenario import OnTable, Profile
+from tumble.segment import find_rests
 from tumble.session import ProgrammeSpec, Session, read_session
-from tumble.sheet import sheet_page, sheet_rows
-from tumble.simulate import OnTable, Profile, Request, simulate_session, typical_scenario, write_simulation
+from tumble.sheet import sheet_page
+from tumble.sheet_words import sheet_rows
+from tumble.simulate import Request, simulate_session, typical_scenario, write_simulation
 from tumble.units import DEGREE, Array
 
 CUBES = ("cube-12", "cube-14", "cube-26", "faces-edges-18")

@@ -30,9 +30,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import rq
 
-from tumble.calibration import calibrate, inspect_session
 from tumble.cli import main
 from tumble.log import open_log
+from tumble.procedure import calibrate, inspect_session
 from tumble.session import read_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
@@ -48,6 +48,7 @@ RUN = (
     "docs/recordings.md",
     "docs/registry.md",
     "docs/campaigns.md",
+    "docs/plan.md",
 )
 RECORDINGS = {"docs/xsens.md": "xsens-mti"}
 """Pages that need a recording: the folder of the shared data that is copied into the empty one."""
@@ -241,7 +242,7 @@ def test_the_licence_is_the_unmodified_text_of_apache_2_0() -> None:
     assert digest == "c71d239df91726fc519c6eb72d318ec65820627232b2f796219e87dcf35d0ab4"
 
 
-THRESHOLD = re.compile(r"^\| `([A-Z_]+)` \| ([a-z.]+) \| ([0-9.e-]+) ?(s|rad|°|mg|) \|", re.M)
+THRESHOLD = re.compile(r"^\| `([A-Z_]+)` \| ([a-z._]+) \| ([0-9.e-]+) ?(s|rad|°|mg|) \|", re.M)
 SI = {"": 1.0, "s": 1.0, "rad": 1.0, "°": DEGREE, "mg": 1e-3 * G_STANDARD}
 
 

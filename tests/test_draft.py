@@ -222,14 +222,20 @@ def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, t
     drafted(handheld, tmp_path)
     log = tmp_path / "in.parquet"
     pl.DataFrame({"depth": [1.0, 2.0]}).write_parquet(tmp_path / "other.parquet")
+    (tmp_path / "semicolons.csv").write_text("t;ax;ay;az\n0;0;0;9.8\n")
+    (tmp_path / "rowless.csv").write_text("t,ax,ay,az\n")
+    (tmp_path / "damaged.ulg").write_bytes(b"abc" * 1000)
     for words, said in [
         ((tmp_path / "session", "--log", log), "expected a folder without a session"),
         ((tmp_path / "n", "--log", tmp_path / "none.csv"), "expected a log, found no such file"),
         ((tmp_path / "n", "--log", log, "--programme", "wobble"), "--programme: expected one of"),
         ((tmp_path / "n", "--log", tmp_path / "other.parquet"), "expected columns named as accelerometers are"),
+        ((tmp_path / "n", "--log", tmp_path / "semicolons.csv"), "expected commas between the columns, found 't;ax;ay"),
+        ((tmp_path / "n", "--log", tmp_path / "rowless.csv"), "expected rows of readings below the names"),
+        ((tmp_path / "n", "--log", tmp_path / "damaged.ulg"), "damaged or incomplete"),
     ]:
         result = new(*words)
         assert result.exit_code == 2
         assert said in result.stderr
         assert result.stderr.count("\n") == 1
-    assert not (tmp_path / "n" / "session.toml").exists()
+    assert not (tmp_path / "n").exists()

@@ -15,14 +15,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble.calibration import calibrate
-from tumble.ellipsoid import TRIAD, EllipsoidFit, fit
+from tumble.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.errors import InputError
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.scalar import scalar_rows
 from tumble.methods.staged import staged
 from tumble.model import Block, SensorModel
 from tumble.observe import Observations, Rests
+from tumble.procedure import calibrate
 from tumble.quadric import fit_many
 from tumble.rotation import rotation_matrix
 from tumble.session import Site
@@ -61,13 +61,13 @@ def readings(verticals: Array) -> Array:
 
 
 def fitted(volts: Array, **options: float) -> EllipsoidFit:
-    found = fit(volts / NOMINAL, modulus=1.0, **options)  # type: ignore[arg-type]
+    found = fit_ellipsoid(volts / NOMINAL, modulus=1.0, **options)  # type: ignore[arg-type]
     assert isinstance(found, EllipsoidFit), found.reason
     return found
 
 
 def refused(volts: Array) -> str:
-    found = fit(volts / NOMINAL, modulus=1.0)
+    found = fit_ellipsoid(volts / NOMINAL, modulus=1.0)
     assert isinstance(found, Refusal)
     return found.reason
 
@@ -119,7 +119,7 @@ def test_the_scatter_of_ten_thousand_draws_agrees_with_the_covariance() -> None:
     values = np.array(
         [TRIAD.parameters(SensorModel(matrix=m, bias=b)) for m, b in zip(found.matrix, found.bias, strict=True)]
     )
-    known = fit(volts / NOMINAL, modulus=1.0, covariance=np.broadcast_to(9e-10 * np.eye(3), (14, 3, 3)))
+    known = fit_ellipsoid(volts / NOMINAL, modulus=1.0, covariance=np.broadcast_to(9e-10 * np.eye(3), (14, 3, 3)))
     assert isinstance(known, EllipsoidFit)
     assert known.covariance is not None
     assert known.scatter == 0.0
@@ -146,7 +146,7 @@ def test_algebraic_and_geometric_fits_agree_far_below_the_uncertainty() -> None:
     rng = np.random.default_rng(5)
     for noise in (3e-5, 1e-3):
         volts = draws(readings(placed(FOURTEEN, rng)), noise, 1, rng)[0] / NOMINAL
-        geometric = fit(volts, modulus=1.0, bad_sigmas=np.inf)
+        geometric = fit_ellipsoid(volts, modulus=1.0, bad_sigmas=np.inf)
         assert isinstance(geometric, EllipsoidFit)
         assert geometric.covariance is not None
         algebraic = fit_many(volts[None]).models()
@@ -208,8 +208,8 @@ def test_noisy_readings_turned_and_permuted_give_the_same_ellipsoid_turned(
     rng = np.random.default_rng(seed)
     each = draws(readings(placed(FOURTEEN, rng)), 1e-3, 1, rng)[0]
     Q = rotation_matrix(np.array(turn))
-    before = fit(each / NOMINAL, modulus=1.0, bad_sigmas=np.inf)
-    after = fit(each[order] / NOMINAL @ Q.T, modulus=1.0, bad_sigmas=np.inf)
+    before = fit_ellipsoid(each / NOMINAL, modulus=1.0, bad_sigmas=np.inf)
+    after = fit_ellipsoid(each[order] / NOMINAL @ Q.T, modulus=1.0, bad_sigmas=np.inf)
     assert isinstance(before, EllipsoidFit)
     assert isinstance(after, EllipsoidFit)
     assert Q @ before.model.bias == pytest.approx(after.model.bias, abs=1e-9)
@@ -239,7 +239,7 @@ def test_channels_along_other_axes_have_the_parameters_of_the_axes(axes: list[li
     block = Block(kind="accel", axes=np.array(axes, dtype=float))
     values = np.array([0.01, -0.02, 0.03, 0.004, -0.005, 0.006, 0.007, -0.008, 0.009])
     verticals = placed(FOURTEEN, np.random.default_rng(9))
-    found = fit(block.model(values).predict(9.81 * verticals), modulus=9.81, block=block)
+    found = fit_ellipsoid(block.model(values).predict(9.81 * verticals), modulus=9.81, block=block)
     assert isinstance(found, EllipsoidFit)
     assert found.values == pytest.approx(values, abs=1e-12)
 
@@ -355,7 +355,7 @@ def test_the_positions_that_would_help_do() -> None:
             further.append(v / np.linalg.norm(v))
         assert len(further) == {1: 3, 3: 2}[kinds[0]]
         every = np.vstack([cube(*kinds), further])
-        assert isinstance(fit(readings(every) / NOMINAL, modulus=1.0), EllipsoidFit)
+        assert isinstance(fit_ellipsoid(readings(every) / NOMINAL, modulus=1.0), EllipsoidFit)
 
 
 def test_readings_that_are_no_ellipsoid_are_refused() -> None:

@@ -11,15 +11,15 @@ import pytest
 from calibrated import HEXAD, calibration
 from click.testing import CliRunner
 
-from tumble.calibration import Parameter
 from tumble.cli import main
 from tumble.commands import export as command
 from tumble.errors import InputError
 from tumble.estimate import Outcome
-from tumble.export import FORMATS, export
+from tumble.export import FORMATS, export_calibration
 from tumble.export.certificate import Certificate, Party, Person
 from tumble.export.exported import NO_MAGNETOMETER
 from tumble.export.kalibr import Densities, NoiseDensities
+from tumble.results import Parameter
 
 PLAIN = tuple(name for name in FORMATS if name not in ("kalibr", "dcc"))
 WITH_COMMENTS = ("ros-imu-calib", "px4", "ardupilot", "c", "csv", "imucal")
@@ -48,7 +48,7 @@ def content_of(to: str, **changes: object) -> str:
     """An export of the test calibration as text."""
     made = replace(calibration(), **changes)  # type: ignore[arg-type]
     more = {"noise": NOISE} if to == "kalibr" else {"certificate": CERTIFICATE} if to == "dcc" else {}
-    return export(made, to, **more).content.decode("latin-1" if to == "mat" else "utf-8")
+    return export_calibration(made, to, **more).content.decode("latin-1" if to == "mat" else "utf-8")
 
 
 def test_the_command_offers_every_format() -> None:
@@ -71,7 +71,7 @@ def test_a_calibration_without_a_model_is_not_exported(to: str) -> None:
 @pytest.mark.parametrize("to", [*WITH_COMMENTS, "kalibr"])
 def test_what_is_lost_is_in_the_file_too(to: str) -> None:
     made = calibration()
-    exported = export(made, to, noise=NOISE) if to == "kalibr" else export(made, to)
+    exported = export_calibration(made, to, noise=NOISE) if to == "kalibr" else export_calibration(made, to)
     assert exported.losses
     text = exported.content.decode()
     for loss in exported.losses:
@@ -99,25 +99,25 @@ def test_a_hostile_serial_number_stays_text(to: str) -> None:
 def test_targets_with_three_axes_refuse_a_redundant_block(to: str) -> None:
     noise = NOISE if to == "kalibr" else None
     with pytest.raises(InputError, match="expected three accel sensors, found 6; c, csv, dcc and mat hold any number"):
-        export(calibration(accel=HEXAD), to, noise=noise)
+        export_calibration(calibration(accel=HEXAD), to, noise=noise)
 
 
 @pytest.mark.parametrize("to", ["px4", "ardupilot"])
 def test_targets_without_a_matrix_refuse_channels_in_another_order(to: str) -> None:
     for axes in ([[0, 1, 0], [1, 0, 0], [0, 0, -1]], [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]):
         with pytest.raises(InputError, match=f"export to {to}: expected accel channels along X, Y, Z in this order"):
-            export(calibration(accel=np.array(axes, dtype=float), with_gyro=False), to)
+            export_calibration(calibration(accel=np.array(axes, dtype=float), with_gyro=False), to)
 
 
 def test_what_a_format_does_not_need_is_refused() -> None:
     with pytest.raises(InputError, match="expected --noise with kalibr and only there, found none"):
-        export(calibration(), "kalibr")
+        export_calibration(calibration(), "kalibr")
     with pytest.raises(InputError, match="expected --noise with kalibr and only there, found it with px4"):
-        export(calibration(), "px4", noise=NOISE)
+        export_calibration(calibration(), "px4", noise=NOISE)
     with pytest.raises(InputError, match="expected --certificate with dcc and only there, found none"):
-        export(calibration(), "dcc")
+        export_calibration(calibration(), "dcc")
     with pytest.raises(InputError, match="expected one of kalibr"):
-        export(calibration(), "elsewhere")
+        export_calibration(calibration(), "elsewhere")
 
 
 def test_the_command_writes_the_file_and_says_what_is_lost(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ def test_the_command_writes_the_file_and_says_what_is_lost(tmp_path: Path) -> No
     assert result.stdout == ""
     assert "note: misalignment of the accelerometers" in result.stderr
     out = tmp_path / "imu.params"
-    assert out.read_bytes() == export(calibration(), "px4").content
+    assert out.read_bytes() == export_calibration(calibration(), "px4").content
     assert stat.S_IMODE(out.stat().st_mode) & 0o444 == 0o444
     assert CliRunner().invoke(main, words).exit_code == 2
     assert CliRunner().invoke(main, [*words, "--force"]).exit_code == 0
@@ -145,7 +145,7 @@ def test_a_magnetometer_is_named_as_lost_and_disturbs_nothing(to: str) -> None:
     covariance[-1, -1] = 0.25
     more = {"noise": NOISE} if to == "kalibr" else {"certificate": CERTIFICATE} if to == "dcc" else {}
     with_mag = replace(made, parameters=(*made.parameters, field), covariance=covariance, mag=made.accel)
-    one, other = export(made, to, **more), export(with_mag, to, **more)
+    one, other = export_calibration(made, to, **more), export_calibration(with_mag, to, **more)
     assert set(other.losses) - set(one.losses) == {NO_MAGNETOMETER}
     if to not in ("mat", "csv"):
         assert b"uT" not in other.content

@@ -10,7 +10,7 @@ import pytest
 from calibrated import calibration
 
 from tumble.calibration import Calibration
-from tumble.export import export
+from tumble.export import export_calibration
 from tumble.model import SensorModel
 from tumble.units import G_STANDARD, Array
 
@@ -23,7 +23,7 @@ NAMES = {
 def parameters(made: Calibration, to: str) -> dict[str, float]:
     """Name and value of every line that is not a comment."""
     out = {}
-    for line in export(made, to).content.decode().splitlines():
+    for line in export_calibration(made, to).content.decode().splitlines():
         if line.startswith("#"):
             continue
         if to == "px4":
@@ -55,7 +55,7 @@ def test_what_the_autopilot_gets_wrong_is_what_is_said_to_be_lost(to: str, seed:
     force, rate = G_STANDARD * directions, 100.0 * directions
     force_error = np.linalg.norm((made.accel.predict(force) - offset) * scale - force, axis=1).max()
     rate_error = np.linalg.norm(rate @ made.gyro.matrix.T - rate, axis=1).max()
-    text = " ".join(export(made, to).losses)
+    text = " ".join(export_calibration(made, to).losses)
     said = re.search(r"error of up to ([\d.]+) m/s\^2", text), re.search(r"([\d.]+) deg/s in 100 deg/s", text)
     assert said[0] is not None
     assert said[1] is not None
@@ -76,13 +76,13 @@ def test_without_cross_terms_nothing_but_single_precision_is_lost(to: str) -> No
     true = np.array([[0.3, -9.7, 1.0]])
     np.testing.assert_allclose((accel.predict(true) - offset) * scale, true, atol=2e-6)
     np.testing.assert_allclose(gyro.predict(true) - gyro_offset, true, atol=1e-8)
-    assert "up to 0 mrad" in " ".join(export(made, to).losses)
+    assert "up to 0 mrad" in " ".join(export_calibration(made, to).losses)
 
 
 @pytest.mark.parametrize("to", NAMES)
 def test_the_example_in_the_file_is_what_the_autopilot_computes(to: str) -> None:
     made = calibration()
-    text, values = export(made, to).content.decode(), parameters(made, to)
+    text, values = export_calibration(made, to).content.decode(), parameters(made, to)
     offset, scale, _ = (three(values, name) for name in NAMES[to])
     example = re.search(r"example accel: reading (.*) becomes (.*); it is (.*)", text)
     assert example is not None
@@ -93,7 +93,7 @@ def test_the_example_in_the_file_is_what_the_autopilot_computes(to: str) -> None
 
 def test_px4_is_told_of_corrections_too_small_for_some_releases() -> None:
     made = calibration()
-    small = [loss for loss in export(made, "px4").losses if "releases" in loss]
+    small = [loss for loss in export_calibration(made, "px4").losses if "releases" in loss]
     assert made.gyro is not None
     assert made.accel is not None
     assert len(small) == 1

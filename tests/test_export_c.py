@@ -12,7 +12,7 @@ import pytest
 from calibrated import HEXAD, calibration
 
 from tumble.calibration import Calibration
-from tumble.export import export
+from tumble.export import export_calibration
 from tumble.model import SensorModel
 from tumble.units import Array
 
@@ -52,7 +52,7 @@ def run(gcc: str, folder: Path, made: Calibration, function: str, readings: Arra
     kind = function.removesuffix("f") if function != "accelf" else "accel"
     model = made.accel if kind == "accel" else made.gyro
     assert model is not None
-    (folder / "imu.h").write_bytes(export(made, "c").content)
+    (folder / "imu.h").write_bytes(export_calibration(made, "c").content)
     names = {"n": len(model.bias), "function": function, "digits": DIGITS}
     single = function.endswith("f")
     (folder / "main.c").write_text(PROGRAM % (names | {"type": "float" if single else "double"}))
@@ -106,7 +106,7 @@ def test_in_float_the_output_is_that_of_single_precision_to_the_bit(tmp_path: Pa
 
 def test_the_examples_in_the_comment_are_right() -> None:
     made = calibration()
-    text = export(made, "c").content.decode()
+    text = export_calibration(made, "c").content.decode()
     found = re.findall(r"example (\w+): reading ([-\d. e]+) is ([-\d. e]+) ", text)
     assert [kind for kind, _, _ in found] == ["accel", "gyro"]
     for kind, reading, true in found:
@@ -118,4 +118,4 @@ def test_the_examples_in_the_comment_are_right() -> None:
 
 
 def test_accelerometers_alone_have_no_function_for_gyros() -> None:
-    assert "gyro" not in export(calibration(with_gyro=False), "c").content.decode()
+    assert "gyro" not in export_calibration(calibration(with_gyro=False), "c").content.decode()

@@ -19,7 +19,7 @@ from test_export import CERTIFICATE
 from tumble.calibration import Calibration
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.export import export
+from tumble.export import export_calibration
 from tumble.export.certificate import read_certificate
 from tumble.export.dcc import d_si
 from tumble.session import Site
@@ -56,7 +56,7 @@ SITE = Site(latitude=0.99, height=270.0, gravity=9.81594, gravity_u=2e-6)
 
 
 def content(made: Calibration) -> bytes:
-    return export(made, "dcc", certificate=CERTIFICATE).content
+    return export_calibration(made, "dcc", certificate=CERTIFICATE).content
 
 
 def certificate_file(folder: Path, text: str = TOML) -> Path:
@@ -100,7 +100,7 @@ def test_the_certificate_is_valid_against_the_published_schema(schema: Any, made
 
 
 def test_every_entry_of_the_certificate_file_is_valid(schema: Any, tmp_path: Path) -> None:
-    made = export(calibration(), "dcc", certificate=read_certificate(certificate_file(tmp_path)))
+    made = export_calibration(calibration(), "dcc", certificate=read_certificate(certificate_file(tmp_path)))
     assert schema.is_valid(made.content.decode(), use_location_hints=False)
 
 

@@ -11,7 +11,7 @@ from test_docs import lines_of, same_output
 from test_export import CERTIFICATE, NOISE
 
 from tumble.calibration import read_calibration
-from tumble.export import FORMATS, export
+from tumble.export import FORMATS, export_calibration
 from tumble.model import Block
 
 PAGES = Path(__file__).parents[1] / "docs" / "export"
@@ -27,7 +27,7 @@ def test_every_format_has_a_page_with_what_is_written_for_the_example(to: str) -
     blocks = BLOCK.findall(text)
     assert [name for name, _ in blocks] == ([] if to == "mat" else [to])
     more = {"noise": NOISE} if to == "kalibr" else {"certificate": CERTIFICATE} if to == "dcc" else {}
-    found = export(EXAMPLE, to, **more).content.decode("latin-1").encode("latin-1")
+    found = export_calibration(EXAMPLE, to, **more).content.decode("latin-1").encode("latin-1")
     for _, shown in blocks:
         assert same_output(lines_of(shown), lines_of(found.decode()))
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from calibrated import calibration
 
-from tumble.export import export
+from tumble.export import export_calibration
 from tumble.units import DEGREE, Array
 
 KEYS = {"K_a", "R_a", "b_a", "K_g", "R_g", "K_ga", "b_g", "acc_unit", "gyr_unit", "from_acc_unit", "from_gyr_unit"}
@@ -30,7 +30,7 @@ def test_imucal_gets_the_true_vectors(seed: int) -> None:
     made, rng = calibration(seed), np.random.default_rng(seed)
     assert made.accel is not None
     assert made.gyro is not None
-    content = json.loads(export(made, "imucal").content)
+    content = json.loads(export_calibration(made, "imucal").content)
     assert set(content) == KEYS | {"comment", "cal_type", "_format_version"}
     assert (content["cal_type"], content["_format_version"]) == ("Ferraris", "2.0.0")
     assert (content["from_gyr_unit"], content["gyr_unit"]) == ("deg/s", "deg/s")
@@ -41,14 +41,14 @@ def test_imucal_gets_the_true_vectors(seed: int) -> None:
 
 
 def test_scale_is_diagonal_and_the_axes_are_unit_vectors() -> None:
-    content = json.loads(export(calibration(), "imucal").content)
+    content = json.loads(export_calibration(calibration(), "imucal").content)
     for K, R in (("K_a", "R_a"), ("K_g", "R_g")):
         np.testing.assert_array_equal(content[K], np.diag(np.diag(content[K])))
         np.testing.assert_allclose(np.linalg.norm(content[R], axis=1), 1.0, atol=1e-15)
 
 
 def test_the_examples_in_the_comment_are_right() -> None:
-    content = json.loads(export(calibration(), "imucal").content)
+    content = json.loads(export_calibration(calibration(), "imucal").content)
     found = re.findall(r"example \w+: ([-\d. e]+) is ([-\d. e]+) ", content["comment"])
     (acc, true_acc), (gyr, true_gyr) = (tuple(np.array(part.split(), dtype=float) for part in pair) for pair in found)
     result = applied(content, acc[None], gyr[None])

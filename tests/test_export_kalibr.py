@@ -14,7 +14,7 @@ from test_export import NOISE
 
 from tumble.calibration import Calibration
 from tumble.errors import InputError
-from tumble.export import export
+from tumble.export import export_calibration
 from tumble.export.kalibr import noise_densities
 from tumble.frames import Frame
 from tumble.noise import allan_deviation
@@ -26,7 +26,7 @@ from tumble.units import Array
 
 def read(made: Calibration) -> dict[str, Any]:
     """imu0 of the file. The first line is OpenCV's, not YAML's."""
-    first, _, rest = export(made, "kalibr", noise=NOISE).content.decode().partition("\n")
+    first, _, rest = export_calibration(made, "kalibr", noise=NOISE).content.decode().partition("\n")
     assert first == "%YAML:1.0"
     content: dict[str, Any] = yaml.safe_load(rest)["imu0"]
     return content
@@ -96,13 +96,13 @@ def test_channels_in_another_order_turn_the_imu_frame() -> None:
 def test_a_left_handed_triad_is_refused() -> None:
     axes = np.diag([1.0, 1.0, -1.0])
     with pytest.raises(InputError, match="expected right-handed accelerometers"):
-        export(calibration(accel=axes, gyro=axes), "kalibr", noise=NOISE)
+        export_calibration(calibration(accel=axes, gyro=axes), "kalibr", noise=NOISE)
 
 
 def test_the_biases_are_named_as_lost() -> None:
     made = calibration()
     assert made.accel is not None
-    lost = export(made, "kalibr", noise=NOISE).losses[0]
+    lost = export_calibration(made, "kalibr", noise=NOISE).losses[0]
     assert all(repr(float(b)) in lost for b in made.accel.bias.round(9))
 
 
@@ -111,7 +111,7 @@ def test_noise_densities_are_those_of_the_file_and_their_units_kalibrs() -> None
     assert imu["accelerometer_noise_density"] == NOISE.accel.white
     assert imu["gyroscope_random_walk"] == NOISE.gyro.walk
     assert imu["update_rate"] == 200.0
-    said = export(calibration(), "kalibr", noise=NOISE).losses
+    said = export_calibration(calibration(), "kalibr", noise=NOISE).losses
     assert NOISE.gyro.bounds[0] in said
 
 
@@ -131,4 +131,4 @@ def test_noise_is_what_the_longest_rest_shows(tmp_path: Path) -> None:
 
 def test_a_calibration_without_gyros_is_refused() -> None:
     with pytest.raises(InputError, match="export to kalibr: expected gyro parameters, found none"):
-        export(replace(calibration(), gyro=None), "kalibr", noise=NOISE)
+        export_calibration(replace(calibration(), gyro=None), "kalibr", noise=NOISE)

@@ -13,17 +13,17 @@ from calibrated import HEXAD, calibration
 from scipy.io import loadmat
 
 from tumble.calibration import Calibration
-from tumble.export import export
+from tumble.export import export_calibration
 
 
 def read_mat(made: Calibration) -> dict[str, Any]:
-    content: dict[str, Any] = loadmat(io.BytesIO(export(made, "mat").content), squeeze_me=False)  # type: ignore[arg-type]
+    content: dict[str, Any] = loadmat(io.BytesIO(export_calibration(made, "mat").content), squeeze_me=False)  # type: ignore[arg-type]
     return content
 
 
 def read_csv(made: Calibration) -> dict[str, dict[str, str]]:
     """Rows by name."""
-    lines = [line for line in export(made, "csv").content.decode().splitlines() if not line.startswith("#")]
+    lines = [line for line in export_calibration(made, "csv").content.decode().splitlines() if not line.startswith("#")]
     return {row["name"]: row for row in csv.DictReader(lines)}
 
 

@@ -9,7 +9,7 @@ import pytest
 import yaml  # type: ignore[import-untyped]
 from calibrated import calibration
 
-from tumble.export import export
+from tumble.export import export_calibration
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -17,7 +17,7 @@ def test_the_node_gets_the_true_acceleration(seed: int) -> None:
     """corrected = SM · raw − bias, SM row by row."""
     made, rng = calibration(seed), np.random.default_rng(seed)
     assert made.accel is not None
-    content = yaml.safe_load(export(made, "ros-imu-calib").content)
+    content = yaml.safe_load(export_calibration(made, "ros-imu-calib").content)
     assert set(content) == {"SM", "bias"}
     SM, bias = np.array(content["SM"]).reshape(3, 3), np.array(content["bias"])
     true = 9.8 * rng.standard_normal((50, 3))
@@ -28,7 +28,7 @@ def test_what_is_lost_of_the_gyros_is_its_worst_case() -> None:
     """In the direction where it is largest: |M ω − ω| in 100 deg/s."""
     made = calibration()
     assert made.gyro is not None
-    found = re.search(r"([\d.]+) deg/s in 100 deg/s", export(made, "ros-imu-calib").losses[0])
+    found = re.search(r"([\d.]+) deg/s in 100 deg/s", export_calibration(made, "ros-imu-calib").losses[0])
     assert found is not None
     directions = np.random.default_rng(0).standard_normal((100_000, 3))
     directions *= 100.0 / np.linalg.norm(directions, axis=1)[:, None]
@@ -37,5 +37,5 @@ def test_what_is_lost_of_the_gyros_is_its_worst_case() -> None:
 
 
 def test_accelerometers_alone_are_enough() -> None:
-    losses = export(calibration(with_gyro=False), "ros-imu-calib").losses
+    losses = export_calibration(calibration(with_gyro=False), "ros-imu-calib").losses
     assert len(losses) == 1

@@ -10,11 +10,11 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from tumble.calibration import calibrate
 from tumble.cli import main
 from tumble.engine import Executor
 from tumble.errors import InputError, MissingExtraError
 from tumble.fleet import run_fleet, sessions_of, tally
+from tumble.procedure import calibrate
 from tumble.simulate import Request, simulate_session
 
 
@@ -155,7 +155,7 @@ def test_what_lists_no_sessions_is_refused_in_one_line(
 
 def test_without_fsspec_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fsspec.core", None)
-    with pytest.raises(MissingExtraError, match=r"need fsspec; install it with: pip install 'tumble\[cluster\]'"):
+    with pytest.raises(MissingExtraError, match=r"needs fsspec; install it with: pip install 'tumble\[cluster\]'"):
         sessions_of("s3://bucket/*")
 
 

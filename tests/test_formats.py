@@ -255,6 +255,16 @@ def test_a_damaged_recording_is_refused_in_one_line(name: str, record: Array, tm
     assert "\n" not in str(refused.value)
 
 
+def test_what_a_library_prints_of_a_damaged_recording_stays_away(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "r.bin").write_bytes(b"abc" * 1000)
+    with pytest.raises(InputError):
+        messages(tmp_path / "r.bin")
+    said = capfd.readouterr()
+    assert said.out == said.err == ""
+
+
 def test_a_recording_without_inertial_sensors_is_refused(tmp_path: Path) -> None:
     savemat(tmp_path / "r.mat", {"depth": np.arange(50.0)})
     with pytest.raises(InputError, match="expected messages with accelerometers, found no arrays named"):
@@ -273,7 +283,7 @@ def test_a_missing_extra_is_named(module: str, name: str, record: Array, tmp_pat
     code = (
         f"import sys; sys.modules[{module!r}] = None; from tumble.formats import messages; from pathlib import Path\n"
     )
-    code += f"from tumble.errors import InputError\ntry: messages(Path({str(tmp_path / name)!r}))\n"
-    code += "except InputError as error: print(error)"
+    code += f"from tumble.errors import MissingExtraError\ntry: messages(Path({str(tmp_path / name)!r}))\n"
+    code += "except MissingExtraError as error: print(error)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert f"needs {module}, which is not installed; pip install 'tumble[formats]'" in said
+    assert f"needs {module}; install it with: pip install 'tumble[formats]'" in said

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rough_launches import COURSE, EARTH, GRAVITY, PROGRAMME, SIZES, TURN_SECONDS, Launches, launches, rough_attitudes
 
+from tumble.accuracy import accelerometer_leakage
 from tumble.errors import ProgrammeError
 from tumble.methods.compensation import perfect
 from tumble.methods.indirect import (
@@ -14,7 +15,6 @@ from tumble.methods.indirect import (
     gyro_errors,
     horizontal_differences,
     known_turns,
-    leakage,
     logged_jacobian,
     programme_matrix,
 )
@@ -115,7 +115,7 @@ def test_the_logged_jacobian_is_that_of_the_nonlinear_simulation_whatever_the_ta
 def test_directions_in_which_biases_cancel_are_accepted(turns: tuple[str, ...]) -> None:
     listed = table(*turns)
     check_directions(listed)
-    assert np.abs(leakage(listed)[:3, :3]).max() < 1e-15
+    assert np.abs(accelerometer_leakage(listed)[:3, :3]).max() < 1e-15
     H_G, H_A = programme_matrix(listed)
     assert np.linalg.matrix_rank(np.hstack([H_G, H_A])) - np.linalg.matrix_rank(H_A) == 9
 
@@ -128,7 +128,7 @@ def test_directions_that_leak_biases_into_scale_factors_are_named(turns: tuple[s
     H_G, H_A = programme_matrix(listed)
     assert np.linalg.matrix_rank(H_G) == 9
     assert np.linalg.matrix_rank(np.hstack([H_G, H_A])) - np.linalg.matrix_rank(H_A) == 6
-    assert np.abs(leakage(listed)[:3, :3]).max() == pytest.approx(2 / np.pi, abs=1e-12)
+    assert np.abs(accelerometer_leakage(listed)[:3, :3]).max() == pytest.approx(2 / np.pi, abs=1e-12)
     with pytest.raises(ProgrammeError, match=rf"found {', '.join(turns)}; .* 0\.64 of a bias".replace("+", r"\+")):
         check_directions(listed)
 

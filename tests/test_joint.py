@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from tumble.budget import Setup
-from tumble.calibration import calibrate
 from tumble.diagnose import verdict
 from tumble.estimate import Estimate
 from tumble.grades import GRADES, NoiseModel, Spread
@@ -25,8 +24,9 @@ from tumble.methods.joint import TOTAL, joint
 from tumble.methods.staged import staged
 from tumble.model import Block
 from tumble.observe import Observations
+from tumble.procedure import calibrate
 from tumble.programme import from_attitudes
-from tumble.simulate import IN_HAND, HandHeld, Scenario
+from tumble.scenario import IN_HAND, HandHeld, Scenario
 from tumble.simulated_observations import scenario_of, simulate_observations
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 

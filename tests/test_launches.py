@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration import calibrate, read_calibration
+from tumble.calibration import read_calibration
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.launches import Run, mean_of_launches
+from tumble.procedure import calibrate
 from tumble.session import read_session
 from tumble.simulate import Request, simulate_session
 

@@ -29,7 +29,7 @@ from tumble.likelihood import (
 from tumble.model import Block
 from tumble.programme import programme
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.simulate import Scenario, itinerary
+from tumble.scenario import Scenario, itinerary
 from tumble.simulated_observations import scenario_of, simulate_observations
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 

@@ -18,9 +18,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble import log as log_module
+from tumble import bridging, log_files
+from tumble.bridging import Gap
 from tumble.errors import LogError
-from tumble.log import Chunk, Gap, Log, open_log
+from tumble.log import Chunk, Log, open_log
 from tumble.session import read_session, write_session
 from tumble.units import Array
 
@@ -226,7 +227,7 @@ def test_fault_is_the_same_however_the_file_is_cut(name: str, tmp_path: Path) ->
     change, said = CSV_FAULTS[name]
     table = change(lines())
     for size in (60, 700):
-        with mock.patch.multiple(log_module, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+        with mock.patch.multiple(log_files, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
             assert said in refusal(lambda: whole(csv_log(tmp_path, table)))
 
 
@@ -502,7 +503,7 @@ def test_other_ways_to_write_a_csv_file_are_the_same(change: Callable[[str], str
     expected = whole(csv_log(tmp_path, lines()))
     for size in (50, 1 << 24):
         (tmp_path / "log.csv").write_bytes(change(plain).encode())
-        with mock.patch.multiple(log_module, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+        with mock.patch.multiple(log_files, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
             assert equal_to_the_bit(whole(opened(tmp_path)), expected)
 
 
@@ -625,7 +626,7 @@ def test_gaps_in_memory_are_bounded(tmp_path: Path) -> None:
     frame = pl.DataFrame({"t": np.arange(30_000) / 100, **{name: np.ones(30_000) for name in NAMES[1:]}})
     frame = frame.with_columns(ax=pl.when(pl.arange(30_000) % 2 == 1).then(math.nan).otherwise(1.0))
     log = parquet_log(tmp_path, frame)
-    with mock.patch.object(log_module, "_PARQUET_ROWS", 1000), mock.patch.object(log_module, "_BRIDGED_MOST", 700):
+    with mock.patch.object(log_files, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "_BRIDGED_MOST", 700):
         assert "expected at most 700 gaps in a file" in refusal(lambda: whole(log))
     assert len(log.gaps) < 1700
 
@@ -694,7 +695,7 @@ def test_chunks_together_are_the_same_to_the_bit_for_any_size(
 ) -> None:
     log = gappy[0 if csv else 1]
     cut: Any = {"_PIECE_BYTES": piece, "_FIRST_PIECE_BYTES": piece // 2 + 1, "_PARQUET_ROWS": batch}
-    with mock.patch.multiple(log_module, **cut):
+    with mock.patch.multiple(log_files, **cut):
         chunks = list(log.chunks(rows))
         samples = whole(log, rows)
     assert max(len(chunk.time) for chunk in chunks) <= rows

@@ -13,14 +13,16 @@ import pytest
 from click.testing import CliRunner
 from test_ellipsoid import cube, placed
 
-from tumble.calibration import Calibration, calibrate, read_calibration
+from tumble.apply import apply_to_session
+from tumble.calibration import Calibration, read_calibration
 from tumble.cli import main
 from tumble.ellipsoid import TRIAD
-from tumble.errors import SessionError
+from tumble.errors import InputError, SessionError
 from tumble.launches import Run, mean_of_launches
 from tumble.log import open_log
 from tumble.methods.magnetometer import NAMES
-from tumble.segment import reduce_log
+from tumble.procedure import calibrate
+from tumble.reduction import reduce_log
 from tumble.session import read_session, write_session
 from tumble.units import Array
 
@@ -211,6 +213,34 @@ def test_the_calibration_file_keeps_the_magnetometer(tmp_path: Path) -> None:
     assert again.mag.matrix.tolist() == found.mag.matrix.tolist()
     assert again.parameters == found.parameters
     assert again.readings["mag"].unit == "uT"
+
+
+def test_apply_removes_hard_and_soft_iron(tmp_path: Path) -> None:
+    folder = write(tmp_path / "session", noise=0.0)
+    found = calibrate(folder)
+    apply_to_session(found, read_session(folder), tmp_path / "out.parquet")
+    before, after = (pl.read_parquet(path) for path in (folder / "log.parquet", tmp_path / "out.parquet"))
+    assert after.columns == before.columns
+    rest = slice(0, int(REST * RATE))
+    length = np.linalg.norm(after["mx", "my", "mz"].to_numpy()[rest], axis=1)
+    assert length == pytest.approx(np.full(len(length), FIELD), rel=1e-9)
+    assert np.linalg.norm(before["mx", "my", "mz"].to_numpy()[rest], axis=1) != pytest.approx(length, rel=1e-2)
+
+
+def test_apply_leaves_a_magnetometer_alone_that_was_not_calibrated(tmp_path: Path) -> None:
+    without = calibrate(write(tmp_path / "a", changes={"log.magnetometer": None, "site.field": None}))
+    folder = write(tmp_path / "b")
+    apply_to_session(without, read_session(folder), tmp_path / "out.parquet")
+    before, after = (pl.read_parquet(path) for path in (folder / "log.parquet", tmp_path / "out.parquet"))
+    assert after["mx", "my", "mz"].equals(before["mx", "my", "mz"])
+
+
+def test_apply_refuses_a_magnetometer_in_another_unit(tmp_path: Path) -> None:
+    found = calibrate(write(tmp_path / "a"))
+    folder = write(tmp_path / "b", unit=1e3, changes={"log.magnetometer.unit": "nT", "site.field": 1e3 * FIELD})
+    with pytest.raises(InputError, match=r"log.magnetometer.unit: expected that of the calibration, 'uT', found 'nT'"):
+        apply_to_session(found, read_session(folder), tmp_path / "out.parquet")
+    assert not (tmp_path / "out.parquet").exists()
 
 
 def test_several_launches_have_the_mean_magnetometer(tmp_path: Path) -> None:

@@ -14,10 +14,13 @@ from tumble.log import Chunk
 from tumble.match import Match, match_rests
 from tumble.model import Block
 from tumble.programme import ANY_MOVE, Programme, programme
+from tumble.reduction import Reducer, Reduction
 from tumble.rotation import rotation_matrix
-from tumble.segment import Reducer, Reduction, find_rests
+from tumble.scenario import OnTable, Profile
+from tumble.segment import find_rests
 from tumble.session import Channels, Device, LogSpec, Position, ProgrammeSpec, Session, Site
-from tumble.simulate import OnTable, Profile, Recording, Request, record, typical_scenario
+from tumble.simulate import Request, typical_scenario
+from tumble.simulated_recording import Recording, record
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, Array
 
 RATE = 20.0

@@ -15,16 +15,19 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tumble import observe as observing
-from tumble import segment
+from tumble import reduction
 from tumble.earth import earth_rate
 from tumble.log import Chunk
 from tumble.match import Match
 from tumble.model import Block, SensorModel
 from tumble.observe import Observations, TurnSamples, observe
+from tumble.reduction import Reducer, Reduction
 from tumble.rotation import rotation_matrix, tangent_basis
-from tumble.segment import Reducer, Reduction, find_rests, stated_rest
+from tumble.scenario import Scenario
+from tumble.segment import find_rests, stated_rest
 from tumble.session import Site
-from tumble.simulate import Recording, Request, Scenario, record, typical_scenario
+from tumble.simulate import Request, typical_scenario
+from tumble.simulated_recording import Recording, record
 from tumble.units import DEGREE, Array
 
 LATITUDE = 56.84 * DEGREE
@@ -91,7 +94,7 @@ def test_a_noiseless_move_is_the_true_rotation(sample_rate: float, tolerance: fl
     turns = observations.turns_about(true_gyros(scenario))
     assert len(turns) == 8
     np.testing.assert_array_equal(np.column_stack([turns.first, turns.last]), [[i, i + 1] for i in range(8)])
-    earth = np.array(earth_rate(scenario.site.latitude))
+    earth = np.array(earth_rate(scenario.latitude))
     for k, T in enumerate(turns.duration):
         expected = recording.attitudes[k].T @ rotation_matrix(earth * T) @ recording.attitudes[k + 1]
         np.testing.assert_allclose(turns.C[k], expected, atol=tolerance)
@@ -160,10 +163,10 @@ def test_turns_cut_into_pieces_are_the_same(
 def test_samples_on_disk_are_those_in_memory(sizes: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(53)
     rates, dt = rng.standard_normal((2000, 3)), rng.uniform(0.009, 0.011, 2000)
-    in_memory, on_disk = segment.GyroSamples(), segment.GyroSamples()
+    in_memory, on_disk = reduction.GyroSamples(), reduction.GyroSamples()
     edges = np.minimum(np.arange(0, 2000 + sizes[0], sizes[0]), 2000)
     for samples, limit in ((in_memory, 10**9), (on_disk, 10_000)):
-        monkeypatch.setattr(segment, "IN_MEMORY_BYTES", limit)
+        monkeypatch.setattr(reduction, "IN_MEMORY_BYTES", limit)
         for a, b in pairwise(edges.tolist()):
             samples.append(rates[a:b], dt[a:b])
     for start, stop in ((0, 2000), (1, 2), (300, 1700), (1999, 2000)):
@@ -175,7 +178,7 @@ def test_samples_on_disk_are_those_in_memory(sizes: tuple[int, ...], monkeypatch
 def test_observations_do_not_depend_on_where_the_samples_are(monkeypatch: pytest.MonkeyPatch) -> None:
     _, recording = noiseless(100.0)
     one = observed(reduced(recording.accel, recording.gyro, 100.0))
-    monkeypatch.setattr(segment, "IN_MEMORY_BYTES", 50_000)
+    monkeypatch.setattr(reduction, "IN_MEMORY_BYTES", 50_000)
     other = observed(reduced(recording.accel, recording.gyro, 100.0))
     assert one.turns is not None
     assert other.turns is not None

@@ -27,6 +27,7 @@ from rough_launches import (
     values_of,
 )
 
+from tumble.accuracy import accelerometer_leakage
 from tumble.earth import EARTH_RATE
 from tumble.methods.compensation import compensated, composed, perfect, triad_model, triad_parameters
 from tumble.methods.four_stages import Method
@@ -35,7 +36,6 @@ from tumble.methods.indirect import (
     accelerometer_errors,
     gyro_errors,
     horizontal_differences,
-    leakage,
     logged_jacobian,
     programme_matrix,
 )
@@ -225,7 +225,7 @@ def test_leakage_of_accelerometer_errors_is_that_of_section_6_3() -> None:
     none = np.zeros(9)
     expected = [none, none, none]  # scale factors
     expected += [bx, bx / 3 + azx * 2 / 3, by / 3 - ayx / 3, by, bz - azx, bz / 3 - azy / 3]  # xy xz yx yz zx zy
-    np.testing.assert_allclose(leakage(PROGRAMME), expected, atol=1e-14)
+    np.testing.assert_allclose(accelerometer_leakage(PROGRAMME), expected, atol=1e-14)
 
 
 # §6.5: all four stages, mounting and positions ±amplitude

@@ -126,6 +126,16 @@ def test_polarity_comes_from_a_roughly_known_position(tmp_path: Path) -> None:
     assert "the fit needs a reflection" in " ".join(found.stdout.split())
 
 
+def test_a_polarity_that_nothing_states_is_said_to_be_assumed(tmp_path: Path) -> None:
+    verticals = cube(1, 3)
+    path = written(tmp_path, readings(verticals))
+    assert "polarity of ux, uy, uz: taken as positive" in run(path).stdout
+    up = int(np.argmax(verticals[:, 0])) + 1
+    assert "polarity of uy, uz: taken as positive" in run(path, "--position", f"{up}=1,0,0").stdout
+    assert "taken as positive" not in run(path, "--scale=-2.4").stdout
+    assert "taken as positive" not in run(written(tmp_path, readings(verticals) / 2.4), "--unit", "g", "--force").stdout
+
+
 def test_a_reflection_is_said_only_where_an_odd_number_of_channels_is_negative(tmp_path: Path) -> None:
     path = written(tmp_path, volts() * [1.0, 1.0, -1.0])
     assert "reflection" not in run(path, "--scale=-2.4,-2.4,2.4").stdout
@@ -234,6 +244,36 @@ def test_nine_positions_have_values_and_no_uncertainties(tmp_path: Path) -> None
     calibration = read_calibration(tmp_path / "readings.calibration.json")
     assert calibration.covariance is None
     assert all(p.u is None for p in calibration.parameters)
+    assert re.search(r"^accel.bias.x +5[.]\d+ +mg *$", found.stdout, re.M)  # and not an uncertainty of 0
+    assert re.search(r"^ +1 +2 +[-+]0.00 *$", found.stdout, re.M)
+
+
+@pytest.mark.parametrize(
+    ("factor", "options", "said"),
+    [
+        (G_STANDARD / -2.4, ["--scale=-2.4"], "--unit m/s^2 or --scale=-9.85,-9.82,-9.69 would fit"),
+        (1000.0, ["--scale=-2.4"], "the outputs seen are -2.41e+03, -2.4e+03, -2.37e+03 V/g, the scale states -2.4"),
+        (1e9, ["--scale=-2.4"], "the outputs seen are -2.41e+09"),
+        (1.0, ["--scale=-2.4,-2.4,-24"], "--scale=-2.41,-2.4,-2.37 would fit"),
+        (1.0, ["--unit", "m/s^2"], "the readings are 0.246, 0.245, 0.242 times what --unit m/s^2 and gravity give"),
+        (G_STANDARD / -2.4, ["--unit", "g"], "--unit m/s^2 would fit"),
+        (1.0 / -2.4, ["--unit", "m/s^2"], "--unit g would fit"),
+    ],
+)
+def test_readings_of_another_size_than_stated_are_refused_with_what_would_fit(
+    tmp_path: Path, factor: float, options: list[str], said: str
+) -> None:
+    found = run(written(tmp_path, factor * volts(noise=3e-5)), *options)
+    assert found.exit_code == 1
+    assert said in found.stderr
+    assert found.stderr.count("not accepted:") == 1
+
+
+def test_where_leaving_out_almost_any_position_helps_none_is_named(tmp_path: Path) -> None:
+    found = run(written(tmp_path, np.round(volts(14, 3e-5), 2)), "--scale", NEGATIVE)
+    assert found.exit_code == 1
+    assert re.search(r"the positions scatter by \S+ mg, more than 1 mg", found.stderr)
+    assert found.stderr.count("(line") <= 4
 
 
 # -------------------- unusable tables and options --------------------
@@ -258,6 +298,7 @@ ROW = "1,2,3\n"
         (f"{HEADER}\n{ROW}\n1,,3\n", "line 4, column 'uy': expected a number, found an empty value"),
         (f"{HEADER}\n{ROW}1,nan,3\n", "line 3, column 'uy': expected a number, found 'nan'"),
         (f"{HEADER}\n{ROW}1,2,inf\n", "line 3, column 'uz': expected a number, found 'inf'"),
+        (f"{HEADER}\n{ROW}1,2,1e200\n", "line 3, column 'uz': expected a number, found '1e200'"),
         (f'{HEADER}\n{ROW}1,"2,3\n', "line 3: expected comma-separated numbers"),
         (b"\xff\xfe\x00", "expected UTF-8 text"),
     ],
@@ -298,8 +339,9 @@ def test_a_byte_order_mark_blank_lines_and_spaces_do_no_harm(tmp_path: Path) -> 
         (["--scale", "1,0,2"], "--scale: expected numbers other than zero, found 1, 0, 2"),
         (["--scale", "two"], "--scale: expected numbers with commas between them, found 'two'"),
         (["--scale", "1", "--scale-per", "mg"], "--scale-per: expected one of g, m/s^2 for --sensor accel"),
-        (["--gravity", "0"], "--gravity: expected a positive number, found 0"),
-        (["--gravity", "nan"], "--gravity: expected a positive number, found nan"),
+        (["--gravity", "0"], "--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found 0"),
+        (["--gravity", "nan"], "--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found nan"),
+        (["--gravity", "981.594"], "--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found 981.594"),
         (["--modulus", "1"], "--modulus: expected --gravity for accelerometers"),
         (["--sensor", "gyro"], "--modulus: expected the rate of the table for --sensor gyro, found none"),
         (["--sensor", "mag", "--unit", "uT"], "--modulus: expected the field"),

@@ -16,15 +16,16 @@ import pytest
 from test_staged import COARSE, FINE, NAVIGATION, PYRAMID, error_of, in_the_hand, observations, rough_table, unit
 
 from tumble.accuracy import angle_variance, best_elevations
-from tumble.calibration import calibrate
 from tumble.earth import earth_rate
-from tumble.methods import staged as method
+from tumble.methods import staged_accelerometers, staged_gyros
 from tumble.methods.levelling import triad, vertical
 from tumble.methods.sequential import angle_astride, angle_between, bias_and_scale
 from tumble.methods.staged import staged
 from tumble.model import Block
+from tumble.procedure import calibrate
 from tumble.rotation import rotation_matrix
-from tumble.simulate import Request, draw_parameters, typical_scenario, write_simulation
+from tumble.scenario import draw_parameters
+from tumble.simulate import Request, typical_scenario, write_simulation
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 GOLDEN = 0.5 * (1.0 + 5.0**0.5)
@@ -77,7 +78,8 @@ def test_normalised_errors_of_six_have_unit_rms(monkeypatch: pytest.MonkeyPatch)
     """20 sessions with noise of navigation grade, no scatter looked for: rms of (value − truth)/u of biases, scale
     factors and angles of either kind, each group taken for as informative as three independent errors a session, and
     the distance of all 45 errors in units of their covariance."""
-    monkeypatch.setattr(method, "SCATTER_PROBABILITY", 0.0)
+    for stage in (staged_accelerometers, staged_gyros):
+        monkeypatch.setattr(stage, "SCATTER_PROBABILITY", 0.0)
     rng = np.random.default_rng(103)
     normalised, distance = [], []
     for _ in range(20):

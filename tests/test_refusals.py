@@ -23,27 +23,19 @@ import pytest
 import tomli_w
 from click.testing import CliRunner, Result
 
-from tumble.calibration import inspect_session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
 from tumble.estimate import Estimate
 from tumble.grades import GRADES
 from tumble.methods.staged import staged
 from tumble.model import Block
+from tumble.procedure import inspect_session
 from tumble.programme import attitude, from_attitudes, programme
 from tumble.rotation import rotation_matrix
-from tumble.session import read_session
-from tumble.simulate import (
-    OnTable,
-    Profile,
-    Request,
-    Scenario,
-    Site,
-    Vibration,
-    draw_parameters,
-    record,
-    simulate_session,
-)
+from tumble.scenario import OnTable, Profile, Scenario, Vibration, draw_parameters
+from tumble.session import Site, read_session
+from tumble.simulate import Request, simulate_session
+from tumble.simulated_recording import record
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 ACCEL, GYRO = ("ax", "ay", "az"), ("gx", "gy", "gz")
@@ -668,8 +660,8 @@ def _estimated(folder: Path) -> Estimate:
 
 
 def _advised(folder: Path, what: str) -> list[str]:
-    """What a refused session is advised to add."""
-    result = calibrate(folder)
+    """What a refused session is advised to add by the staged method, to which rests and turns say different things."""
+    result = calibrate(folder, "--method", "staged", "--force")
     assert result.exit_code == 1, result.output
     found = re.search(rf"{what} that would help, the most helpful first: (.*)$", result.stderr, re.M)
     assert found is not None, result.stderr
@@ -715,7 +707,8 @@ def test_six_faces_are_advised_to_add_positions_in_all_three_planes(tmp_path: Pa
     advised = _advised(folder, "rests")
     planes = {frozenset(re.findall("[XYZ]", name)) for name in advised}
     assert planes == {frozenset(pair) for pair in ("XY", "XZ", "YZ")}
-    assert "not observable in this session: accel.axis.yx, accel.axis.zx, accel.axis.zy" in calibrate(folder).stderr
+    said = calibrate(folder, "--method", "staged").stderr
+    assert "not observable in this session: accel.axis.yx, accel.axis.zx, accel.axis.zy" in said
 
 
 @pytest.mark.data
@@ -777,7 +770,7 @@ def _right_handed(letters: str) -> bool:
 def test_what_cannot_be_observed_is_absent_and_named(tmp_path: Path) -> None:
     time, accel, gyro, _ = _recorded([_code(standing) for standing in FACES], "navigation", 1, table_error=0.0)
     folder = _written([(time, accel, gyro)], tmp_path / "session")
-    assert calibrate(folder).exit_code == 1
+    assert calibrate(folder, "--method", "staged").exit_code == 1
     content = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))
     there = {parameter["name"] for parameter in content["parameters"]}
     missing = set(content["outcome"]["unobservable"])
@@ -795,8 +788,18 @@ def test_an_estimate_that_breaks_down_is_a_refusal(
     def broken(_: object) -> Estimate:
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr("tumble.calibration.METHODS", {"staged": broken})
+    monkeypatch.setattr("tumble.procedure.METHODS", {"joint": broken})
     assert reason(hand, tmp_path / "session").startswith("the estimate broke down (SVD did not converge)")
+
+
+@pytest.mark.parametrize("site", [{}, {"gravity": 9.81, "gravity_u": 0.05}])
+def test_without_a_place_gravity_is_named_and_not_a_rest(
+    hand: Recording, tmp_path: Path, site: dict[str, float]
+) -> None:
+    said = reason(replace(hand, content={**hand.content, "site": site}), tmp_path / "session")
+    assert "gravity is known to" in said
+    assert said.endswith("give latitude_deg or gravity in [site]")
+    assert "rests that would help" not in said
 
 
 # -------------------- at the end of a chain of faults --------------------

@@ -27,10 +27,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from tumble.calibration import calibrate, read_calibration
+from tumble.calibration import read_calibration
 from tumble.cli import main
 from tumble.errors import MissingExtraError
 from tumble.model import SensorModel
+from tumble.procedure import calibrate
 from tumble.report.blocks import Table
 from tumble.report.characters import drawable, visible
 from tumble.report.compare import compared
@@ -178,7 +179,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def file(session: Path) -> Path:
     path = session.parent / "staged.json"
-    calibrate(session).write(path)
+    calibrate(session, method="staged").write(path)
     return path
 
 
@@ -620,6 +621,34 @@ def test_launches_stand_beside_each_other(session: Path, tmp_path: Path) -> None
     for launch in content["launches"]:
         assert launch["log_sha256"] in page.whole
         assert any(f"Residuals: {launch['session']}" in heading for heading in page.headings)
+
+
+@pytest.mark.parametrize(("positions", "checked"), [(14, True), (9, False)])
+def test_a_table_of_readings_has_its_scatter_and_whether_anything_checks_it(
+    tmp_path: Path, positions: int, checked: bool
+) -> None:
+    rng = np.random.default_rng(positions)
+    faces = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    corners = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)]) / np.sqrt(3.0)
+    edges = np.array([[1, 1, 0], [0, 1, -1], [1, 0, 1]]) / np.sqrt(2.0)
+    directions = np.vstack([faces, corners if checked else edges])
+    np.savetxt(
+        tmp_path / "r.csv",
+        directions + 1e-5 * rng.standard_normal(directions.shape),
+        delimiter=",",
+        header="x,y,z",
+        comments="",
+    )
+    made = CliRunner().invoke(main, ["ellipsoid", str(tmp_path / "r.csv"), "--unit", "g", "--frame", "paper"])
+    assert made.exit_code == 0, made.output
+    assert command(tmp_path / "r.calibration.json", "-o", tmp_path / "r.html").exit_code == 0
+    page = Page.of(tmp_path / "r.html")
+    (row,) = page.table("residuals of", "chi-square", "scatter added")
+    assert number(row["degrees of freedom"]) == positions - 9
+    assert row["scatter added"].endswith("µg") == checked
+    assert ("Nothing checks the accelerometers" in page.whole) != checked
+    assert "k belongs to the diagonal of the matrix" in page.whole  # the frame of the paper has its own parameters
+    assert not any(heading.startswith("height") for heading in page.text)
 
 
 def result_alone(content: Any) -> None:

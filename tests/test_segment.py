@@ -13,9 +13,12 @@ from hypothesis import strategies as st
 
 from tumble.log import Chunk
 from tumble.model import Block
+from tumble.reduction import Reducer, Reduction
 from tumble.rotation import rotation_matrix
-from tumble.segment import Reducer, Reduction, RestSpan, Segmentation, find_rests, stated_rest
-from tumble.simulate import Recording, Request, Scenario, Vibration, record, typical_scenario
+from tumble.scenario import Scenario, Vibration
+from tumble.segment import RestSpan, Segmentation, find_rests, stated_rest
+from tumble.simulate import Request, typical_scenario
+from tumble.simulated_recording import Recording, record
 from tumble.units import Array
 
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))

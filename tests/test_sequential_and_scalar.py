@@ -33,8 +33,9 @@ from tumble.methods.sequential import sequential
 from tumble.model import Block
 from tumble.observe import Observations, Rests, TurnSamples, observe
 from tumble.programme import programme
+from tumble.reduction import GyroSamples, reduce_log
 from tumble.rotation import axes_matrix
-from tumble.segment import GyroSamples, find_rests, reduce_log
+from tumble.segment import find_rests
 from tumble.session import Site, read_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
 

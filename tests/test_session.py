@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tumble import session as session_module
+from tumble import session_tables
 from tumble.errors import SessionError
 from tumble.programme import BUILT_IN
 from tumble.session import Session, read_session, write_session
@@ -425,7 +426,7 @@ def test_unit_is_worth_the_number_computed_by_hand(
 
 
 def test_every_unit_is_among_the_numbers_computed_by_hand() -> None:
-    cases = ((session_module._Accel, ACCEL_CASES), (session_module._Gyro, GYRO_CASES))
+    cases = ((session_tables.AccelTable, ACCEL_CASES), (session_tables.GyroTable, GYRO_CASES))
     for table, computed in cases:
         assert {keys["unit"] for keys, _, _ in computed} == set(table.UNITS)
         raw = [keys for keys, _, _ in computed if "scale" in keys]
@@ -440,7 +441,7 @@ def test_negative_scale_is_the_polarity_of_its_channel(tmp_path: Path) -> None:
 
 @given(arrays(float, (4, 3), elements=st.floats(allow_nan=False, allow_infinity=False)))
 def test_si_numbers_are_kept_to_the_bit(raw: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-    channels = session_module._channels(session_module._Accel(**BASE["log"]["accel"]), None)
+    channels = session_module._channels(session_tables.AccelTable(**BASE["log"]["accel"]), None)
     assert channels.to_si(raw, np.full(4, DT)).tobytes() == raw.tobytes()
 
 
@@ -537,8 +538,8 @@ def documented_examples() -> list[str]:
 
 def test_every_key_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    tables: dict[str, type[session_module._Table]] = {"": session_module._Document}
-    tables |= session_module._TABLES
+    tables: dict[str, type[session_tables.Table]] = {"": session_tables.Document}
+    tables |= session_tables.TABLES
     keys = [(table, key) for table, model in tables.items() for key in model.model_fields]
     assert len(keys) > 30
     # every key has its own entry: a table in brackets, another key at the start of a row
@@ -552,7 +553,7 @@ def test_every_key_is_documented() -> None:
 
 def test_every_unit_and_programme_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    names = [*session_module._Accel.UNITS, *session_module._Gyro.UNITS, *TIME_UNITS]
+    names = [*session_tables.AccelTable.UNITS, *session_tables.GyroTable.UNITS, *TIME_UNITS]
     for name in [*names, *BUILT_IN]:
         assert f"`{name}`" in text, name
 

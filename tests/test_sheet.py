@@ -23,22 +23,9 @@ from test_programme import FACES, rows_of_rests, rows_of_turns, triples, uncerta
 from tumble.errors import InputError, ProgrammeError
 from tumble.programme import ANY_MOVE, BUILT_IN, Move, Position, Programme, attitude, from_attitudes, programme
 from tumble.rotation import rotation_matrix
-from tumble.sheet import (
-    AXIS,
-    CUBE,
-    SCALE,
-    VIEW,
-    clock,
-    direction,
-    legend,
-    move_text,
-    picture,
-    sheet_drawing,
-    sheet_page,
-    sheet_rows,
-    sheet_table,
-    write_sheet,
-)
+from tumble.sheet import sheet_drawing, sheet_page, sheet_table, write_sheet
+from tumble.sheet_pictures import AXIS, CUBE, SCALE, VIEW, legend, picture
+from tumble.sheet_words import clock, direction, move_text, sheet_rows
 from tumble.units import DEGREE, Array
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -124,7 +111,7 @@ def test_every_position_and_move_is_in_the_rows_in_order(name: str) -> None:
     if made.ordered:
         assert [row.how for row in rows] == ["start", *(move_text(m) for m in made.moves)]
     else:
-        off = [np.count_nonzero(np.abs(stood.vertical_b) > 0.1) for stood in made.positions]
+        off = [int(np.count_nonzero(np.abs(stood.vertical_b) > 0.1)) for stood in made.positions]
         assert [row.how for row in rows] == [{1: "on a face", 2: "on an edge", 3: "on a corner"}[k] for k in off]
     now = 0.0
     for row, stood in zip(rows, made.positions, strict=True):

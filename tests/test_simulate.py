@@ -23,23 +23,10 @@ from tumble.grades import GRADES, NoiseModel
 from tumble.model import Block
 from tumble.programme import from_attitudes, programme
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.session import read_session
-from tumble.simulate import (
-    HandHeld,
-    OnTable,
-    Profile,
-    Recording,
-    Request,
-    Scenario,
-    Site,
-    Vibration,
-    draw_parameters,
-    record,
-    simulate_session,
-    typical_scenario,
-    vibration_of,
-    write_simulation,
-)
+from tumble.scenario import HandHeld, OnTable, Profile, Scenario, Vibration, draw_parameters
+from tumble.session import Site, read_session
+from tumble.simulate import Request, simulate_session, typical_scenario, vibration_of, write_simulation
+from tumble.simulated_recording import Recording, record
 from tumble.units import DEGREE, Array
 
 UP = np.array([0.0, 1.0, 0.0])
@@ -214,7 +201,7 @@ def closure(made: Scenario, found: Recording, i: int) -> float:
     fs = made.profile.sample_rate
     start, stop = int(found.rests[i, 1] * fs) - 5, int(found.rests[i + 1, 0] * fs) + 6
     increments = found.gyro[start - 1 : stop].astype(np.longdouble) / np.longdouble(fs)
-    earth = rotation_matrix(-(stop - start) / fs * np.array(earth_rate(made.site.latitude)))
+    earth = rotation_matrix(-(stop - start) / fs * np.array(earth_rate(made.latitude)))
     product = earth @ found.attitudes[i] @ coning(increments) @ found.attitudes[i + 1].T
     return float(np.linalg.norm(rotation_vector(product.astype(float))))
 
@@ -241,7 +228,7 @@ def test_the_coning_algorithm_closes_every_move(
 def test_closure_would_show_a_microradian_of_latitude() -> None:
     made = scenario(profile=SLOW, perfect=True)
     found = run(made)
-    still = replace(made, site=replace(made.site, latitude=made.site.latitude + 1e-6))
+    still = replace(made, site=replace(made.site, latitude=made.latitude + 1e-6))
     assert closure(made, found, 0) < 1e-12
     assert closure(still, found, 0) > 1e-10
 

@@ -17,6 +17,7 @@ ANSWERS = {
     "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",
     "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
+    "joint_bound.py": "Does the joint estimate reach the bound? yes",
     "kalman_filter.py": "Does the Kalman filter win? In accuracy",
     "paper_device.py": "Do the published tables come out? Mostly.",
     "platform_drift.py": "Does the drift of the platform win? No",

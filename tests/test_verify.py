@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration import Calibration, Parameter, Readings, calibrate, read_calibration
+from tumble.calibration import Calibration, read_calibration
 from tumble.case import relate
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
@@ -19,12 +19,14 @@ from tumble.frames import FRAMES
 from tumble.methods.staged import staged
 from tumble.model import Block
 from tumble.observe import Observations, Rests
+from tumble.procedure import calibrate
 from tumble.programme import programme
+from tumble.results import Parameter, Readings
 from tumble.rotation import rotation_matrix
 from tumble.session import Site
 from tumble.simulate import Request, simulate_session
 from tumble.units import DEGREE, Array
-from tumble.verify import Positions, positions_of, verify, verticals
+from tumble.verify import Positions, positions_of, verify_calibration, verticals
 
 G = 9.8159
 SITE = Site(latitude=None, height=0.0, gravity=G, gravity_u=0.0)
@@ -125,13 +127,13 @@ def test_the_difference_is_that_of_equation_21() -> None:
     check = read(directions("cube-12", rng), rng)
     assert made.accel is not None
     expected = [G - np.linalg.norm(np.linalg.solve(made.accel.matrix, y - made.accel.bias)) for y in check.readings]
-    np.testing.assert_allclose(verify(made, check).difference, expected, atol=1e-14)
+    np.testing.assert_allclose(verify_calibration(made, check).difference, expected, atol=1e-14)
 
 
 def test_a_perfect_calibration_leaves_nothing_in_perfect_positions() -> None:
     rng = np.random.default_rng(2)
     made, _ = calibrated(read(directions("cube-14", rng), rng, noise=0.0, sha256="own"))
-    found = verify(made, read(directions("cube-12", rng), rng, noise=0.0))
+    found = verify_calibration(made, read(directions("cube-12", rng), rng, noise=0.0))
     assert np.abs(found.difference).max() < 1e-9
     assert found.reasons == ()
 
@@ -143,7 +145,7 @@ def test_the_uncertainty_is_the_scatter_of_the_differences() -> None:
     for _ in range(150):
         made, _ = calibrated(read(directions("cube-14", rng), rng, sha256="own"))
         made = replace(made, fits={})  # the noise is known: no scatter to estimate
-        found = verify(made, read(directions("cube-12", rng)[:5], rng))
+        found = verify_calibration(made, read(directions("cube-12", rng)[:5], rng))
         ratios.append(found.difference / found.u)
     assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=0.35)
     assert abs(np.mean(ratios)) < 5.0 / np.sqrt(150.0)
@@ -157,8 +159,8 @@ def test_a_good_calibration_is_refused_once_in_a_hundred_times() -> None:
         own = read(directions("cube-14", rng), rng, sha256="own")
         made, _ = calibrated(own)
         refused += [
-            bool(verify(made, read(directions("cube-12", rng)[:5], rng)).reasons),
-            bool(verify(made, own).reasons),
+            bool(verify_calibration(made, read(directions("cube-12", rng)[:5], rng)).reasons),
+            bool(verify_calibration(made, own).reasons),
         ]
     assert (refused < 2.0 + 5.0 * np.sqrt(2.0)).all()
 
@@ -169,7 +171,7 @@ def test_left_out_positions_are_those_of_a_fit_without_them() -> None:
     own = read(directions("cube-14", rng), rng, sha256="own")
     made, _ = calibrated(own)
     made = replace(made, fits={name: replace(fit, scatter=0.0) for name, fit in made.fits.items()})
-    found = verify(made, own)
+    found = verify_calibration(made, own)
     assert found.left_out
     for i in range(14):
         others = [k for k in range(14) if k != i]
@@ -184,7 +186,7 @@ def test_left_out_positions_are_those_of_a_fit_without_them() -> None:
         without, estimate = calibrated(kept)
         if estimate.fits["accelerometers"].scatter > 0.0:
             continue  # this one has other weights
-        expected = verify(without, alone)
+        expected = verify_calibration(without, alone)
         assert found.difference[i] == pytest.approx(expected.difference[0], abs=0.02 * expected.u[0])
         assert found.u[i] == pytest.approx(expected.u[0], rel=0.02)
 
@@ -193,7 +195,7 @@ def test_nine_positions_leave_nothing_that_checks_them() -> None:
     rng = np.random.default_rng(6)
     own = read(directions("nine", rng), rng, sha256="own")
     made, _ = calibrated(own)
-    found = verify(made, own)
+    found = verify_calibration(made, own)
     assert len(found.reasons) == 1
     assert "record check positions" in found.reasons[0]
 
@@ -203,7 +205,7 @@ def test_a_bad_position_is_named() -> None:
     made, _ = calibrated(read(directions("cube-26", rng), rng, sha256="own"))
     check = read(directions("cube-12", rng), rng)
     check.readings[4] *= 1.001
-    reasons = verify(made, check).reasons
+    reasons = verify_calibration(made, check).reasons
     assert len(reasons) == 1
     assert reasons[0].startswith("rest 5: Δg is -")
     assert "mg" in reasons[0]
@@ -214,7 +216,7 @@ def test_a_device_that_has_changed_is_refused() -> None:
     made, _ = calibrated(read(directions("cube-26", rng), rng, sha256="own"))
     check = read(directions("cube-14", rng), rng)
     moved = replace(check, readings=check.readings + np.array([500.0 * MICRO_G, 0.0, 0.0]))
-    assert len(verify(made, moved).reasons) >= 2
+    assert len(verify_calibration(made, moved).reasons) >= 2
 
 
 # -------------------- gravity --------------------
@@ -228,12 +230,12 @@ def test_an_error_of_gravity_that_is_common_cancels_and_one_that_is_not_counts()
     own = replace(read(directions("cube-26", rng), rng, gravity=G + doubt, sha256="own"), gravity_u=doubt)
     check = replace(read(directions("cube-12", rng), rng, gravity=G + doubt), gravity_u=doubt)
     made, _ = calibrated(own, site=replace(SITE, gravity_u=doubt))
-    same = verify(made, check)
+    same = verify_calibration(made, check)
     assert np.abs(same.difference).max() < 150.0 * MICRO_G
     assert same.u.max() < 50.0 * MICRO_G
-    elsewhere = verify(replace(made, site=replace(SITE, gravity=G + 1e-4, gravity_u=doubt)), check)
+    elsewhere = verify_calibration(replace(made, site=replace(SITE, gravity=G + 1e-4, gravity_u=doubt)), check)
     assert elsewhere.u.min() > 1.4 * doubt
-    left_out = verify(made, own)
+    left_out = verify_calibration(made, own)
     assert left_out.u.max() < 60.0 * MICRO_G
 
 
@@ -263,7 +265,10 @@ def test_every_frame_verifies_alike(folders: dict[str, Path]) -> None:
     for frame in FRAMES:
         made = calibrate(folders["own"], frame=frame)
         found.append(
-            (verify(made, positions_of(folders["check"], made)), verify(made, positions_of(folders["own"], made)))
+            (
+                verify_calibration(made, positions_of(folders["check"], made)),
+                verify_calibration(made, positions_of(folders["own"], made)),
+            )
         )
     for check, own in found[1:]:
         np.testing.assert_allclose(check.difference, found[0][0].difference, atol=1e-12)
@@ -310,8 +315,10 @@ def test_a_table_of_readings_is_verified_with_the_scale_of_its_calibration(tmp_p
     table = tmp_path / "check.csv"
     rows = "\n".join(",".join(f"{v:.12g}" for v in row) for row in check.readings * scale)
     table.write_text(f"ux,uy,uz\n{rows}\n")
-    found = verify(made, positions_of(table, made))
-    np.testing.assert_allclose(found.difference, verify(replace(made, fits={}), check).difference, atol=1e-9)
+    found = verify_calibration(made, positions_of(table, made))
+    np.testing.assert_allclose(
+        found.difference, verify_calibration(replace(made, fits={}), check).difference, atol=1e-9
+    )
     assert found.labels[1] == "position 2 (line 3)"
     made.write(tmp_path / "c.json")
     assert run("verify", str(tmp_path / "c.json"), str(table))[0] == 0
@@ -326,7 +333,7 @@ def test_what_cannot_be_verified_is_refused(folders: dict[str, Path]) -> None:
     own = read(directions("cube-14", rng), rng, sha256="own")
     made, _ = calibrated(own)
     with pytest.raises(CalibrationError, match="expected an accepted one"):
-        verify(replace(made, outcome=Outcome(reasons=("rest 3 does not fit",))), own)
+        verify_calibration(replace(made, outcome=Outcome(reasons=("rest 3 does not fit",))), own)
     tetrad = Block(kind="accel", axes=np.vstack([np.eye(3), [3**-0.5] * 3]))
     four = replace(
         own,
@@ -335,13 +342,15 @@ def test_what_cannot_be_verified_is_refused(folders: dict[str, Path]) -> None:
         covariance=np.broadcast_to(np.eye(4), (14, 4, 4)),
     )
     with pytest.raises(InputError, match="found 4 with other axes"):
-        verify(made, four)
+        verify_calibration(made, four)
     session = calibrate(folders["own"])
-    from tumble.calibration import Launch
+    from tumble.results import Launch
 
     launch = Launch(session="own", parameters=(), covariance=None, log_sha256=session.provenance["log_sha256"])
     with pytest.raises(InputError, match="one of its 2 launches"):
-        verify(replace(session, launches=(launch, launch), provenance={}), positions_of(folders["own"], session))
+        verify_calibration(
+            replace(session, launches=(launch, launch), provenance={}), positions_of(folders["own"], session)
+        )
 
 
 # -------------------- two blocks on one base --------------------

@@ -14,9 +14,12 @@ from tumble.match import Match
 from tumble.methods.staged import staged
 from tumble.model import Block
 from tumble.observe import Observations, observe
-from tumble.segment import Reducer, find_rests
+from tumble.reduction import Reducer
+from tumble.scenario import Scenario, draw_parameters
+from tumble.segment import find_rests
 from tumble.session import Site
-from tumble.simulate import Recording, Request, Scenario, draw_parameters, record, typical_scenario
+from tumble.simulate import Request, typical_scenario
+from tumble.simulated_recording import Recording, record
 from tumble.units import Array
 
 TABLE = Request(grade="mems", rest=5.0, rate_deg_s=60.0, sample_rate=50.0)

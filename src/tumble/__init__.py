@@ -29,19 +29,34 @@ from typing import Any
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "Block": "model",
-    "SensorModel": "model",
     "Session": "session",
     "read_session": "session",
     "open_log": "log",
+    "Block": "model",
+    "SensorModel": "model",
     "Observations": "observe",
     "Calibration": "calibration",
-    "calibrate": "calibration",
+    "Parameter": "results",
+    "calibrate": "procedure",
+    "inspect_session": "procedure",
     "read_calibration": "calibration",
+    "Run": "launches",
+    "mean_of_launches": "launches",
+    "fit_ellipsoid": "ellipsoid",
+    "compare_calibrations": "compare",
+    "positions_of": "verify",
+    "verify_calibration": "verify",
+    "apply_to_session": "apply",
+    "export_calibration": "export",
+    "write_report": "report.write",
+    "open_registry": "registry.connect",
+    "Request": "simulate",
     "simulate_session": "simulate",
+    "allan_deviation": "noise",
     "normal_gravity": "earth",
     "TumbleError": "errors",
     "InputError": "errors",
+    "MissingExtraError": "errors",
 }
 
 __all__ = ["__version__", *sorted(_PUBLIC)]

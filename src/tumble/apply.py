@@ -2,8 +2,9 @@
 
 A correction needs no other sample than its own, so rows are neither added nor bridged: a number that is not finite
 stays so in its row. What a column gets is what a perfect sensor in that place would read, d · true with its nominal
-axis d; for three sensors along the body axes that is the true vector itself. A redundant block is solved by least
-squares first, and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y, gyro_z.
+axis d, those of a magnetometer being the axes of its own frame; for three sensors along the body axes that is the true
+vector itself. A redundant block is solved by least squares first, and its vector is added in the columns accel_x,
+accel_y, accel_z and gyro_x, gyro_y, gyro_z.
 
 Increments stay increments: an integral over an interval T is corrected by bias · T, and its interval is the step in
 time, as in `log`, less the samples that are missing in it.
@@ -11,11 +12,6 @@ time, as in `log`, less the samples that are missing in it.
 
 from __future__ import annotations
 
-import csv
-import gzip
-import io
-import sys
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,23 +20,19 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from rich.console import RenderableType
-from rich.table import Table
 
-from tumble.calibration import Calibration, corrected, inspect_session
+from tumble.calibration import Calibration, corrected
 from tumble.errors import InputError, LogError
 from tumble.log import open_log
+from tumble.log_files import header, opened, readable, whole_lines
 from tumble.model import SensorModel
-from tumble.session import Channels, Session
+from tumble.plain_table import add_numbers, plain_table
+from tumble.procedure import inspect_session
+from tumble.session import Channels, Magnetometer, Session
 from tumble.table_file import write_tables
-from tumble.units import G_STANDARD, Array
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
+from tumble.units import G_STANDARD, Array, Unit
 
 _SLICE_ROWS = 1 << 17
-_PIECE_BYTES = 1 << 23
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -99,6 +91,8 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Part, ...]:
     parts = [_part("accel", calibration.accel, session.log.accel, session)]
     if session.log.gyro is not None:
         parts.append(_part("gyro", calibration.gyro, session.log.gyro, session))
+    if session.log.magnetometer is not None and calibration.mag is not None:
+        parts.append(_magnetometer_part(calibration, calibration.mag, session.log.magnetometer, session))
     return tuple(parts)
 
 
@@ -110,6 +104,25 @@ def _part(kind: str, model: SensorModel | None, channels: Channels, session: Ses
             f"{len(channels.columns)}; columns that the session does not name are copied"
         )
     return _Part(kind=kind, channels=channels, model=model)
+
+
+def _magnetometer_part(calibration: Calibration, model: SensorModel, given: Magnetometer, session: Session) -> _Part:
+    unit = calibration["mag.bias.x"].unit
+    if given.unit != unit:
+        raise InputError(
+            f"{session.folder}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
+            f"{given.unit!r}; calibrate in the unit of the log"
+        )
+    channels = Channels(
+        columns=given.columns,
+        unit=Unit(factor=1.0, kind="rate"),
+        unit_name=unit,
+        scale=np.ones(3),
+        offset=np.zeros(3),
+        axes=np.eye(3),
+        range=None,
+    )
+    return _Part(kind="mag", channels=channels, model=model)
 
 
 def _tables(session: Session, parts: tuple[_Part, ...], interval: float) -> Iterator[pl.DataFrame]:
@@ -140,7 +153,7 @@ class _Clock:
         spec = self.session.log
         if spec.time is None:
             return np.full(table.height, self.interval)
-        with _readable(self.path):
+        with _parsed(self.path):
             time = table[spec.time].cast(pl.Float64).to_numpy() * spec.time_factor
         before = time[0] - self.interval if self.last is None else self.last
         self.last = float(time[-1])
@@ -156,7 +169,7 @@ class _Clock:
 def _rows(path: Path, parts: tuple[_Part, ...]) -> Iterator[pl.DataFrame]:
     """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are."""
     sensors = [column for part in parts for column in part.channels.columns]
-    with _readable(path):
+    with _parsed(path):
         tables = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path, sensors)
         for table in tables:
             for added in (column for part in parts for column in part.added if column in table.columns):
@@ -173,37 +186,21 @@ def _parquet(path: Path) -> Iterator[pl.DataFrame]:
 
 def _csv(path: Path, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
     """A CSV file, compressed or not, in pieces of whole lines, with these columns as numbers and the others as text."""
-    with _opened(path) as stream:
-        header = stream.readline().decode("utf-8-sig")
-        names = [name.strip() for name in next(csv.reader([header]))]
-        schema = {name: pl.Float64 if name in numbers else pl.String for name in names}
-        rest = b""
-        while read := stream.read(_PIECE_BYTES):
-            text = rest + read
-            end = text.rstrip().rfind(b"\n") + 1  # blank lines at the end of the file are none of its rows
-            if end:
-                yield pl.read_csv(text[:end], has_header=False, schema=schema)
-            rest = text[end:]
-        if rest.strip():
-            yield pl.read_csv(rest.rstrip(), has_header=False, schema=schema)
-
-
-def _opened(path: Path) -> io.BufferedIOBase:
-    """A file to read from, decompressed by its ending."""
-    ending = path.suffix.lower()
-    if ending == ".gz":
-        return gzip.GzipFile(path)
-    return zstd.ZstdFile(path) if ending == ".zst" else path.open("rb")
+    with opened(path) as stream:
+        schema = {name: pl.Float64 if name in numbers else pl.String for name in header(stream)}
+        for piece in whole_lines(stream, path):
+            yield pl.read_csv(piece, has_header=False, schema=schema)
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Whatever a library says of a file becomes one line."""
-    try:
-        yield
-    except (OSError, EOFError, UnicodeDecodeError, zlib.error, zstd.ZstdError, pl.exceptions.PolarsError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise LogError(f"{path}: expected rows of numbers, found: {said}; see `tumble inspect`") from None
+def _parsed(path: Path) -> Iterator[None]:
+    """Whatever polars says of the content of a file, or a library of a damaged one, becomes one line."""
+    with readable(path):
+        try:
+            yield
+        except pl.exceptions.PolarsError as error:
+            said = " ".join(str(error).split())[:200]
+            raise LogError(f"{path}: expected rows of numbers, found: {said}; see `tumble inspect`") from None
 
 
 # -------------------- was it worth it --------------------
@@ -239,9 +236,8 @@ def rest_residuals(calibration: Calibration, session: Session) -> tuple[RestResi
 
 def residual_table(rests: Sequence[RestResidual]) -> RenderableType:
     """Residuals of rests, mg before and after correction, and their root mean squares."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("rest", "start s", "stop s", "before mg", "after mg"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table()
+    add_numbers(table, "rest", "start s", "stop s", "before mg", "after mg")
     both = np.array([[rest.before, rest.after] for rest in rests]) / (1e-3 * G_STANDARD)
     for i, (rest, numbers) in enumerate(zip(rests, both, strict=True), 1):
         table.add_row(str(i), f"{rest.start:z.1f}", f"{rest.stop:z.1f}", *(f"{number:+.4f}" for number in numbers))

@@ -13,8 +13,11 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from tumble.calibration import ITERATED_METHODS, Calibration, Parameter
+from tumble.calibration import Calibration
 from tumble.launches import difference_percent
+from tumble.plain_table import add_numbers, plain_table
+from tumble.procedure import ITERATED_METHODS
+from tumble.results import Parameter
 from tumble.text import shown_units
 from tumble.units import G_STANDARD, engineering, rounded
 
@@ -34,19 +37,17 @@ def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None 
     passport = any(p.deviation is not None for p in calibration.parameters)
     headings = ["mean" if several else "value", "u (k=1)"]
     headings += (["run to run"] if several else []) + (["deviation"] if passport else [])
-    table = Table(box=None, pad_edge=False)
-    table.add_column("parameter")
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table("parameter")
+    add_numbers(table, *headings)
     table.add_column("unit")
-    for heading in () if truth is None else ("truth", "(value − truth)/u"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    if truth is not None:
+        add_numbers(table, "truth", "(value − truth)/u")
     units = shown_units(calibration.parameters)
     for p in calibration.parameters:
         size, unit = units[p.name]
         numbers = [p.value, *([p.run_to_run] if several else []), *([p.deviation] if passport else [])]
         row = [_shown(number, p.u, size) for number in numbers]
-        row.insert(1, rounded(p.value / size, (p.u or 0.0) / size)[1])
+        row.insert(1, "" if p.u is None else rounded(p.value / size, p.u / size)[1])
         table.add_row(p.name, *row, unit, *(_against(p, truth, size) if truth is not None else []))
     return table
 
@@ -69,12 +70,10 @@ def _against(parameter: Parameter, truth: Mapping[str, float], size: float) -> l
 def launch_table(calibration: Calibration, *, deviations: bool = False) -> Table:
     """The value of every parameter in every launch, the mean and the standard deviation from launch to launch, as in
     the paper's Tables 1 to 3; with `deviations`, those from the systematic values, which is what the paper has."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("deviation of" if deviations else "parameter")
+    table = plain_table("deviation of" if deviations else "parameter")
     for launch in calibration.launches:
         table.add_column(Text(launch.session), justify="right")
-    for heading in ("mean", "run to run"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    add_numbers(table, "mean", "run to run")
     table.add_column("unit")
     units = shown_units(calibration.parameters)
     for p in calibration.parameters:
@@ -88,11 +87,10 @@ def launch_table(calibration: Calibration, *, deviations: bool = False) -> Table
 
 def iteration_table(calibration: Calibration) -> Table:
     """What every iteration added to every parameter, of several launches the mean, beside the uncertainty."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("mean increment of" if calibration.launches else "increment of")
+    table = plain_table("mean increment of" if calibration.launches else "increment of")
     for i in range(len(calibration.iterations)):
-        table.add_column(f"iteration {i + 1}", justify="right", no_wrap=True)
-    table.add_column("u (k=1)", justify="right", no_wrap=True)
+        add_numbers(table, f"iteration {i + 1}")
+    add_numbers(table, "u (k=1)")
     table.add_column("unit")
     units = shown_units(calibration.parameters)
     for p in calibration.parameters:
@@ -105,10 +103,8 @@ def iteration_table(calibration: Calibration) -> Table:
 def method_table(calibration: Calibration, other: Calibration) -> Table:
     """The parameters by another method beside those of a calibration, and the difference other − this, also in % of
     this, as in the last column of the paper's Table 1."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("parameter")
-    for heading in (calibration.method, other.method, "difference", "%"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table("parameter")
+    add_numbers(table, calibration.method, other.method, "difference", "%")
     table.add_column("unit")
     units, theirs = shown_units(calibration.parameters), {p.name: p for p in other.parameters}
     for p in calibration.parameters:
@@ -123,9 +119,8 @@ def method_table(calibration: Calibration, other: Calibration) -> Table:
 
 def rest_table(calibration: Calibration) -> Table:
     """Residual of every rest."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("rest", "start s", "stop s", "residual µg", "sigmas"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table()
+    add_numbers(table, "rest", "start s", "stop s", "residual µg", "sigmas")
     for i, rest in enumerate(calibration.rests, 1):
         table.add_row(
             str(i),

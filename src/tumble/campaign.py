@@ -28,10 +28,10 @@ from typing import Annotated, Any, Literal, Self
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from tumble.calibration import DEFAULT_METHOD, ITERATED_METHODS, METHODS
 from tumble.engine import Executor, Job, Progress, Row, run
 from tumble.errors import InputError
 from tumble.grades import GRADES
+from tumble.procedure import DEFAULT_METHOD, ITERATED_METHODS, METHODS
 from tumble.programme import BUILT_IN
 from tumble.simulate import Request
 from tumble.trial import NAMES, Cell, Source, session_rows, statics_rows

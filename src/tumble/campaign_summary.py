@@ -26,7 +26,7 @@ from rich.text import Text
 
 from tumble.budget import GROUPS, UNITS
 from tumble.campaign import AXES
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError, needs_extra
 from tumble.trial import NAMES
 from tumble.units import Array, engineering
 from tumble.whole_file import whole_file
@@ -238,13 +238,9 @@ def plot(lines: Sequence[Line], path: Path) -> None:
     or pdf by the ending of the file.
 
     Raises MissingExtraError without matplotlib, InputError where no trial was accepted."""
-    try:
+    with needs_extra("a plot of a campaign", "report", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            "a plot of a campaign needs matplotlib; install it with: pip install 'tumble[report]'"
-        ) from error
     lines = [line for line in lines if line.rms is not None]
     if not lines:
         raise InputError(f"{path}: expected an accepted trial to draw, found none")

@@ -21,8 +21,10 @@ from rich.table import Table
 from rich.text import Text
 from scipy.stats import chi2
 
-from tumble.calibration import Calibration, Parameter
+from tumble.calibration import Calibration
 from tumble.errors import InputError
+from tumble.plain_table import add_numbers, plain_table
+from tumble.results import Parameter
 from tumble.units import Array, engineering, rounded
 
 COVERAGE = 2.0
@@ -73,7 +75,7 @@ class Comparison:
         return bool(judged) and max(judged) <= 1.0
 
 
-def compare(first: Calibration, second: Calibration) -> Comparison:
+def compare_calibrations(first: Calibration, second: Calibration) -> Comparison:
     """Compare two calibrations parameter by parameter. The second is converted to the frame of the first where they
     differ; to the case only what is in it already can be compared, so then the first is converted.
 
@@ -171,13 +173,10 @@ def comparison_report(comparison: Comparison) -> RenderableType:
 
 def _table(comparison: Comparison) -> Table:
     """Values, difference, its uncertainty and E_n of every common parameter, in engineering units."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("parameter")
-    for heading in ("first", "second", "difference", "u (k=1)"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table("parameter")
+    add_numbers(table, "first", "second", "difference", "u (k=1)")
     table.add_column("unit")
-    table.add_column("d/u", justify="right", no_wrap=True)
-    table.add_column("E_n", justify="right", no_wrap=True)
+    add_numbers(table, "d/u", "E_n")
     for d in comparison.differences:
         size, unit = engineering(d.unit, max(abs(d.first), abs(d.second), d.u or 0.0))
         u = (d.u or 0.0) / size

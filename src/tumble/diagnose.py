@@ -16,8 +16,9 @@ from tumble.estimate import FIT_SIGMAS, SEEN, SPREAD, Estimate, Outcome, spreads
 from tumble.model import SensorModel
 from tumble.observe import Observations
 from tumble.programme import from_attitudes, programme
+from tumble.reduction import ChannelState, Reduction
 from tumble.rotation import skew, tangent_basis
-from tumble.segment import ChannelState, Reduction, Segmentation
+from tumble.segment import Segmentation
 from tumble.session import Channels, Session
 from tumble.telling import faces_and_edges, most_telling, standing
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TIME_UNITS, Array, Unit
@@ -404,7 +405,7 @@ def verdict(estimate: Estimate, observations: Observations) -> Outcome:
     if missing and not reasons:
         reasons.append(f"not observable in this session: {', '.join(missing)}; {_most_helpful(estimate, observations)}")
     elif not missing and not reasons and (weak := _weak_combinations(estimate, observations)):
-        reasons.append(f"poorly observable in this session: {'; '.join(weak)}; {_most_helpful(estimate, observations)}")
+        reasons.append(f"poorly observable in this session: {'; '.join(weak)}; {_remedy(estimate, observations)}")
     if not missing and not estimate.converged:
         reasons.append(
             "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
@@ -453,17 +454,19 @@ def _turn_named(observations: Observations, k: int) -> str:
 
 def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]:
     """Combinations (q, m) of the parameters, in units of their spreads, that the data determine poorly or not at all,
-    the worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty,
-    as an angle, is not small against what the data resolve: u does not hold then, for effects of second order count."""
+    the worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty
+    of scale factors and angles is not small against what the data resolve: u does not hold then, for effects of second
+    order count."""
     spread = spreads_of(estimate.names)
     variance, vectors = np.linalg.eigh(estimate.covariance / np.outer(spread, spread))
-    limit = min(POORLY_KNOWN, float(np.sqrt(_resolution(estimate, observations))) / SPREAD["accel.axis"])
-    poor = np.flatnonzero(variance > limit**2)[::-1]
+    angles = np.array([".bias." not in name for name in estimate.names])  # biases are linear
+    squared = variance * (vectors[angles] ** 2).sum(axis=0) * SPREAD["accel.axis"] ** 2
+    poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
     return vectors[:, poor].T, np.sqrt(variance[poor])
 
 
 def _resolution(estimate: Estimate, observations: Observations) -> float:
-    """The smallest angle, rad, that a rest or turn resolves, scatter included."""
+    """The angle, rad, that the rests and turns both resolve, scatter included."""
 
     def typical(covariance: Array, group: str) -> float:
         variance = np.median(np.diagonal(covariance, axis1=1, axis2=2))
@@ -472,7 +475,7 @@ def _resolution(estimate: Estimate, observations: Observations) -> float:
     tilt = typical(observations.rests.accel_covariance, "accelerometers") / observations.site.gravity
     if observations.turns is None or estimate.gyro is None:
         return tilt
-    return min(tilt, typical(observations.turns.covariance, "gyro turns"))
+    return max(tilt, typical(observations.turns.covariance, "gyro turns"))
 
 
 def _weak_combinations(estimate: Estimate, observations: Observations) -> list[str]:
@@ -485,6 +488,18 @@ def _weak_combinations(estimate: Estimate, observations: Observations) -> list[s
         parts = [f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in largest]
         said.append(f"{' '.join(parts).removeprefix('+ ')} (known to {100.0 * known:.2g} % of its usual size)")
     return said
+
+
+def _remedy(estimate: Estimate, observations: Observations) -> str:
+    """What would determine the poorly determined combinations: gravity, where its uncertainty is most of theirs, else
+    rests or turns."""
+    combinations, known = _weak(estimate, observations)
+    site = observations.site
+    scales = np.array([name.startswith("accel.scale.") for name in estimate.names])
+    by_gravity = combinations @ (scales / spreads_of(estimate.names)) * site.gravity_u / site.gravity
+    if np.all(by_gravity**2 > 0.5 * known**2):
+        return f"gravity is known to {site.gravity_u:g} m/s^2 only: give latitude_deg or gravity in [site]"
+    return _most_helpful(estimate, observations)
 
 
 def _most_helpful(estimate: Estimate, observations: Observations) -> str:

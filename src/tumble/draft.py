@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from tumble import formats
-from tumble.calibration import Progress, inspect_session
 from tumble.errors import InputError, TumbleError
 from tumble.formats import Sensors
 from tumble.formats.columns import ACCEL, GYRO, columns_by_name
 from tumble.formats.message import TIME, Message
-from tumble.log import log_columns, log_head
+from tumble.log_files import log_columns, log_head
+from tumble.procedure import Progress, inspect_session
 from tumble.programme import BUILT_IN
 from tumble.session import SESSION_FILE, read_session, write_session
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TIME_UNITS
@@ -63,10 +63,10 @@ def draft_session(
         raise InputError(f"{log}: expected a log, found no such file")
     if programme is not None and programme not in BUILT_IN:
         raise InputError(f"--programme: expected one of {', '.join(BUILT_IN)}, found {programme!r}")
-    folder.mkdir(parents=True, exist_ok=True)
     known = log.suffix.lower() in LOGS
     draft = _of_log(log) if known else _of_recording(log, folder / "log.parquet", message)
     draft, faults = _checked(draft, progress)
+    folder.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         temporary.write_text(_text(draft.content, folder, programme), encoding="utf-8")
     return draft, faults
@@ -79,11 +79,17 @@ def _of_log(log: Path) -> Draft:
     """From a CSV or Parquet file."""
     names = log_columns(log)
     found = columns_by_name(names)
+    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
+        raise InputError(
+            f"{log}: expected commas between the columns, found {names[0][:40]!r}; save as CSV with commas"
+        )
     if ACCEL not in found.triads:
         raise InputError(
             f"{log}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z; found "
             f"{', '.join(names[:12])}; rename them"
         )
+    if len(log_head(log, found.triads[ACCEL].columns[0], 2)) < 2:
+        raise InputError(f"{log}: expected rows of readings below the names of the columns, found none")
     time, said = _time(log, found.time, found.time_unit)
     said += [f"also there, and not used: {', '.join(found.others)}"] if found.others else []
     sensors = {kind: found.triads[kind] for kind in (ACCEL, GYRO) if kind in found.triads}
@@ -96,6 +102,7 @@ def _of_recording(recording: Path, log: Path, name: str | None) -> Draft:
     found = formats.messages(recording)
     accel = _named(found, name, recording)
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
+    log.parent.mkdir(parents=True, exist_ok=True)
     formats.as_log(log, accel, gyro)
     said = [f"{recording.name}: message {accel.name}, {accel.count} rows, written to {log}"]
     if gyro is not None and gyro is not accel:

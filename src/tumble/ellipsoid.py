@@ -98,7 +98,7 @@ class EllipsoidFit:
     converged: bool
 
 
-def fit(
+def fit_ellipsoid(
     readings: Array,
     *,
     modulus: float,

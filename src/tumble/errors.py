@@ -14,6 +14,9 @@ A poor result is not an exception: it is an `Estimate` whose outcome gives the r
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class TumbleError(Exception):
     """Anything tumble raises on purpose. `str()` is one line for the user."""
@@ -41,3 +44,16 @@ class CalibrationError(InputError):
 
 class MissingExtraError(TumbleError):
     """A function needs an optional dependency that is not installed."""
+
+
+@contextmanager
+def needs_extra(what: str, extra: str, *libraries: str) -> Iterator[None]:
+    """Around the imports of `what`, singular: where one of the libraries is missing, MissingExtraError with the extra
+    of tumble that brings it."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        library = (error.name or "").partition(".")[0]
+        if library not in libraries:
+            raise
+        raise MissingExtraError(f"{what} needs {library}; install it with: pip install 'tumble[{extra}]'") from error

@@ -20,9 +20,10 @@ from typing import Any
 
 import polars as pl
 
-from tumble.calibration import Calibration, calibrate
+from tumble.calibration import Calibration
 from tumble.engine import Executor, Job, Progress, Row, run
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError, needs_extra
+from tumble.procedure import calibrate
 from tumble.session import SESSION_FILE, read_session
 
 MANIFESTS = (".txt", ".csv")
@@ -165,12 +166,8 @@ def _is_url(name: str) -> bool:
 
 def _file_system(url: str) -> tuple[Any, str]:
     """The file system of a URL, and the path in it."""
-    try:
+    with needs_extra("a session at a URL", "cluster", "fsspec"):
         from fsspec.core import url_to_fs
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            "sessions at a URL need fsspec; install it with: pip install 'tumble[cluster]'"
-        ) from error
     try:
         system, path = url_to_fs(url)
     except (ImportError, ValueError) as error:

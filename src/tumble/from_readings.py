@@ -17,12 +17,14 @@ import numpy as np
 from scipy.special import ndtri
 
 from tumble import __version__
-from tumble.calibration import Calibration, Parameter, Readings
+from tumble.calibration import Calibration
 from tumble.calibration_text import parameter_table
-from tumble.ellipsoid import TRIAD, EllipsoidFit, fit
+from tumble.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.estimate import Fit, Outcome
 from tumble.frames import Convention, Frame, Framed, convert
-from tumble.readings import Nominal, Table
+from tumble.plain_table import add_numbers, plain_table
+from tumble.readings import Nominal, Table, plain_units, sizes_seen
+from tumble.results import Parameter, Readings
 from tumble.session import Site
 from tumble.telling import Refusal
 from tumble.units import Array, engineering, rounded
@@ -33,6 +35,13 @@ if TYPE_CHECKING:
 SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
 """Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the
 field of the Earth is not the same in every position."""
+
+SIZE_TOLERANCE = 0.25
+"""Scale factors may be off the stated ones by this part before scale and unit are doubted. Iron around a magnetometer
+may do more."""
+
+NAMED = 4
+"""Of more positions than these, the one to look at is not told."""
 
 BAD_CHANCE = 1e-3
 """A position is bad where chance alone makes one of the positions so bad in less than this part of all tables."""
@@ -54,10 +63,10 @@ def calibrate_table(table: Table, nominal: Nominal, *, frame: Frame = "accelerom
     """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions. What cannot be calibrated comes
     back with the reasons in its outcome."""
     bad = float(-ndtri(0.5 * BAD_CHANCE / len(table.values)))
-    found = fit(nominal.to_si(table.values), modulus=nominal.modulus, bad_sigmas=bad)
+    found = fit_ellipsoid(nominal.to_si(table.values), modulus=nominal.modulus, bad_sigmas=bad)
     if isinstance(found, Refusal):
-        unobservable = _names(nominal)
-        outcome = Outcome(reasons=(found.reason,), unobservable=unobservable)
+        misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
+        outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal))
         empty = _calibration(table, nominal, None, None, outcome)
         return Result(calibration=empty, table=table, nominal=nominal, fit=None)
     outcome = Outcome(reasons=tuple(_reasons(table, nominal, found)))
@@ -77,6 +86,9 @@ def _names(nominal: Nominal, names: tuple[str, ...] = TRIAD.names) -> tuple[str,
 
 def _reasons(table: Table, nominal: Nominal, found: EllipsoidFit) -> list[str]:
     """What speaks against a fit."""
+    misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + found.values[3:6]))
+    if misstated is not None:
+        return [misstated]
     size, unit = engineering(nominal.result_unit, float(np.abs(found.residual).max()))
     reasons = [
         f"position {i + 1} (line {table.lines[i]}) does not fit: {found.sigmas[i]:.1f} sigma, residual "
@@ -91,9 +103,10 @@ def _reasons(table: Table, nominal: Nominal, found: EllipsoidFit) -> list[str]:
         )
     limit = SCATTER_LIMIT[nominal.sensor] * nominal.modulus
     if found.scatter > limit:
+        size, unit = engineering(nominal.result_unit, found.scatter)
         said = f"the positions scatter by {found.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}"
-        if found.worst is not None and found.worst.scatter < 0.5 * found.scatter:
-            first = (found.worst.position, *found.worst.rivals)
+        first = () if found.worst is None else (found.worst.position, *found.worst.rivals)
+        if found.worst is not None and len(first) <= NAMED and found.worst.scatter < 0.5 * found.scatter:
             which = " or ".join(f"{i + 1} (line {table.lines[i]})" for i in sorted(first))
             said += (
                 f"; look first at position {which}, without which it would be {found.worst.scatter / size:.3g} {unit}"
@@ -102,6 +115,30 @@ def _reasons(table: Table, nominal: Nominal, found: EllipsoidFit) -> list[str]:
     if not found.converged:
         reasons.append("the fit did not converge: the readings contradict the model")
     return reasons
+
+
+def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
+    """That the channels' output `seen` (3,), per SI unit, is not what scale and unit state, and which would fit."""
+    if nominal.estimated or nominal.sensor == "mag" or seen is None:
+        return None
+    if _near_one(seen / np.abs(nominal.scale)):
+        return None
+    stated, outputs = (
+        ", ".join(f"{v * nominal.per_factor:.3g}" for v in scale)
+        for scale in (nominal.scale, np.sign(nominal.scale) * seen)
+    )
+    fitting = [f"--unit {unit}" for unit, factor in plain_units(nominal.sensor).items() if _near_one(seen * factor)]
+    if nominal.unit == nominal.per:
+        length = "gravity" if nominal.sensor == "accel" else "--modulus"
+        said = f"the readings are {outputs} times what --unit {nominal.unit} and {length} give"
+    else:
+        said = f"the outputs seen are {outputs} {nominal.unit}/{nominal.per}, the scale states {stated}"
+        fitting += [f"--scale={outputs}".replace(" ", "")]
+    return f"{said}; {' or '.join(fitting) or 'another unit or scale'} would fit"
+
+
+def _near_one(ratios: Array) -> bool:
+    return bool(np.all(np.abs(ratios - 1.0) <= SIZE_TOLERANCE))
 
 
 def _calibration(
@@ -171,6 +208,11 @@ def _notes(table: Table, nominal: Nominal, found: EllipsoidFit | None) -> tuple[
     per = ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
     if nominal.estimated:
         notes.append(f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings")
+    if nominal.assumed:
+        notes.append(
+            f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not tell it; state it "
+            "with --scale or --position"
+        )
     negative = [name for name, s in zip(table.columns, nominal.scale, strict=True) if s < 0.0]
     if negative:
         said = f"polarity of {', '.join(negative)}: negative, as the scale or the positions state"
@@ -245,42 +287,39 @@ def result_report(result: Result) -> RenderableType:
 
 
 def _paper_table(result: Result) -> RenderableType:
-    from rich.table import Table as Shown
-
     form, nominal = paper_form(result), result.nominal
-    table = Shown(box=None, pad_edge=False)
-    headings = (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}")
-    table.add_column("axis")
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-        table.add_column("u (k=1)", justify="right", no_wrap=True)
+    table = plain_table("axis")
+    for heading in (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}"):
+        add_numbers(table, heading, "u (k=1)")
+    known = form.covariance is not None
     u = np.zeros(9) if form.covariance is None else np.sqrt(np.diag(form.covariance))
     for i, axis in enumerate("xyz"):
         cells: list[str] = []
         for value, each, size in ((form.k[i], u[i], 1.0), (form.theta[i], u[3 + i], 1e-5), (form.b[i], u[6 + i], 1e-5)):
-            cells += rounded(float(value) / size, float(each) / size)
+            said, uncertainty = rounded(float(value) / size, float(each) / size)
+            cells += [said, uncertainty if known else ""]
         table.add_row(axis, *cells)
     return table
 
 
 def _positions_table(result: Result) -> RenderableType:
     """Residual |corrected reading| less the modulus of every position, plain and against the fit through the others."""
-    from rich.table import Table as Shown
-
     found = result.fit
     assert found is not None
     size, unit = engineering(result.nominal.result_unit, float(np.abs(found.residual[found.used]).max()))
-    table = Shown(box=None, pad_edge=False)
-    for heading in ("position", "line", f"residual {unit}", f"left out {unit}", "u (k=1)", "sigmas", ""):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table()
+    add_numbers(table, "position", "line", f"residual {unit}", f"left out {unit}", "u (k=1)", "sigmas", "")
     for i, line in enumerate(result.table.lines):
+        by_others = (
+            f"{found.leave_one_out[i] / size:+.2f}",
+            f"{found.leave_one_out_u[i] / size:.2f}",
+            f"{found.sigmas[i]:.1f}",
+        )
         table.add_row(
             str(i + 1),
             str(line),
             f"{found.residual[i] / size:+.2f}",
-            f"{found.leave_one_out[i] / size:+.2f}",
-            f"{found.leave_one_out_u[i] / size:.2f}",
-            f"{found.sigmas[i]:.1f}",
+            *(by_others if found.degrees else ("", "", "")),
             "" if found.used[i] else "bad",
         )
     return table

@@ -15,13 +15,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from tumble.calibration import Calibration, Launch, Parameter
+from tumble.calibration import Calibration
 from tumble.ellipsoid import TRIAD
 from tumble.errors import InputError
 from tumble.estimate import Outcome
 from tumble.frames import Convention, frame_of
 from tumble.methods.magnetometer import NAMES
 from tumble.model import Block, SensorModel
+from tumble.results import Launch, Parameter
 from tumble.session import Session
 from tumble.units import Array
 

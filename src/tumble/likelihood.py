@@ -135,6 +135,8 @@ class Problem:
     observations: Observations
     prior: Prior
     link: IntArray
+    chain: IntArray
+    """The number (N,) of each rest's chain."""
     earth: Array
     spread: Array
     accel_count: int
@@ -161,6 +163,7 @@ class Problem:
             observations=observations,
             prior=prior,
             link=link,
+            chain=np.append(0, np.cumsum(link[:-1] < 0)),
             earth=np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude)),
             spread=spread,
             accel_count=len(accel.names),

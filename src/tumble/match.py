@@ -16,7 +16,8 @@ import numpy as np
 
 from tumble.errors import ProgrammeError
 from tumble.programme import Position, Programme, from_attitudes, programme
-from tumble.segment import BLOCK_SECONDS, FileBlocks, Reduction, RestSpan, Segmentation, stated_rest
+from tumble.reduction import BLOCK_SECONDS, FileBlocks, Reduction
+from tumble.segment import RestSpan, Segmentation, stated_rest
 from tumble.session import ProgrammeSpec, Session
 from tumble.units import DEGREE, Array, IntArray
 

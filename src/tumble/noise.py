@@ -34,8 +34,9 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 from tumble import _kernels
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError, needs_extra
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, engineering, rounded
+from tumble.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -350,19 +351,16 @@ def plot(panels: Sequence[Panel], path: Path) -> None:
     Raises MissingExtraError without matplotlib, InputError for another ending."""
     if path.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise InputError(f"{path}: expected a file that ends in .svg, .png or .pdf, found {path.suffix!r}")
-    try:
+    with needs_extra("a plot of the Allan deviation", "report", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            "a plot of the Allan deviation needs matplotlib; install it with: pip install 'tumble[report]'"
-        ) from error
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 9.0}):
         figure = Figure(figsize=(6.2 * len(panels), 5.6), layout="constrained")
         for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
             _draw(axes, panel)
         undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-        figure.savefig(path, dpi=150, metadata=undated.get(path.suffix.lower()))
+        with whole_file(path) as temporary:
+            figure.savefig(temporary, dpi=150, metadata=undated.get(path.suffix.lower()))
 
 
 def _draw(axes: Axes, panel: Panel) -> None:

@@ -27,8 +27,9 @@ from tumble.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.match import Match
 from tumble.model import Block, SensorModel
 from tumble.programme import Programme
+from tumble.reduction import ChannelState, FileBlocks, GyroSamples, Reduction
 from tumble.rotation import tangent_basis
-from tumble.segment import ChannelState, FileBlocks, GyroSamples, Reduction, RestSpan
+from tumble.segment import RestSpan
 from tumble.session import Site
 from tumble.units import Array, IntArray
 

@@ -22,7 +22,7 @@ from tumble.rotation import rotation_vector
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
 _AXES = "NUE"
-T = TypeVar("T", Array, IntArray, BoolArray)
+_T = TypeVar("_T", Array, IntArray, BoolArray)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -205,7 +205,7 @@ class Ways:
         another."""
         first = max(start - 1, 0)
 
-        def put(old: T, new: T, a: int) -> T:
+        def put(old: _T, new: _T, a: int) -> _T:
             return np.concatenate([old[:, :a], new[chosen : chosen + 1], old[:, stop:]], axis=1)
 
         return Ways(

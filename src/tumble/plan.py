@@ -7,7 +7,7 @@ too few; afterwards it counts for nothing.
 
 A position costs little to add or to exchange. Eliminating the attitudes of all rests before it leaves three rows on the
 attitude of the last of them and a triangle on the parameters (`tumble._chain`), and those after it likewise. What a
-candidate shows is then an elimination of two to four rests, whatever the length of the programme: some 50 µs.
+candidate shows is then an elimination of two to four rests, whatever the length of the programme: about 0.1 ms.
 
 A programme is begun with X, Y or Z up, grows by the best position to add, and is improved by exchange of one position
 at a time, or of neighbours where the table leaves no other way, until no exchange makes it better. By A it is sought
@@ -246,7 +246,7 @@ def _move(vector: Array, turned: bool) -> Move:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Next:
-    """A programme with one more position: what the position is, how it is reached, how many others are as `good`, the
+    """A programme with one more position: what the position is, how it is reached, how many others are `as_good`, the
     criterion over that of the programme before, and the bound with it."""
 
     position: Position

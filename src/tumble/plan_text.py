@@ -14,9 +14,12 @@ from tumble.bounds import Bound
 from tumble.budget import Setup
 from tumble.plan import Aim, Compared, Next
 from tumble.programme import Programme, duration
-from tumble.sheet import MOVE, clock, move_text
+from tumble.sheet_words import MOVE, clock, move_text
 from tumble.telling import in_words, sum_in_words
 from tumble.units import DEGREE, engineering
+
+LARGEST = 4
+"""So many parameters of a combination are named."""
 
 
 def bound_report(setup: Setup, bound: Bound) -> RenderableType:
@@ -29,11 +32,7 @@ def bound_report(setup: Setup, bound: Bound) -> RenderableType:
         *_not_determined(bound),
     ]
     if not len(bound.null):
-        largest = float(np.abs(bound.worst).max())
-        lines.append(
-            f"worst determined: {sum_in_words(bound.worst / largest, bound.names)}, to {bound.worst_u / largest:.2g} "
-            "(biases as parts of gravity and of the rate of the turns, angles in rad)"
-        )
+        lines.append(f"worst determined: {_worst(bound)} (of gravity, of the rate of turns, rad)")
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
     for heading in ("bound of u", "of the spread"):
@@ -108,6 +107,15 @@ def short_of(bound: Bound, aim: Aim, setup: Setup) -> list[str]:
                 f"{_shown(bound, group, bound.rms(group))}; take more positions, or longer rests than {setup.rest:g} s"
             )
     return out
+
+
+def _worst(bound: Bound) -> str:
+    """The combination determined worst, by its largest coefficients, and how well it is."""
+    worst = bound.worst / np.abs(bound.worst).max()
+    small = np.argsort(-np.abs(worst), kind="stable")[LARGEST:]
+    words = sum_in_words(np.where(np.isin(np.arange(len(worst)), small), 0.0, worst), bound.names)
+    mostly = "mostly " if np.any(np.abs(worst[small]) > 0.3) else ""
+    return f"{mostly}{words}, to {bound.worst_u / np.abs(bound.worst).max():.2g}"
 
 
 def _not_determined(bound: Bound) -> list[str]:

@@ -13,7 +13,8 @@ import numpy as np
 from tumble.errors import InputError, SessionError
 from tumble.log import Chunk, open_log
 from tumble.noise import Panel, allan_deviation, identify
-from tumble.segment import RestSpan, find_rests, reduce_log
+from tumble.reduction import reduce_log
+from tumble.segment import RestSpan, find_rests
 from tumble.session import Session, read_session, write_session
 from tumble.units import Array
 

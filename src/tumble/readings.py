@@ -24,7 +24,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, MAGNETIC_UNITS, Array
+from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, MAGNETIC_UNITS, Array, IntArray
 
 Sensor = Literal["accel", "gyro", "mag"]
 SENSORS: tuple[Sensor, ...] = get_args(Sensor)
@@ -32,6 +32,12 @@ SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 TELLING = 0.3
 """A channel's polarity is told by a position in which the vector has at least this part along it, in the fit and as
 stated."""
+
+EARTH_GRAVITY = (9.7, 9.9)
+"""m/s², between which gravity is on Earth."""
+
+LARGEST = 1e30
+"""No reading is as large: its powers would leave the range of numbers."""
 
 _RAW = ("V", "count")
 _UNITS: Mapping[Sensor, Mapping[str, float]] = {
@@ -60,7 +66,7 @@ class Nominal:
     unit (of magnetometers per `result_unit`), signed by polarity; and the length of the true vector, SI.
 
     `per` is the unit a raw scale is per, of the size `per_factor` in SI; `estimated` says that the sizes of the scale
-    were taken from the readings themselves."""
+    were taken from the readings themselves; `assumed` are the columns whose polarity nothing states."""
 
     sensor: Sensor
     unit: str
@@ -69,6 +75,7 @@ class Nominal:
     scale: Array
     modulus: float
     estimated: bool
+    assumed: tuple[str, ...]
 
     @property
     def result_unit(self) -> str:
@@ -158,13 +165,19 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
         value = float(cell)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    if not abs(value) < LARGEST:
         found = repr(cell.strip()[:40]) if cell.strip() else "an empty value"
         raise InputError(f"{path}: line {line}, column {column!r}: expected a number, found {found}; correct the row")
     return value
 
 
 # -------------------- what the readings are worth --------------------
+
+
+def plain_units(sensor: Sensor) -> Mapping[str, float]:
+    """The units in which the readings of a kind of sensor need no scale, with their factors to the unit of the
+    calibration."""
+    return _UNITS[sensor]
 
 
 def nominal(
@@ -194,14 +207,16 @@ def nominal(
         raise InputError(f"--scale-per: expected one of {', '.join(units)} for --sensor {sensor}, found {per!r}")
     length = _length(sensor, gravity, modulus, units[per])
     sizes, estimated = _sizes(table, unit, scale, length / units[per])
+    signs, told = _polarity(table, sizes, known or {}, free=estimated)
     return Nominal(
         sensor=sensor,
         unit=unit,
         per=per,
         per_factor=units[per],
-        scale=sizes * _polarity(table, sizes, known or {}, free=estimated) / units[per],
+        scale=sizes * signs / units[per],
         modulus=length,
         estimated=estimated,
+        assumed=tuple(name for name, known_by in zip(table.columns, told, strict=True) if estimated and not known_by),
     )
 
 
@@ -210,16 +225,15 @@ def _length(sensor: Sensor, gravity: float, modulus: float | None, factor: float
     if sensor == "accel":
         if modulus is not None:
             raise InputError("--modulus: expected --gravity for accelerometers, found --modulus")
-        value = gravity
-    elif modulus is None:
+        if not EARTH_GRAVITY[0] <= gravity <= EARTH_GRAVITY[1]:
+            raise InputError(f"--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found {gravity:g}")
+        return gravity
+    if modulus is None:
         what = {"gyro": "the rate of the table", "mag": "the field, or 1 where only ratios are wanted"}[sensor]
         raise InputError(f"--modulus: expected {what} for --sensor {sensor}, found none")
-    else:
-        value = modulus * factor
-    if not (math.isfinite(value) and value > 0.0):
-        name = "--gravity" if sensor == "accel" else "--modulus"
-        raise InputError(f"{name}: expected a positive number, found {value:g}")
-    return value
+    if not 0.0 < modulus < LARGEST:
+        raise InputError(f"--modulus: expected a positive number, found {modulus:g}")
+    return modulus * factor
 
 
 def _sizes(table: Table, unit: str, scale: Sequence[float] | None, length: float) -> tuple[Array, bool]:
@@ -230,22 +244,26 @@ def _sizes(table: Table, unit: str, scale: Sequence[float] | None, length: float
         if len(scale) not in (1, 3):
             raise InputError(f"--scale: expected one number or three, one per column, found {len(scale)}")
         given = np.broadcast_to(np.asarray(scale, dtype=float), 3).copy()
-        if not (np.isfinite(given).all() and given.all()):
+        if not np.all((np.abs(given) > 1.0 / LARGEST) & (np.abs(given) < LARGEST)):
             raise InputError(f"--scale: expected numbers other than zero, found {', '.join(f'{s:g}' for s in given)}")
         return given, False
-    from tumble.quadric import fit_many
-
-    found = fit_many(table.values[None])
-    if found.found[0]:
-        sizes = np.linalg.norm(found.models(length).matrix[0], axis=1)
-    else:
-        sizes = 0.5 * np.ptp(table.values, axis=0) / length
+    seen = sizes_seen(table.values, length)
+    sizes = 0.5 * np.ptp(table.values, axis=0) / length if seen is None else seen
     return np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in sizes]), True
 
 
-def _polarity(table: Table, sizes: Array, known: Mapping[int, Array], *, free: bool) -> Array:
-    """Signs (3,) that roughly known positions give the channels; where `free` is false they must not differ from those
-    of the scale."""
+def sizes_seen(values: Array, length: float) -> Array | None:
+    """The output (3,) of the channels per unit of a vector of this length, from the ellipsoid through the readings
+    (N, 3); None where they lie on none."""
+    from tumble.quadric import fit_many
+
+    found = fit_many(values[None])
+    return np.linalg.norm(found.models(length).matrix[0], axis=1) if found.found[0] else None
+
+
+def _polarity(table: Table, sizes: Array, known: Mapping[int, Array], *, free: bool) -> tuple[Array, IntArray]:
+    """Signs (3,) that roughly known positions give the channels, and the number of the position that told each, 0 for
+    none; where `free` is false the signs must not differ from those of the scale."""
     from tumble.telling import rough_directions
 
     seen = rough_directions(table.values / sizes)
@@ -268,4 +286,4 @@ def _polarity(table: Table, sizes: Array, known: Mapping[int, Array], *, free: b
                     "the sign of its scale, or correct the position"
                 )
             signs[p], told[p] = sign, position
-    return signs
+    return signs, told

@@ -25,11 +25,13 @@ import polars as pl
 from rich.table import Table
 
 from tumble import __version__
-from tumble.calibration import Calibration, calibrate, read_calibration
+from tumble.calibration import Calibration, read_calibration
 from tumble.earth import normal_gravity
 from tumble.noise import allan_deviation
+from tumble.plain_table import add_numbers, plain_table
+from tumble.procedure import calibrate
 from tumble.quadric import fit_many
-from tumble.simulate import Request, simulate_session
+from tumble.simulate import TRUTH_FILE, Request, read_truth, simulate_session
 from tumble.units import DEGREE, G_STANDARD
 from tumble.whole_file import whole_file
 
@@ -239,7 +241,7 @@ def _simulated(request: Request) -> tuple[Calibration, dict[str, float]]:
     with TemporaryDirectory() as folder:
         place = Path(folder) / "session"
         simulate_session(place, request, seed=1)
-        return calibrate(place), json.loads((place / "truth.json").read_text(encoding="utf-8"))
+        return calibrate(place), read_truth(place / TRUTH_FILE)
 
 
 def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> Case:
@@ -251,11 +253,8 @@ def _difference(name: str, source: str, difference: float, limit: float, unit: s
 
 def record_table(record: Record) -> Table:
     """The cases of a record."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("case", "compared with"):
-        table.add_column(heading)
-    for heading in ("found", "allowed"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table("case", "compared with")
+    add_numbers(table, "found", "allowed")
     table.add_column("")
     for case in record.cases:
         allowed = f"{case.low:g} … {case.high:g}" if case.low > 0.0 else f"≤ {case.high:g}"

@@ -39,11 +39,10 @@ from tumble.observe import (
     Turns,
     TurnSamples,
 )
+from tumble.reduction import GyroSamples
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.segment import GyroSamples
+from tumble.scenario import Itinerary, OnTable, Profile, Scenario, Vibration, itinerary
 from tumble.session import Site
-from tumble.simulate import Itinerary, OnTable, Profile, Scenario, Vibration, itinerary
-from tumble.simulate import Site as TrueSite
 from tumble.units import Array, IntArray
 
 SAMPLES = 64
@@ -64,7 +63,7 @@ def scenario_of(setup: Setup, rng: np.random.Generator) -> Scenario:
         truth=_drawn(accel, setup.accel, rng) | _drawn(gyro, setup.gyro, rng),
         noise=setup.noise,
         profile=Profile(first_rest=setup.rest, rest=setup.rest, rate=setup.turn_rate, ramp=RAMP, sample_rate=100.0),
-        site=TrueSite(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u),
+        site=Site(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u),
         vibration=Vibration(),
         serial="simulated",
     )
@@ -85,7 +84,7 @@ def simulate_observations(
     if scenario.vibration.amplitude > 0.0:
         raise InputError(
             f"vibration: expected none in observations without a log, found {scenario.vibration.amplitude:g} m/s^2; "
-            "take simulate.record"
+            "take simulated_recording.record"
         )
     geometry, noise, place = rng.spawn(3)
     way = itinerary(scenario, geometry)
@@ -98,12 +97,7 @@ def simulate_observations(
     observations = Observations(
         accel_block=scenario.accel,
         gyro_block=scenario.gyro,
-        site=Site(
-            latitude=site.latitude,
-            height=site.height,
-            gravity=site.gravity + site.gravity_u * place.standard_normal(),
-            gravity_u=site.gravity_u,
-        ),
+        site=replace(site, gravity=site.gravity + site.gravity_u * place.standard_normal()),
         rests=rests,
         turns=turns,
         turn_samples=samples,
@@ -151,7 +145,7 @@ def _rests(scenario: Scenario, way: Itinerary, accel: _Sensors, gyro: _Sensors, 
     start, stop = way.rests.T
     seconds = stop - start
     force = scenario.site.gravity * way.attitudes[:, 1]
-    rate = np.array(earth_rate(scenario.site.latitude)) @ way.attitudes
+    rate = np.array(earth_rate(scenario.latitude)) @ way.attitudes
     return Rests(
         file=np.zeros(len(start), dtype=np.int64),
         start=start,
@@ -203,7 +197,7 @@ def _turns(
 def _inertial(scenario: Scenario, way: Itinerary, first: IntArray, T: Array) -> Array:
     """Rotation vectors (K, 3) of the body over the turns, in the body, with the Earth's rotation: of the two ways
     round, the one of the move."""
-    earth = np.array(earth_rate(scenario.site.latitude))
+    earth = np.array(earth_rate(scenario.latitude))
     start, end = way.attitudes[first], way.attitudes[first + 1]
     back = np.swapaxes(start, 1, 2)
     vector = rotation_vector(back @ rotation_matrix(T[:, None] * earth) @ end)

@@ -13,8 +13,9 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from tumble.calibration import Parameter
 from tumble.observe import Observations
+from tumble.plain_table import add_numbers, plain_table
+from tumble.results import Parameter
 from tumble.segment import Segmentation
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, BoolArray, engineering
 
@@ -48,11 +49,8 @@ def noise_report(source: str, panels: Sequence[Panel]) -> RenderableType:
     """Noise coefficients of every channel."""
     from tumble.noise import shown  # it loads more of SciPy than the other commands need
 
-    table = Table(box=None, pad_edge=False)
-    for heading in ("sensor", "noise", "symbol"):
-        table.add_column(heading)
-    for heading in ("value", "u (k=1)"):
-        table.add_column(heading, justify="right")
+    table = plain_table("sensor", "noise", "symbol")
+    add_numbers(table, "value", "u (k=1)")
     table.add_column("unit")
     for panel in panels:
         for channel, parameters in zip(panel.channels, panel.parameters, strict=True):
@@ -74,9 +72,8 @@ def inspection_report(segmentation: Segmentation, observations: Observations | N
         parts += [_rests_found(observations), Text(""), _turns_found(observations)]
         parts += _half_sums(observations)
     if segmentation.rejected:
-        table = Table(box=None, pad_edge=False)
-        for heading in ("rejected from s", "to s"):
-            table.add_column(heading, justify="right", no_wrap=True)
+        table = plain_table()
+        add_numbers(table, "rejected from s", "to s")
         table.add_column("because")
         for r in segmentation.rejected:
             table.add_row(f"{r.start:z.1f}", f"{r.stop:z.1f}", r.reason)
@@ -88,7 +85,7 @@ def _rests_found(observations: Observations) -> Table:
     rests = observations.rests
     force = observations.accel_block.nominal().apply(rests.accel)
     vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
-    table = Table(box=None, pad_edge=False)
+    table = plain_table()
     files = len(set(rests.file.tolist())) > 1
     headings = [
         "rest",
@@ -102,8 +99,7 @@ def _rests_found(observations: Observations) -> Table:
     gyros = rests.gyro.shape[1] > 0
     headings += ["u of gyro °/h", "drift °/h"] if gyros else []
     headings += ["T °C"] if rests.temperature is not None else []
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
+    add_numbers(table, *headings)
     for i in range(len(rests)):
         row = [
             str(i + 1),
@@ -131,9 +127,8 @@ def _turns_found(observations: Observations) -> RenderableType:
     turns = observations.turns
     if turns is None or len(turns) == 0:
         return Text("no turns between rests")
-    table = Table(box=None, pad_edge=False)
-    for heading in ("turn", "from rest", "to rest", "duration s", "angle °", "axis in the body"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table()
+    add_numbers(table, "turn", "from rest", "to rest", "duration s", "angle °", "axis in the body")
     for k in range(len(turns)):
         C = turns.C[k]
         axis = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
@@ -183,11 +178,8 @@ def _numbers(chosen: BoolArray) -> str:
 
 def budget_report(budget: Budget, bound: Bound | None) -> RenderableType:
     """Expected errors of every method, pass and group of parameters, beside the least that any method can have."""
-    table = Table(box=None, pad_edge=False)
-    for heading in ("method", "pass", "parameters", "estimator"):
-        table.add_column(heading)
-    for heading in ("error (rms)", "of the spread", *(["bound"] if bound is not None else [])):
-        table.add_column(heading, justify="right")
+    table = plain_table("method", "pass", "parameters", "estimator")
+    add_numbers(table, "error (rms)", "of the spread", *(["bound"] if bound is not None else []))
     table.add_column("mostly from")
     for row in budget.rows:
         numbers = [_quantity(row.error, row.unit), f"{row.relative:.2%}"]
@@ -204,10 +196,8 @@ def _quantity(value: float, unit: str) -> str:
 
 def requirements_report(requirements: Requirements) -> RenderableType:
     """What each wanted accuracy asks of table, mounting and rests, and what meets all of them."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("parameters")
-    for heading in ("wanted", "table within", "mounting within", "rest at least"):
-        table.add_column(heading, justify="right")
+    table = plain_table("parameters")
+    add_numbers(table, "wanted", "table within", "mounting within", "rest at least")
     table.add_column("because")
     for row in requirements.rows:
         size, unit = engineering(row.unit, row.wanted)

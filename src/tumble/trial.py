@@ -21,7 +21,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tumble.calibration import ITERATED_METHODS, METHODS, calibrate
 from tumble.diagnose import verdict
 from tumble.engine import Row
 from tumble.errors import InputError
@@ -31,8 +30,10 @@ from tumble.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, so
 from tumble.methods.compensation import triad_model
 from tumble.model import Block
 from tumble.observe import Observations
+from tumble.procedure import ITERATED_METHODS, METHODS, calibrate
 from tumble.rotation import rotation_matrix
-from tumble.simulate import HandHeld, Request, Scenario, draw_parameters, itinerary, typical_scenario, write_simulation
+from tumble.scenario import HandHeld, Scenario, draw_parameters, itinerary
+from tumble.simulate import Request, typical_scenario, write_simulation
 from tumble.simulated_observations import simulate_observations
 from tumble.statics import fit_statics
 from tumble.units import Array
@@ -111,8 +112,8 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
     scatter = Scatter(accel=scenario.noise.accel_instability, gyro=scenario.noise.gyro_instability)
     step = solve(problem, linearise(problem, point, about), weights(problem, scatter))
-    found = zip(NAMES, step.solution.observable, np.sqrt(np.diag(step.covariance)[1:]), strict=True)
-    return {name: float(u) for name, seen, u in found if seen}
+    found = np.sqrt(np.diag(step.covariance)[1:])
+    return {n: float(u) for n, u, s in zip(NAMES, found, problem.spread, strict=True) if u < s / DETERMINED}
 
 
 def _from_observations(scenario: Scenario, observations: Observations, method: str) -> dict[str, Any]:

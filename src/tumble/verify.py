@@ -24,23 +24,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from rich.console import Group, RenderableType
+from rich.text import Text
 
-from tumble.calibration import Calibration, inspect_session
+from tumble.calibration import Calibration
 from tumble.case import Verticals, verticals_of
 from tumble.errors import CalibrationError, InputError
 from tumble.estimate import Fit, sigmas
 from tumble.frames import Convention, frame_of, triad_axes
 from tumble.log import open_log
 from tumble.model import Block
+from tumble.plain_table import add_numbers, plain_table
+from tumble.procedure import inspect_session
 from tumble.readings import read_table
 from tumble.session import Session, read_session
 from tumble.units import Array, engineering
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
 
 CHANCE = 0.01
 """How often a good calibration is refused."""
@@ -141,8 +141,8 @@ def positions_of_table(path: Path, calibration: Calibration) -> Positions:
     ]
     if not variances and _accelerometer_fit(calibration).scatter == 0.0:
         raise CalibrationError(
-            f"{path}: expected a calibration that says how uncertain a reading is, found no scatter in it: it has as "
-            "many positions as parameters; calibrate with more"
+            f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
+            "scatter in it: it has as many positions as parameters; calibrate with more"
         )
     variance = np.median(variances, axis=0) if variances else np.zeros(3)
     readings = (table.values - np.array(worth.offset)) / np.array(worth.scale)
@@ -162,7 +162,7 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
     return calibration.fits.get("accelerometers", nothing)
 
 
-def verify(calibration: Calibration, positions: Positions) -> Verification:
+def verify_calibration(calibration: Calibration, positions: Positions) -> Verification:
     """Eq. (21) in every position.
 
     Raises CalibrationError for a calibration that was not accepted or has no accelerometers, and InputError for
@@ -225,7 +225,7 @@ def _limit(count: int, degrees: float) -> float:
 
 def verticals(calibration: Calibration, positions: Positions) -> Verticals:
     """Where the vertical was in the calibration's frame in every position, with its covariance, for the relation of two
-    blocks (`case.relate`). Raises as `verify`."""
+    blocks (`case.relate`). Raises as `verify_calibration`."""
     if calibration.accel is None or not calibration.outcome.accepted:
         raise CalibrationError(
             f"calibration of {calibration.serial!r}: expected an accepted one of accelerometers, found "
@@ -257,20 +257,15 @@ def _length_by_parameters(calibration: Calibration, positions: Positions, seen: 
 
 def verification_report(verification: Verification) -> RenderableType:
     """A table of the positions and the verdict."""
-    from rich.console import Group
-    from rich.table import Table
-    from rich.text import Text
-
     how = "each of the calibration's own positions, left out in turn" if verification.left_out else "check positions"
     verdict = Text("not accepted" if verification.reasons else "accepted")
     found = np.isfinite(verification.sigmas)
     if not found.any():
         return Group(Text(how), Text(""), verdict)
     size, unit = engineering("m/s^2", float(np.nanmax([np.abs(verification.difference), verification.u])))
-    table = Table(box=None, pad_edge=False)
+    table = plain_table()
     table.add_column("position", no_wrap=True)
-    for heading in (f"Δg {unit}", f"u (k=1) {unit}", "|Δg|/u"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    add_numbers(table, f"Δg {unit}", f"u (k=1) {unit}", "|Δg|/u")
     rows = zip(verification.labels, verification.difference, verification.u, verification.sigmas, strict=True)
     for label, difference, u, ratio in rows:
         numbers = (f"{difference / size:+.1f}", f"{u / size:.1f}", f"{ratio:.2f}")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -47,17 +45,18 @@ def calibrate(
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
     launch to launch, and --out is required. Several methods are compared: the first one's result is the one written.
     """
-    from tumble.calibration import calibrate
     from tumble.calibration_text import calibration_report
     from tumble.launches import Run, mean_of_launches
+    from tumble.procedure import calibrate
     from tumble.session import read_session
+    from tumble.simulate import read_truth
     from tumble.text import print_report
 
     if len(sessions) > 1 and out is None:
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
-    known = _read_truth(truth) if truth else None
+    known = read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
     results = []
     for method in dict.fromkeys(methods):
@@ -82,19 +81,3 @@ def calibrate(
     for reason in result.outcome.reasons:
         click.echo(f"not accepted: {reason}", err=True)
     sys.exit(0 if result.outcome.accepted else 1)
-
-
-def _read_truth(path: Path) -> dict[str, float]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error}") from error
-    if not isinstance(content, dict) or not all(map(_finite, content.values())):
-        raise InputError(f"{path}: expected an object of parameter names and numbers, found something else")
-    return content
-
-
-def _finite(value: object) -> bool:
-    return isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)

@@ -19,13 +19,13 @@ def compare(first: Path, second: Path) -> None:
     Exit status 0: no |E_n| exceeds 1; 1: one does.
     """
     from tumble.calibration import read_calibration
-    from tumble.compare import compare, comparison_report
+    from tumble.compare import compare_calibrations, comparison_report
     from tumble.text import print_report
 
-    found = compare(read_calibration(first), read_calibration(second))
+    found = compare_calibrations(read_calibration(first), read_calibration(second))
     print_report(comparison_report(found))
     for remark in found.remarks:
         click.echo(f"note: {remark}", err=True)
-    for name in found.missing:
-        click.echo(f"note: only one of them has {name}", err=True)
+    if found.missing:
+        click.echo(f"note: only one of them has {', '.join(found.missing)}", err=True)
     sys.exit(0 if found.agree else 1)

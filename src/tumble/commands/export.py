@@ -27,7 +27,7 @@ def export(calibration: Path, to: str, out: Path, noise: Path | None, certificat
     What that format has no place for is said on standard error, and in the file where it has comments.
     """
     from tumble.calibration import read_calibration
-    from tumble.export import export
+    from tumble.export import export_calibration
     from tumble.export.certificate import read_certificate
     from tumble.export.kalibr import noise_densities
     from tumble.session import read_session
@@ -35,7 +35,7 @@ def export(calibration: Path, to: str, out: Path, noise: Path | None, certificat
 
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
-    exported = export(
+    exported = export_calibration(
         read_calibration(calibration),
         to,
         noise=None if noise is None else noise_densities(read_session(noise)),

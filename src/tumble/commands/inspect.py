@@ -13,7 +13,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, with_progress
 @click.argument("session", type=EXISTING_FOLDER)
 def inspect(session: Path) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
-    from tumble.calibration import inspect_session
+    from tumble.procedure import inspect_session
     from tumble.session import read_session
     from tumble.text import inspection_report, print_report
 

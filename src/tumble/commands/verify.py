@@ -21,10 +21,10 @@ def verify(calibration: Path, readings: Path) -> None:
     """
     from tumble.calibration import read_calibration
     from tumble.text import print_report
-    from tumble.verify import positions_of, verification_report, verify
+    from tumble.verify import positions_of, verification_report, verify_calibration
 
     known = read_calibration(calibration)
-    verification = verify(known, positions_of(readings, known))
+    verification = verify_calibration(known, positions_of(readings, known))
     print_report(verification_report(verification))
     for reason in verification.reasons:
         click.echo(f"not accepted: {reason}", err=True)

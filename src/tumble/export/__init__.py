@@ -1,6 +1,6 @@
 """Exports: a calibration as other programs read it, a file for each format.
 
-`export` makes the bytes; nothing is written. What a target cannot hold comes with them in sentences.
+`export_calibration` makes the bytes; nothing is written. What a target cannot hold comes with them in sentences.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _PLAIN = {
 FORMATS = ("kalibr", *_PLAIN, "dcc")
 
 
-def export(
+def export_calibration(
     calibration: Calibration,
     to: str,
     *,

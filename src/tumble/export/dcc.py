@@ -20,10 +20,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from tumble.calibration import Calibration, Parameter
+from tumble.calibration import Calibration
 from tumble.export.certificate import Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.model import SensorModel
+from tumble.results import Parameter
 from tumble.units import Array
 
 VERSION = "3.3.0"

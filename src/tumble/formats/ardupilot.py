@@ -6,7 +6,9 @@ ArduPilot subtracts its own offsets and divides by its own scales before it logs
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from tumble.formats.message import AXES, TIME, Message, triad
 
 NOTHING = "no messages IMU or ACC; set bit 'IMU' of LOG_BITMASK and record again"
 
+_STDERR = 2
 _SECOND = 1e-6  # times are in µs
 _REMARK = (
     "ArduPilot has applied its own INS_ACCOFFS, INS_ACCSCAL and INS_GYROFFS to these readings: reset them to 0 and 1 "
@@ -37,16 +40,30 @@ _FIELDS = {
 
 def messages(path: Path) -> list[Message]:
     """Messages with inertial sensors, an entry for each instance; read at one pass."""
-    log = DFReader_binary(str(path))
     kept: dict[tuple[str, int], list[list[float]]] = {}
-    try:
-        while (message := log.recv_match(type=list(_FIELDS))) is not None:
-            kind = message.get_type()
-            kept.setdefault((kind, int(message.I)), []).append(_reading(kind, message))
-    finally:
-        log.close()
+    with _silent():
+        log = DFReader_binary(str(path))
+        try:
+            while (message := log.recv_match(type=list(_FIELDS))) is not None:
+                kind = message.get_type()
+                kept.setdefault((kind, int(message.I)), []).append(_reading(kind, message))
+        finally:
+            log.close()
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
     return [_message(kind, instance, np.array(rows), origin) for (kind, instance), rows in sorted(kept.items())]
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """pymavlink prints a line for every byte that it skips, from Python and from C."""
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+        kept = os.dup(_STDERR)
+        os.dup2(nowhere.fileno(), _STDERR)
+        try:
+            yield
+        finally:
+            os.dup2(kept, _STDERR)
+            os.close(kept)
 
 
 def _reading(kind: str, message: Any) -> list[float]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
-from tumble.errors import InputError
+from tumble.errors import InputError, needs_extra
 from tumble.formats.message import Message
 
 _READERS = {
@@ -29,22 +29,15 @@ _NEEDED: Mapping[str, str] = {"ros": "rosbags", "ulog": "pyulog", "ardupilot": "
 def messages(path: Path) -> list[Message]:
     """The kinds of messages with inertial sensors in a recording.
 
-    Raises InputError, one line, for an unknown or damaged file, for one without inertial sensors, and where the extra
-    `formats` is not installed."""
+    Raises InputError, one line, for an unknown or damaged file and for one without inertial sensors, and
+    MissingExtraError where the extra `formats` is not installed."""
     reader = "ros" if (path / "metadata.yaml").is_file() else _READERS.get(path.suffix.lower())
     if reader is None:
         raise InputError(f"{path}: expected a recording that ends in {', '.join(ENDINGS)}, found another")
     if not path.exists():
         raise InputError(f"{path}: expected a recording, found no such file")
-    try:
+    with needs_extra(f"{path}: reading it", "formats", _NEEDED[reader]):
         module = import_module(f"tumble.formats.{reader}")
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != _NEEDED[reader]:
-            raise
-        raise InputError(
-            f"{path}: reading {path.suffix} files needs {_NEEDED[reader]}, which is not installed; "
-            "pip install 'tumble[formats]'"
-        ) from None
     try:
         found: list[Message] = module.messages(path)
     except InputError:

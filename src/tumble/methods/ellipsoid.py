@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.ellipsoid import fit
+from tumble.ellipsoid import fit_ellipsoid
 from tumble.errors import InputError
 from tumble.estimate import Estimate, Fit
 from tumble.observe import Observations
@@ -28,7 +28,7 @@ def ellipsoid(observations: Observations) -> Estimate:
             f"method ellipsoid: expected three accelerometers, found {block.size}; take the method staged, which also "
             "uses what they say of each other"
         )
-    found = fit(
+    found = fit_ellipsoid(
         rests.accel,
         modulus=site.gravity,
         modulus_u=site.gravity_u,

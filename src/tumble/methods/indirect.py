@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.accuracy import indirect_accelerometer_matrix, indirect_matrix
+from tumble.accuracy import accelerometer_leakage, indirect_accelerometer_matrix, indirect_matrix
 from tumble.errors import ProgrammeError
 from tumble.methods.levelling import carried, vertical
 from tumble.observe import Turns
@@ -94,13 +94,6 @@ def _entries(vector: Array, entries: Sequence[tuple[int, int]]) -> Array:
 # Directions of the turns
 
 
-def leakage(programme: Programme) -> Array:
-    """Errors (9, 9) of the gyro parameters by least squares with H_G, from errors left in the accelerometers (true
-    less estimated): pinv(H_G) H_A, §6.3."""
-    H_G, H_A = programme_matrix(programme)
-    return np.asarray(np.linalg.pinv(H_G) @ H_A)
-
-
 def check_directions(programme: Programme) -> None:
     """Raise ProgrammeError if the known turns of a programme do not determine the nine gyro parameters, or if
     accelerometer biases leak into the gyro scale factors, as with (+N, +U, +N), (+N, −N, +U) and (+U, +N, −N), where
@@ -114,7 +107,7 @@ def check_directions(programme: Programme) -> None:
             f"programme {programme.name}: expected known turns that determine nine gyro scale factors and angles, "
             f"found {rank} from {described}; {advice}"
         )
-    leak = float(np.abs(leakage(programme)[:3, :3]).max())
+    leak = float(np.abs(accelerometer_leakage(programme)[:3, :3]).max())
     if leak > LEAK:
         raise ProgrammeError(
             f"programme {programme.name}: expected turns in whose directions accelerometer biases cancel in the gyro "

@@ -190,7 +190,7 @@ def _headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbou
     if block is None or problem.earth[0] == 0.0:
         return attitudes
     rate = problem.gyro_model(values).apply(observations.rests.gyro) - problem.earth[1] * vertical
-    chain = _chains(link)
+    chain = problem.chain
     count = np.bincount(chain)
     level = attitudes[:, ::2]  # N' and E'
     seen = _sums(np.einsum("iab,ib->ia", level, rate), chain)
@@ -201,11 +201,6 @@ def _headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbou
     heading = (heading / np.linalg.norm(heading, axis=1, keepdims=True))[chain]
     north = np.einsum("ia,iab->ib", heading, level)
     return np.stack([north, vertical, np.cross(north, vertical)], axis=1)
-
-
-def _chains(link: IntArray) -> IntArray:
-    """The number (N,) of each rest's chain."""
-    return np.append(0, np.cumsum(link[:-1] < 0))
 
 
 def _sums(values: Array, chain: IntArray) -> Array:
@@ -303,11 +298,10 @@ def _moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     parameters. Chains whose heading is hardly seen keep it."""
     share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
     angles = share * step.angles
-    chain = _chains(problem.link)
     n = problem.observations.accel_block.size
-    seen = _sums((step.whitened[0][:, n:, 2] ** 2).sum(axis=1, keepdims=True), chain)[:, 0]
-    mean = _sums(angles[:, 2:], chain)[:, 0] / np.bincount(chain)
-    angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[chain]
+    seen = np.bincount(problem.chain, (step.whitened[0][:, n:, 2] ** 2).sum(axis=1))
+    mean = np.bincount(problem.chain, angles[:, 2]) / np.bincount(problem.chain)
+    angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[problem.chain]
     return point.moved(share * step.parameters, angles), share * step.parameters[1:]
 
 
@@ -344,18 +338,20 @@ def _scattered(problem: Problem, rows: Rows, after: Left, start: Scatter, out: _
     scatter, active = start, variance > 0.0
     if not active.any():
         active = np.array([_chance(part) < SCATTER_PROBABILITY for part in _parts(after)])
+    weight = out.weights(problem, start)
     for _ in range(SCATTER_STEPS):
         squares, expected = np.array([_squares(part) for part in _parts(after)]).T
         off = active & (np.abs(squares - expected) > SCATTER_CONVERGED * expected)
         if not np.any(off & ((variance > 0.0) | (squares > expected))):
             break
-        gains = _inverse_variances(problem, out.weights(problem, scatter))
+        gains = _inverse_variances(problem, weight)
         gain = np.array([(_variances(part) * g).sum() for part, g in zip(_parts(after), gains, strict=True)])
         change = (squares - expected) / np.where(gain > 0.0, gain, np.inf)
         variance = np.where(active, np.maximum(variance + change, 0.0), 0.0)
         accel, gyro, turn = np.sqrt(variance).tolist()
         scatter = Scatter(accel=accel, gyro=gyro, turn=turn)
-        after = left(problem, solve(problem, rows, out.weights(problem, scatter)))
+        weight = out.weights(problem, scatter)
+        after = left(problem, solve(problem, rows, weight))
     return scatter
 
 
@@ -451,9 +447,11 @@ def _suspect(fitted: _Fitted) -> _Out | None:
     is allowed for; None where none does."""
     most, found = STANDS_OUT, None
     for group, (_, before, left_out, scatter, _) in enumerate(_groups(fitted)):
+        if scatter == 0.0:
+            continue
         drop, count = _drops(before, left_out)
         judged = (count > 0) & ~left_out
-        if scatter == 0.0 or judged.sum() < 3:
+        if judged.sum() < 3:
             continue
         size = np.where(judged, drop / np.maximum(count, 1), 0.0)
         ratio = size / np.median(size[judged])
@@ -476,6 +474,8 @@ def _fitting(problem: Problem, everything: _Fitted) -> _Fitted:
         if suspect is None:
             break
         fitted = _again(problem, fitted, suspect)
+    if fitted is everything:
+        return everything
     rest, turn = _sigmas(fitted, everything.scatter)
     confirmed = _Out(rest=fitted.out.rest & (rest > FIT_SIGMAS), turn=fitted.out.turn & (turn > FIT_SIGMAS))
     count = confirmed.rest.sum() + confirmed.turn.sum()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.ellipsoid import TRIAD, EllipsoidFit, fit
+from tumble.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.estimate import Fit
 from tumble.model import SensorModel
 from tumble.observe import Observations
@@ -49,7 +49,7 @@ def magnetometer(observations: Observations, unit: str) -> MagnetometerEstimate:
     readings, site = observations.rests.magnetometer, observations.site
     assert readings is not None
     field = _modulus(readings) if site.field is None else site.field
-    found = fit(readings, modulus=field, covariance=observations.rests.magnetometer_covariance)
+    found = fit_ellipsoid(readings, modulus=field, covariance=observations.rests.magnetometer_covariance)
     if isinstance(found, Refusal):
         reason = f"magnetometer: {found.reason}; or leave [log.magnetometer] out"
         return MagnetometerEstimate(values=None, covariance=None, model=None, fits={}, reasons=(reason,), notes=())

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError, needs_extra
 from tumble.registry.limits import RULE
 from tumble.registry.monitor import Monitored
 from tumble.registry.records import STATES
@@ -114,13 +114,9 @@ def _unit(trend: Trend) -> tuple[float, str]:
 
 
 def _svg(found: Monitored) -> str:
-    try:
+    with needs_extra("a control chart", "report", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            "a control chart needs matplotlib; install it with: pip install 'tumble[report]'"
-        ) from error
     rows = math.ceil(len(found.trends) / COLUMNS)
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 8.0, "date.converter": "concise"}):
         figure = Figure(figsize=(4.2 * COLUMNS, 0.4 + 2.5 * rows), layout="constrained")

@@ -8,12 +8,12 @@ database from its first query to its last and waits for nobody.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError, needs_extra
 
 if TYPE_CHECKING:
     from sqlalchemy import URL, Connection, Engine
@@ -93,17 +93,9 @@ def _connected(place: str | None, create: bool) -> Registry:
     return registry
 
 
-@contextmanager
-def extra_named() -> Iterator[None]:
+def extra_named() -> AbstractContextManager[None]:
     """Where a library of the extra is missing, what to install."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.split(".")[0] not in _LIBRARIES:
-            raise
-        raise MissingExtraError(
-            "the registry needs SQLAlchemy and more; install them with: pip install 'tumble[registry]'"
-        ) from error
+    return needs_extra("the registry", "registry", *_LIBRARIES)
 
 
 def _url(place: str | None) -> URL:

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 from tumble.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
-    from tumble.calibration import Calibration, Parameter
+    from tumble.calibration import Calibration
+    from tumble.results import Parameter
 
 Occasion = Literal["incoming", "periodic"]
 State = Literal["as-found", "as-left", "unchanged"]

@@ -10,7 +10,6 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from tumble.calibration import Parameter
 from tumble.registry.due import Due
 from tumble.registry.limits import COVERAGE, RULE, Judgement, Verdict
 from tumble.registry.monitor import Monitored
@@ -18,6 +17,7 @@ from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import Point
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
+from tumble.results import Parameter
 from tumble.text import shown_units
 from tumble.units import rounded
 

@@ -19,7 +19,7 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: s
     first = calibrations[0]
     title = "Methods compared" if _one_log(calibrations) else "Calibrations compared"
     try:
-        alike = [c.in_frame(first.frame) if c.frame != first.frame else c for c in calibrations]
+        alike = [c.in_frame(first.frame) for c in calibrations]
     except CalibrationError as error:
         return Section(title=title, blocks=(Text(text=f"They cannot be compared: {error}"),))
     if not first.parameters:

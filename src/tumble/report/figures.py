@@ -5,6 +5,7 @@ the same numbers give the same bytes.
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -13,10 +14,11 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from tumble.calibration import Calibration, Parameter, RestResult, SensorsAtRest, TurnResult
+from tumble.calibration import Calibration
 from tumble.estimate import FIT_SIGMAS
 from tumble.report.characters import drawable
 from tumble.report.numbers import raised
+from tumble.results import Parameter, RestResult, SensorsAtRest, TurnResult
 from tumble.text import shown_units
 from tumble.units import G_STANDARD, Array, engineering
 
@@ -83,8 +85,9 @@ def _grid(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
-def _rest_ticks(axes: Axes, count: int) -> None:
-    step = max(1, round(count / 25))
+def _rest_ticks(axes: Axes, count: int, most: int = 25) -> None:
+    """Numbers of rests below an axis, no more than fit."""
+    step = max(1, math.ceil(count / most))
     axes.set_xticks(range(1, count + 1, step))
     axes.set_xlim(0.4, count + 0.6)
 
@@ -200,7 +203,7 @@ def noise_and_drift(name: str, rests: Sequence[RestResult], sensors: Mapping[str
             left.plot(range(1, len(rests) + 1), temperatures, "o-", markersize=2.5, color=INK, linewidth=0.7)
             left.set(title="temperature", ylabel="°C")
             _grid(left)
-            _rest_ticks(left, len(rests))
+            _rest_ticks(left, len(rests), most=12)
         for axes in rows[-1]:
             axes.set_xlabel("rest")
 
@@ -215,7 +218,7 @@ def _per_rest(axes: Axes, values: Array, unit: str, per: str, sensors: Sequence[
         axes.plot(np.arange(1, len(series) + 1), series, "o-", **style)
     axes.set_ylabel(shown + per)
     _grid(axes)
-    _rest_ticks(axes, len(values))
+    _rest_ticks(axes, len(values), most=12)
 
 
 def comparison(name: str, titles: Sequence[str], calibrations: Sequence[Calibration]) -> str:

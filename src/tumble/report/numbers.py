@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tumble.calibration import Parameter
+from tumble.results import Parameter
 from tumble.units import rounded
 
 COVERAGE = 2.0

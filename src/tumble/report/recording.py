@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.calibration import Calibration, Readings, RestResult, SensorsAtRest, TurnResult
+from tumble.calibration import Calibration
 from tumble.errors import ProgrammeError
 from tumble.estimate import Fit
 from tumble.model import SensorModel
@@ -16,6 +16,7 @@ from tumble.programme import Position, from_attitudes
 from tumble.report import drawings, figures
 from tumble.report.blocks import Block, Facts, Figure, Section, Table, Text
 from tumble.report.numbers import NONE, fixed, minus, significant
+from tumble.results import Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.session import Site
 from tumble.units import DEGREE, Array, engineering
 
@@ -68,7 +69,8 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
         return (("site", "not in the calibration file"),)
     latitude = NONE if site.latitude is None else f"{fixed(site.latitude / DEGREE, 5)}°"
     gravity = f"{fixed(site.gravity, 7)} m/s², U = {significant(2.0 * site.gravity_u, 2)} m/s² (k = 2)"
-    return (("latitude", latitude), ("height", f"{fixed(site.height, 1)} m"), ("gravity", gravity))
+    height = () if site.latitude is None else (("height", f"{fixed(site.height, 1)} m"),)
+    return (("latitude", latitude), *height, ("gravity", gravity))
 
 
 def site(all_of_them: Sequence[Recording]) -> Section:
@@ -203,7 +205,8 @@ def _degrees(angle: float | None, digits: int) -> str:
 def residuals(recording: Recording, name: str) -> Section | None:
     """The plot of residuals, and what chi-square says of them."""
     if not recording.rests:
-        return None
+        table = (_fit_table(recording.fits),) if recording.fits else ()
+        return Section(title=_titled("Residuals", recording), blocks=table) if table else None
     rms = math.sqrt(sum(rest.residual**2 for rest in recording.rests) / len(recording.rests))
     worst = max(recording.rests, key=lambda rest: abs(rest.residual))
     said = (

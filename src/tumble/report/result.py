@@ -6,11 +6,12 @@ import re
 
 import numpy as np
 
-from tumble.calibration import Calibration, Launch, Parameter
+from tumble.calibration import Calibration
 from tumble.model import SensorModel
 from tumble.report import drawings, figures
 from tumble.report.blocks import Block, Facts, Figure, Formula, Items, Matrices, Matrix, Section, Table, Text
 from tumble.report.numbers import NONE, as_value, fixed, significant, with_expanded
+from tumble.results import Launch, Parameter
 from tumble.text import shown_units
 from tumble.units import Array, engineering
 
@@ -107,8 +108,9 @@ def application(calibration: Calibration) -> Section:
         Formula(name="model"),
         Text(
             text="with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame "
-            "as the true value. The rows of the matrix are the sensitivities of the sensors times their axes: for "
-            "three sensors along the body axes, k being the scale-factor errors and γ the axis angles,"
+            f"as the true value. {_own_form(calibration)}The rows of the matrix are the sensitivities of the sensors "
+            "times their axes: for three sensors along the body axes, k being the scale-factor errors and γ the axis "
+            "angles,"
         ),
         Formula(name="axes"),
         Text(text="A reading is corrected by"),
@@ -122,6 +124,16 @@ def application(calibration: Calibration) -> Section:
         if model is not None:
             blocks += _applied(kind, model, _unit(calibration, kind))
     return Section(title="How to apply it", blocks=tuple(blocks))
+
+
+def _own_form(calibration: Calibration) -> str:
+    """Where the accelerometers' parameters are not those of the formula of the axes."""
+    if calibration.frame != "paper" or calibration.accel is None:
+        return ""
+    return (
+        "The parameters of the accelerometers are those of the frame “paper”: k belongs to the diagonal of the matrix, "
+        "and the angles xy, xz and yz, times the diagonal element of their row, stand above it. Other sensors follow the formula below. "
+    )
 
 
 def _what_a_reading_is(calibration: Calibration) -> list[Block]:
@@ -284,7 +296,10 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
 def verdict(calibration: Calibration) -> list[Block]:
     """Whether the calibration is accepted, and the reasons against it."""
     if calibration.outcome.accepted:
+        unchecked = " and ".join(name for name, fit in calibration.fits.items() if fit.degrees < 0.5)
         said = "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
+        if unchecked:
+            said += f" Nothing checks the {unchecked}: there are no more data than unknowns."
         return [Text(text=said, tone="good")]
     said = "Not accepted: these values must not be used."
     return [Text(text=said, tone="bad"), Items(items=calibration.outcome.reasons, tone="bad")]

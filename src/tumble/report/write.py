@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tumble.calibration import read_calibration
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError, needs_extra
 from tumble.whole_file import whole_file
 
 ENDINGS = (".html", ".pdf")
@@ -21,14 +21,10 @@ def write_report(calibrations: Sequence[Path], out: Path, *, limits: Path | None
     ending = out.suffix.lower()
     if ending not in ENDINGS:
         raise InputError(f"{out}: expected a name that ends in .html or .pdf, found {out.suffix or 'no ending'!r}")
-    try:
+    with needs_extra("a report", "report", "jinja2", "matplotlib", "typst"):
         from tumble.report.content import Source, document, not_accepted
         from tumble.report.page import page
         from tumble.report.pdf import pdf
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            f"a report needs {error.name}; install it with: pip install 'tumble[report]'"
-        ) from error
     from tumble.registry.limits import parse_limits, read_limits
 
     acceptance = None if limits is None else parse_limits(*read_limits(limits), str(limits))
