@@ -101,6 +101,17 @@ def test_the_published_device_is_recovered_from_noiseless_readings() -> None:
     assert found == pytest.approx(np.concatenate([K, THETA, B]), abs=1e-12)
 
 
+@pytest.mark.parametrize(("positions", "noise"), [(np.vstack([cube(1), cube(2)[[0, 1, 4]]]), 3e-5), (FOURTEEN, 0.0)])
+def test_rounding_does_not_look_like_readings_that_contradict_the_model(positions: Array, noise: float) -> None:
+    """Nothing but rounding is left of the residuals where nine positions are fitted or noise is none."""
+    rng = np.random.default_rng(2)
+    for _ in range(60):
+        volts = readings(placed(positions, rng)) + noise * 2.4 * rng.standard_normal((len(positions), 3))
+        found = fitted(volts)
+        assert found.converged
+        assert np.abs(found.residual).max() < 1e-12
+
+
 def test_the_scatter_of_ten_thousand_draws_is_the_stated_one() -> None:
     rng = np.random.default_rng(2)
     volts = readings(placed(FOURTEEN, rng))

@@ -172,7 +172,8 @@ def _fit_lines(calibration: Calibration) -> list[str]:
             size, unit = engineering(fit.scatter_unit, fit.scatter)
             line += f", with a scatter of {fit.scatter / size:.3g} {unit} estimated on top of the noise within rests"
         else:
-            line += f" (probability {fit.probability:.2f}), no scatter beyond the noise within rests"
+            line += f" (probability {fit.probability:.2f})"
+            line += ", no scatter beyond the noise within rests" if fit.scatter_unit else ""
         lines.append(line)
     if calibration.turns:
         worst = max(turn.sigmas for turn in calibration.turns)

@@ -261,13 +261,15 @@ def _iterated(task: _Task, values: Array, used: BoolArray, scatter: float) -> tu
         values = values + solution.step
         increments.append(solution.step)
         rows = _rows(task, values)
-        if _negligible(solution):
+        if _negligible(task, solution):
             break
     return values, rows, tuple(increments)
 
 
-def _negligible(solution: Solution) -> bool:
-    return bool(np.all(np.abs(solution.step) <= CONVERGED * np.sqrt(np.diag(solution.covariance)) + 1e-15))
+def _negligible(task: _Task, solution: Solution) -> bool:
+    """Whether a step is small against the uncertainties, or no more than rounding."""
+    rounding = FLOOR * task.spread
+    return bool(np.all(np.abs(solution.step) <= CONVERGED * np.sqrt(np.diag(solution.covariance)) + rounding))
 
 
 def _chi_square(rows: _Rows, used: BoolArray, scatter: float) -> float:
@@ -308,7 +310,7 @@ def _finished(
         scatter=found.scatter,
         worst=worst,
         increments=found.increments,
-        converged=_negligible(found.solution),
+        converged=_negligible(task, found.solution),
     )
 
 

@@ -70,6 +70,7 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def source_of(path: Path) -> Source:
+    """The reader of a file. Raises LogError for a format that cannot be read and an empty or damaged file."""
     ending = _ending(path)
     if ending not in _READERS:
         raise LogError(f"{path}: expected a file that ends in {', '.join(_READERS)}, found another; convert it")

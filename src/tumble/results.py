@@ -97,12 +97,14 @@ class Launch:
 
 
 def parameter_content(parameter: Parameter) -> dict[str, Any]:
+    """A parameter as the file has it."""
     content = {"name": parameter.name, "value": parameter.value, "u": parameter.u, "unit": parameter.unit}
     more = {"deviation": parameter.deviation, "run_to_run": parameter.run_to_run}
     return content | {key: value for key, value in more.items() if value is not None}
 
 
 def fits_content(fits: Mapping[str, Fit]) -> dict[str, Any]:
+    """Fits as the file has them."""
     return {
         name: {
             "chi_square": f.chi_square,
@@ -116,16 +118,19 @@ def fits_content(fits: Mapping[str, Fit]) -> dict[str, Any]:
 
 
 def text_from(value: Any) -> str:
+    """A text. Raises TypeError for anything else."""
     if not isinstance(value, str):
         raise TypeError(f"{value!r} in place of a text")
     return value
 
 
 def optional(read: Callable[[Any], _Value], value: Any) -> _Value | None:
+    """What is read from a value, or None where that is null."""
     return None if value is None else read(value)
 
 
 def parameter_from(content: Mapping[str, Any]) -> Parameter:
+    """A parameter of the file."""
     return Parameter(
         name=text_from(content["name"]),
         value=float(content["value"]),
@@ -137,6 +142,7 @@ def parameter_from(content: Mapping[str, Any]) -> Parameter:
 
 
 def rest_from(content: Mapping[str, Any]) -> RestResult:
+    """A rest of the file."""
     return RestResult(
         file=int(content.get("file", 0)),
         start=float(content["start"]),
@@ -155,6 +161,7 @@ def _at_rest(content: Mapping[str, Any]) -> SensorsAtRest:
 
 
 def turn_from(content: Mapping[str, Any]) -> TurnResult:
+    """A turn of the file."""
     return TurnResult(
         first=int(content["first"]),
         last=int(content["last"]),
@@ -166,6 +173,7 @@ def turn_from(content: Mapping[str, Any]) -> TurnResult:
 
 
 def fits_from(content: Mapping[str, Any]) -> dict[str, Fit]:
+    """The fits of the file or of one of its launches."""
     return {
         name: Fit(
             chi_square=float(f["chi_square"]),
@@ -178,6 +186,7 @@ def fits_from(content: Mapping[str, Any]) -> dict[str, Fit]:
 
 
 def site_from(content: Mapping[str, Any]) -> Site | None:
+    """The site of the file or of one of its launches, where it has one."""
     site = content.get("site")
     if site is None:
         return None
@@ -191,6 +200,7 @@ def site_from(content: Mapping[str, Any]) -> Site | None:
 
 
 def readings_from(content: Mapping[str, Any]) -> Readings:
+    """What the readings of sensors are, from the file."""
     return Readings(
         columns=tuple(map(text_from, content["columns"])),
         unit=text_from(content["unit"]),
@@ -201,6 +211,7 @@ def readings_from(content: Mapping[str, Any]) -> Readings:
 
 
 def covariance_from(rows: list[list[float]] | None, size: int) -> Array | None:
+    """A covariance of `size` parameters, where the file has one. Raises ValueError for another shape."""
     if rows is None:
         return None
     matrix = np.array(rows, dtype=float)

@@ -32,16 +32,22 @@ _LEAST_SINE = 1e-3
 
 
 class Table(BaseModel):
+    """A table of the file: no other keys, no other types."""
+
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class DeviceTable(Table):
+    """[device]"""
+
     serial: str = Field(min_length=1, description="the serial number, a string that is not empty")
     model: str | None = Field(default=None, description="a string")
     systematic: str | None = Field(default=None, min_length=1, description="the path of a calibration file")
 
 
 class SiteTable(Table):
+    """[site]"""
+
     latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="a number from -90 to 90")
     height_m: float = Field(default=0.0, ge=-1000, le=10000, description="a number from -1000 to 10000 (m)")
     gravity: float | None = Field(
@@ -134,6 +140,8 @@ class SensorsTable(Table):
 
 
 class AccelTable(SensorsTable):
+    """[log.accel]"""
+
     UNITS = ACCEL_UNITS
     SCALE_PER = ("m/s^2", "g", "m/s")
 
@@ -148,16 +156,22 @@ class AccelTable(SensorsTable):
 
 
 class GyroTable(SensorsTable):
+    """[log.gyro]"""
+
     UNITS = GYRO_UNITS
     SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
 
 
 class TemperatureTable(Table):
+    """[log.temperature]"""
+
     columns: list[str] = Field(min_length=1, max_length=1, description="a list of one column name")
     unit: Literal["degC"] = Field(default="degC", description='"degC"')
 
 
 class MagnetometerTable(Table):
+    """[log.magnetometer]"""
+
     columns: list[str] = Field(min_length=3, max_length=3, description="a list of three column names")
     unit: str = Field(description="the name of a unit, a string")
 
@@ -168,6 +182,8 @@ class MagnetometerTable(Table):
 
 
 class LogTable(Table):
+    """[log]"""
+
     file: str | list[str] = Field(min_length=1, description="a file name or a list of file names")
     time: str | None = Field(default=None, min_length=1, description="a column name")
     time_unit: str | None = Field(default=None, description=f"one of {', '.join(TIME_UNITS)}")
@@ -222,6 +238,8 @@ class LogTable(Table):
 
 
 class PositionTable(Table):
+    """[[programme.position]]"""
+
     attitude: str = Field(description="an attitude code, a string")
     start: float | None = Field(default=None, description="a number (s)")
     stop: float | None = Field(default=None, description="a number (s)")
@@ -241,6 +259,8 @@ class PositionTable(Table):
 
 
 class ProgrammeTable(Table):
+    """[programme]"""
+
     name: str | None = Field(default=None, description="the name of a built-in programme")
     position: list[PositionTable] | None = Field(
         default=None, min_length=1, description="one or more tables [[programme.position]]"
@@ -257,6 +277,8 @@ class ProgrammeTable(Table):
 
 
 class Document(Table):
+    """The whole file."""
+
     format: int = Field(ge=1, le=1, description="1, the format of this file")
     device: DeviceTable = Field(description="the table [device]")
     site: SiteTable = Field(default_factory=SiteTable, description="the table [site]")

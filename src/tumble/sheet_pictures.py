@@ -62,6 +62,7 @@ def _label(at: Array, text: str, colour: str) -> str:
 
 
 def svg_picture(left: float, top: float, width: float, height: float, *content: str) -> str:
+    """An SVG image of this content."""
     return element(
         "svg",
         *content,
@@ -240,6 +241,7 @@ def legend() -> str:
 
 
 def scene_of_directions() -> str:
+    """North, up and east with the horizon."""
     circle = np.array([VIEW @ [math.cos(t), 0.0, math.sin(t)] for t in np.linspace(0.0, 2.0 * math.pi, 49)])
     ground = _polyline("polygon", circle, fill="#f0f0f0", stroke="#bbbbbb", stroke_width=0.8)
     arrows = [_arrow(name, AXIS * axis, GREY, start=0.0) for name, axis in zip("NUE", VIEW.T, strict=True)]

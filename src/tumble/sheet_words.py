@@ -104,6 +104,7 @@ def clock(seconds: float) -> str:
 
 
 def points_of(position: Position) -> tuple[str, str, str]:
+    """Where body X, Y, Z point."""
     x, y, z = (direction(axis) for axis in position.matrix.T)
     return x, y, z
 
@@ -153,4 +154,5 @@ _CARE = (
 
 
 def notes_of(programme: Programme) -> list[str]:
+    """What the operator must know, in sentences."""
     return [_order(programme), *([_TURNS] if any(m.angle is not None for m in programme.moves) else []), _CODES, _CARE]

@@ -52,6 +52,7 @@ class Accelerometers:
 
 
 def estimate_accelerometers(observations: Observations) -> Accelerometers:
+    """The accelerometers from all rests, with scatter between rests where the residuals need it."""
     values = observations.start_values(observations.accel_block)
     scatter = 0.0
     values, system, increments = _accelerometers_at(observations, values, scatter)
@@ -132,6 +133,7 @@ def bounded(step: Array, spread: Array) -> Array:
 
 
 def negligible(solution: Solution) -> bool:
+    """Whether a step is negligible against the uncertainty."""
     u = np.sqrt(np.diag(solution.covariance))
     return bool(np.all(np.abs(solution.step) <= CONVERGED * u + 1e-15))
 

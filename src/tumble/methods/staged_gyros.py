@@ -44,6 +44,7 @@ class Gyros:
 
 
 def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
+    """The gyros from rests and turns, with scatter of both where the residuals need it."""
     block = observations.gyro_block
     assert block is not None
     values, scatter = observations.start_values(block), Scatter()
