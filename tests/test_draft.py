@@ -197,6 +197,20 @@ def test_a_log_without_times_or_gyros_is_drafted_and_says_so(handheld: pl.DataFr
     assert "the accelerometers alone" in said
 
 
+def test_magnetometers_are_offered_as_a_comment_that_works(handheld: pl.DataFrame, tmp_path: Path) -> None:
+    field = np.random.default_rng(1).normal([30.0, 5.0, -40.0], 0.1, (handheld.height, 3))
+    log = handheld.with_columns(mag_x=field[:, 0], mag_y=field[:, 1], mag_z=field[:, 2])
+    session, said = drafted(log, tmp_path)
+    assert "magnetometers: mag_x, mag_y, mag_z in uT" in said
+    assert session.log.magnetometer is None
+    path = tmp_path / "session" / "session.toml"
+    text = path.read_text()
+    path.write_text(text.replace("# [log.mag", "[log.mag").replace("# columns", "columns").replace("# unit", "unit"))
+    found = read_session(tmp_path / "session").log.magnetometer
+    assert found is not None
+    assert found.columns == ("mag_x", "mag_y", "mag_z")
+
+
 def test_a_drafted_session_calibrates_once_its_place_is_filled_in(handheld: pl.DataFrame, tmp_path: Path) -> None:
     drafted(handheld, tmp_path)
     path = tmp_path / "session" / "session.toml"

@@ -27,6 +27,8 @@ def test_the_reference_cases_pass_and_are_recorded_with_machine_versions_and_has
     assert record["source_sha256"].keys() == {
         path.relative_to(source.parent).as_posix() for path in source.parent.rglob("*.py")
     }
+    again = CliRunner().invoke(main, ["selftest", "-o", str(tmp_path / "record.json")])
+    assert (again.exit_code, again.stderr.count("\n")) == (2, 1)
     signed = record.pop("sha256")
     text = json.dumps(record, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
     assert signed == hashlib.sha256(text.encode()).hexdigest()

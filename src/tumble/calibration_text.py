@@ -177,7 +177,7 @@ def _fit_lines(calibration: Calibration) -> list[str]:
         lines.append(line)
     if calibration.turns:
         worst = max(turn.sigmas for turn in calibration.turns)
-        lines.append(f"turns: {len(calibration.turns)}, the worst {worst:.1f} sigma from the fit")
+        lines.append(f"turns: {len(calibration.turns)}, the worst {worst:z.1f} sigma from the fit")
     return lines
 
 

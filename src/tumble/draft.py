@@ -20,7 +20,7 @@ import numpy as np
 from tumble import formats
 from tumble.errors import InputError, TumbleError
 from tumble.formats import Sensors
-from tumble.formats.columns import ACCEL, GYRO, columns_by_name
+from tumble.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
 from tumble.formats.message import TIME, Message
 from tumble.log_files import log_columns, log_head
 from tumble.procedure import Progress, inspect_session
@@ -38,15 +38,18 @@ _BLOCK = 50
 _TOLERANCE = 0.3
 _ASSUMED_RATE = 100.0
 _RATES = 2.0, 20_000.0  # Hz, of a log
+_FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
 _GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "arcsec")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Draft:
-    """The content of a session.toml as far as it is known, and how each part of it came about, in sentences."""
+    """The content of a session.toml as far as it is known, and how each part of it came about, in sentences. A table
+    [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest."""
 
     content: Mapping[str, Any]
     said: tuple[str, ...]
+    magnetometer: Mapping[str, Any] | None = None
 
 
 def draft_session(
@@ -68,7 +71,7 @@ def draft_session(
     draft, faults = _checked(draft, progress)
     folder.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
-        temporary.write_text(_text(draft.content, folder, programme), encoding="utf-8")
+        temporary.write_text(_text(draft, folder, programme), encoding="utf-8")
     return draft, faults
 
 
@@ -94,7 +97,8 @@ def _of_log(log: Path) -> Draft:
     said += [f"also there, and not used: {', '.join(found.others)}"] if found.others else []
     sensors = {kind: found.triads[kind] for kind in (ACCEL, GYRO) if kind in found.triads}
     content, more = _content(log, time, sensors, found.temperature)
-    return Draft(content=content, said=(*said, *more))
+    magnetometer, most = _magnetometer(log, found.triads.get(MAGNETOMETER))
+    return Draft(content=content, said=(*said, *more, *most), magnetometer=magnetometer)
 
 
 def _of_recording(recording: Path, log: Path, name: str | None) -> Draft:
@@ -104,7 +108,7 @@ def _of_recording(recording: Path, log: Path, name: str | None) -> Draft:
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     log.parent.mkdir(parents=True, exist_ok=True)
     formats.as_log(log, accel, gyro)
-    said = [f"{recording.name}: message {accel.name}, {accel.count} rows, written to {log}"]
+    said = [f"{recording.name}: message {accel.name}, written to {log}"]
     if gyro is not None and gyro is not accel:
         said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
     others = [m.name for m in found if m not in (accel, gyro) and m.accel]
@@ -114,7 +118,8 @@ def _of_recording(recording: Path, log: Path, name: str | None) -> Draft:
     sensors = {ACCEL: accel.accel} | ({GYRO: gyro.gyro} if gyro is not None and gyro.gyro is not None else {})
     time = {"time": TIME} if accel.timed else {"rate_hz": _ASSUMED_RATE}
     content, more = _content(log, time, sensors, accel.temperature)
-    return Draft(content=content, said=(*said, *more))
+    magnetometer, most = _magnetometer(log, accel.magnetometer if gyro in (None, accel) else None)
+    return Draft(content=content, said=(*said, *more, *most), magnetometer=magnetometer)
 
 
 def _named(found: list[Message], name: str | None, recording: Path) -> Message:
@@ -215,6 +220,21 @@ def _gyro(log: Path, sensors: Sensors, *, raw: bool) -> tuple[dict[str, Any], li
     ]
 
 
+def _magnetometer(log: Path, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
+    """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
+    if sensors is None:
+        return None, []
+    read = np.column_stack([log_head(log, column, _HEAD) for column in sensors.columns])
+    field = float(np.nanmedian(np.linalg.norm(read, axis=1)))
+    likely = [unit for unit, (low, high) in _FIELDS.items() if low <= field <= high]
+    unit = sensors.unit or next(iter(likely), None)
+    named = ", ".join(sensors.columns)
+    if unit is None:
+        return None, [f"magnetometers: {named} are left out; their magnitude of {field:.6g} is no field on Earth"]
+    said = f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too"
+    return {"columns": list(sensors.columns), "unit": unit}, [said]
+
+
 def _rate(log: Path, time: Mapping[str, Any]) -> float:
     if "rate_hz" in time:
         return float(time["rate_hz"])
@@ -257,9 +277,9 @@ def _faults(content: Mapping[str, Any], progress: Progress) -> list[str]:
 # -------------------- the file --------------------
 
 
-def _text(content: Mapping[str, Any], folder: Path, programme: str | None) -> str:
+def _text(draft: Draft, folder: Path, programme: str | None) -> str:
     """session.toml with a comment on all that has to be filled in."""
-    log = content["log"]
+    log = draft.content["log"]
     file = os.path.relpath(log["file"], folder.resolve())
     lines = [
         "format = 1",
@@ -281,6 +301,8 @@ def _text(content: Mapping[str, Any], folder: Path, programme: str | None) -> st
     for kind in ("accel", "gyro", "temperature"):
         if kind in log:
             lines += [f"[log.{kind}]", *(_line(key, value) for key, value in log[kind].items()), ""]
+    if draft.magnetometer is not None:
+        lines += ["# [log.magnetometer]", *(f"# {_line(key, value)}" for key, value in draft.magnetometer.items()), ""]
     if programme is None:
         lines += [
             "# the positions, if they were planned: see `tumble programme`",

@@ -16,9 +16,12 @@ from tumble.commands.arguments import FILE
 @click.option("--by", metavar="NAME", help="Who runs it and stands for it; default: the name of the user.")
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
+    from tumble.errors import InputError
     from tumble.selftest import record_table, selftest
     from tumble.text import print_report
 
+    if out is not None and out.exists():
+        raise InputError(f"{out}: expected a new file for the record, found one that exists; records are kept")
     record = selftest(by=by or getpass.getuser(), progress=lambda name: click.echo(f"running: {name}", err=True))
     print_report(record_table(record))
     click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
