@@ -95,6 +95,46 @@ def test_the_table_may_be_replaced_and_another_file_may_not(tmp_path: Path) -> N
     assert run(path, "--force").exit_code == 0
 
 
+# -------------------- several tables of one device --------------------
+
+
+def tables_of_one_device(folder: Path) -> list[Path]:
+    """Calibration files of two tables with the same serial number."""
+    files = []
+    for seed in (1, 2):
+        path = written(folder, volts(seed, 1.5e-5), name=f"table-{seed}.csv")
+        assert run(path, "--scale", NEGATIVE, "--serial", "A-0007").exit_code == 0
+        files.append(path.with_suffix(".calibration.json"))
+    return files
+
+
+def test_tables_of_one_device_are_reported_and_kept_together(tmp_path: Path) -> None:
+    files = list(map(str, tables_of_one_device(tmp_path)))
+    assert {read_calibration(Path(file)).serial for file in files} == {"A-0007"}
+    out, lab = tmp_path / "report.html", tmp_path / "lab.sqlite"
+    reported = CliRunner().invoke(main, ["report", *files, "-o", str(out)])
+    assert reported.exit_code == 0, reported.output
+    assert "A-0007" in out.read_text(encoding="utf-8")
+    for file in files:
+        added = CliRunner().invoke(main, ["registry", "add", file, "--registry", str(lab)])
+        assert added.exit_code == 0, added.output
+    listed = CliRunner().invoke(main, ["registry", "list", "A-0007", "--registry", str(lab)])
+    assert len(listed.stdout.splitlines()) == 1 + 2
+
+
+def test_without_a_serial_number_the_device_is_called_as_the_table(tmp_path: Path) -> None:
+    path = written(tmp_path, volts(noise=1.5e-5), name="B-0042.csv")
+    assert run(path, "--scale", NEGATIVE).exit_code == 0
+    assert read_calibration(path.with_suffix(".calibration.json")).serial == "B-0042"
+
+
+def test_an_empty_serial_number_is_refused(tmp_path: Path) -> None:
+    found = run(written(tmp_path, volts()), "--serial", " ")
+    assert found.exit_code == 2
+    assert "--serial: expected a serial number" in found.stderr
+    assert not (tmp_path / "readings.calibration.json").exists()
+
+
 # -------------------- scale, polarity, units --------------------
 
 

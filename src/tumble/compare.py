@@ -5,8 +5,9 @@ With d = first − second and uncertainties u₁, u₂ of two recordings that ha
     u(d)² = u₁² + u₂²,    E_n = d / √(U₁² + U₂²) = d / 2u(d)        U = 2u (k = 2)
 
 (ISO/IEC 17043, annex B). |E_n| ≤ 1 is agreement. One honest value in twenty-two lies beyond, so that of 21 parameters
-one or two may; χ² = dᵀ (C₁ + C₂)⁻¹ d judges all of them together, correlations included. What both recordings have in
-common, such as an error of the site's gravity, is counted twice in u(d), which errs on the side of agreement.
+one or two may, and more where u was estimated with few degrees of freedom (`coverage`); χ² = dᵀ (C₁ + C₂)⁻¹ d judges
+all of them together, correlations included. What both recordings have in common, such as an error of the site's
+gravity, is counted twice in u(d), which errs on the side of agreement.
 """
 
 from __future__ import annotations
@@ -22,13 +23,11 @@ from rich.text import Text
 from scipy.stats import chi2
 
 from tumble.calibration import Calibration
+from tumble.coverage import COVERAGE, shortfalls
 from tumble.errors import InputError
 from tumble.plain_table import add_numbers, plain_table
 from tumble.results import Parameter
 from tumble.units import Array, engineering, rounded
-
-COVERAGE = 2.0
-"""The k of the expanded uncertainties U in E_n."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -146,6 +145,7 @@ def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:
             out.append(f"the {which} was not accepted: {'; '.join(calibration.outcome.reasons)}")
         if all(p.u is None for p in calibration.parameters):
             out.append(f"the {which} has no uncertainties: nothing is judged")
+        out += [f"the {which}: {shortfall}" for shortfall in shortfalls(calibration)]
     digests = [c.provenance.get("log_sha256") for c in (first, second)]
     if digests[0] is not None and digests[0] == digests[1]:
         out.append("both come from the same log: their differences are smaller than their uncertainties allow")

@@ -59,18 +59,21 @@ class Result:
     fit: EllipsoidFit | None
 
 
-def calibrate_table(table: Table, nominal: Nominal, *, frame: Frame = "accelerometer") -> Result:
+def calibrate_table(
+    table: Table, nominal: Nominal, *, frame: Frame = "accelerometer", serial: str | None = None
+) -> Result:
     """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions. What cannot be calibrated comes
-    back with the reasons in its outcome."""
+    back with the reasons in its outcome. Without a `serial` number of the device it is the name of the table."""
+    serial = table.path.stem if serial is None else serial
     bad = float(-ndtri(0.5 * BAD_CHANCE / len(table.values)))
     found = fit_ellipsoid(nominal.to_si(table.values), modulus=nominal.modulus, bad_sigmas=bad)
     if isinstance(found, Refusal):
         misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
         outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal))
-        empty = _calibration(table, nominal, None, None, outcome)
+        empty = _calibration(serial, table, nominal, None, None, outcome)
         return Result(calibration=empty, table=table, nominal=nominal, fit=None)
     outcome = Outcome(reasons=tuple(_reasons(table, nominal, found)))
-    calibration = _calibration(table, nominal, found, _framed(found, frame), outcome)
+    calibration = _calibration(serial, table, nominal, found, _framed(found, frame), outcome)
     return Result(calibration=calibration, table=table, nominal=nominal, fit=found)
 
 
@@ -142,11 +145,11 @@ def _near_one(ratios: Array) -> bool:
 
 
 def _calibration(
-    table: Table, nominal: Nominal, found: EllipsoidFit | None, framed: Framed | None, outcome: Outcome
+    serial: str, table: Table, nominal: Nominal, found: EllipsoidFit | None, framed: Framed | None, outcome: Outcome
 ) -> Calibration:
     model = None if framed is None else framed.accel
     return Calibration(
-        serial=table.path.stem,
+        serial=serial,
         model=None,
         method="ellipsoid",
         frame="accelerometer" if framed is None else framed.frame,

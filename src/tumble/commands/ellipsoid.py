@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Of the result.",
 )
+@click.option("--serial", help="Serial number of the device; default: the name of the table without its ending.")
 @click.option("--out", type=FILE, help="Calibration file; default: READINGS.calibration.json beside the table.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another table or method.")
 def ellipsoid(
@@ -53,6 +54,7 @@ def ellipsoid(
     sensor: Sensor,
     modulus: float | None,
     frame: Frame,
+    serial: str | None,
     out: Path | None,
     force: bool,
 ) -> None:
@@ -66,6 +68,8 @@ def ellipsoid(
 
     if sensor != "accel" and frame != "accelerometer":
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
+    if serial is not None and not serial.strip():
+        raise InputError(f"--serial: expected a serial number, found {serial!r}")
     table = read_table(readings)
     worth = nominal(
         table,
@@ -77,7 +81,7 @@ def ellipsoid(
         modulus=modulus,
         known=dict(map(_position, positions)),
     )
-    result = calibrate_table(table, worth, frame=frame)
+    result = calibrate_table(table, worth, frame=frame, serial=serial)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
     print_report(result_report(result))

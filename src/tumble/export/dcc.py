@@ -1,6 +1,7 @@
 """A Digital Calibration Certificate: the XML of PTB's DCC, schema 3.3.0, with quantities in D-SI 2.2.1.
 
-Every parameter of accelerometers and gyros is a quantity with its expanded uncertainty U = 2u (k = 2). A list of all of
+Every parameter of accelerometers and gyros is a quantity with its expanded uncertainty U = 2u (k = 2) and the
+probability that this covers the value, by Student's t where u was estimated (`coverage`). A list of all of
 them has their covariance matrix, the matrices and biases of the model equation follow, and an example worked with it:
 
     reading = matrix · true + bias,    true = matrix⁻¹ (reading − bias)
@@ -18,18 +19,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from tumble.calibration import Calibration
+from tumble.coverage import COVERAGE, covered, degrees_of_freedom
 from tumble.export.certificate import Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.model import SensorModel
-from tumble.results import Parameter
 from tumble.units import Array
 
 VERSION = "3.3.0"
 _DCC, _SI, _XSI = "https://ptb.de/dcc", "https://ptb.de/si", "http://www.w3.org/2001/XMLSchema-instance"
-COVERAGE_FACTOR, COVERAGE_PROBABILITY = 2, 0.95
+REGION_PROBABILITY = 0.95
+"""What the ellipsoid of all parameters covers."""
 
 LOSSES = (
     "the file is neither signed nor sealed: sign it with the laboratory's tools",
@@ -154,11 +156,11 @@ def _results(parent: ET.Element, calibration: Calibration, known: Mapping[str, S
         condition = _child(_child(parent, "influenceConditions"), "influenceCondition")
         _named(condition, "name", "local gravity")
         quantity = _child(_child(condition, "data"), "quantity")
-        _real(quantity, calibration.site.gravity, calibration.site.gravity_u or None, "m/s^2")
+        _real(quantity, calibration.site.gravity, calibration.site.gravity_u or None, "m/s^2", np.inf)
     results = _child(parent, "results")
-    _parameters(_result(results, "parameters"), calibration.parameters)
+    _parameters(_result(results, "parameters"), calibration)
     if calibration.covariance is not None:
-        _covariance(_result(results, "parameters with covariance"), calibration.parameters, calibration.covariance)
+        _covariance(_result(results, "parameters with covariance"), calibration, calibration.covariance)
     for kind, model in known.items():
         _model(_result(results, f"model of the {_TITLES[kind]}"), kind, model)
 
@@ -170,30 +172,30 @@ def _result(parent: ET.Element, name: str) -> ET.Element:
     return _child(result, "data")
 
 
-def _parameters(data: ET.Element, parameters: Sequence[Parameter]) -> None:
-    for parameter in parameters:
+def _parameters(data: ET.Element, calibration: Calibration) -> None:
+    for parameter in calibration.parameters:
         quantity = _child(data, "quantity")
         quantity.set("id", parameter.name)
         _named(quantity, "name", parameter.name)
-        _real(quantity, parameter.value, parameter.u, parameter.unit)
+        _real(quantity, parameter.value, parameter.u, parameter.unit, degrees_of_freedom(calibration, parameter.name))
 
 
-def _real(quantity: ET.Element, value: float, u: float | None, unit: str) -> None:
-    """A value with its expanded uncertainty, where it has one."""
+def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degrees: float) -> None:
+    """A value with its expanded uncertainty, where it has one, of a u with so many degrees of freedom."""
     real = _child(quantity, "real", namespace=_SI)
     _child(real, "value", repr(float(value)), _SI)
     _child(real, "unit", d_si(unit), _SI)
     if u is not None:
         expanded = _child(_child(real, "measurementUncertaintyUnivariate", namespace=_SI), "expandedMU", namespace=_SI)
-        _child(expanded, "valueExpandedMU", repr(float(COVERAGE_FACTOR * u)), _SI)
-        _child(expanded, "coverageFactor", str(COVERAGE_FACTOR), _SI)
-        _child(expanded, "coverageProbability", str(COVERAGE_PROBABILITY), _SI)
-        _child(expanded, "distribution", "normal", _SI)
+        _child(expanded, "valueExpandedMU", repr(float(COVERAGE * u)), _SI)
+        _child(expanded, "coverageFactor", f"{COVERAGE:g}", _SI)
+        _child(expanded, "coverageProbability", f"{covered(degrees):.3f}", _SI)
+        _child(expanded, "distribution", "normal" if np.isinf(degrees) else "Student's t", _SI)
 
 
-def _covariance(data: ET.Element, parameters: Sequence[Parameter], covariance: Array) -> None:
+def _covariance(data: ET.Element, calibration: Calibration, covariance: Array) -> None:
     """All parameters in one list with the matrix of their covariances, column by column."""
-    quantity = _child(data, "quantity")
+    quantity, parameters = _child(data, "quantity"), calibration.parameters
     _named(quantity, "name", "all parameters")
     units = [p.unit for p in parameters]
     entries = _list(quantity, [p.name for p in parameters], np.array([p.value for p in parameters]), units)
@@ -204,9 +206,17 @@ def _covariance(data: ET.Element, parameters: Sequence[Parameter], covariance: A
         column = _child(_child(matrix, "columnXMLList", namespace=_SI), "covarianceXMLList", namespace=_SI)
         _child(column, "valueXMLList", shown(covariance[:, j]), _SI)
         _child(column, "unitXMLList", " ".join(d_si(other, unit) for other in units), _SI)
-    factor = float(np.sqrt(chi2.ppf(COVERAGE_PROBABILITY, len(units))))
-    _child(region, "coverageFactorXMLList", f"{factor:.6f}", _SI)
-    _child(region, "coverageProbabilityXMLList", str(COVERAGE_PROBABILITY), _SI)
+    fewest = min(degrees_of_freedom(calibration, p.name) for p in parameters)
+    _child(region, "coverageFactorXMLList", f"{_region_factor(len(units), fewest):.6f}", _SI)
+    _child(region, "coverageProbabilityXMLList", str(REGION_PROBABILITY), _SI)
+
+
+def _region_factor(count: int, degrees: float) -> float:
+    """How many standard deviations the ellipsoid of so many parameters is large, of a covariance that was estimated
+    with so many degrees of freedom."""
+    if np.isinf(degrees):
+        return float(np.sqrt(chi2.ppf(REGION_PROBABILITY, count)))
+    return float(np.sqrt(count * f.ppf(REGION_PROBABILITY, count, degrees)))
 
 
 def _model(data: ET.Element, kind: str, model: SensorModel) -> None:

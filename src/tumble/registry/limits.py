@@ -23,14 +23,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tumble.budget import UNITS
+from tumble.coverage import COVERAGE
 from tumble.errors import InputError
 from tumble.frames import FRAMES
 from tumble.registry.records import OCCASIONS, Occasion, ParameterRow, calibration_of
 from tumble.units import quantity
 
 FORMAT = 1
-COVERAGE = 2.0
-"""U = COVERAGE · u."""
 
 RULE = (
     "decision rule: pass where the value is inside the limits by at least U (k = 2), fail where it is outside by more "

@@ -10,8 +10,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from tumble.coverage import COVERAGE
 from tumble.registry.due import Due
-from tumble.registry.limits import COVERAGE, RULE, Judgement, Verdict
+from tumble.registry.limits import RULE, Judgement, Verdict
 from tumble.registry.monitor import Monitored
 from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import Point

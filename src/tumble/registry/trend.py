@@ -32,12 +32,12 @@ from itertools import pairwise
 import numpy as np
 from scipy import special
 
+from tumble.coverage import COVERAGE
 from tumble.estimate import scatter_of
 from tumble.registry.series import Point, Series
 from tumble.units import Array
 
 YEAR = timedelta(days=365.25)
-COVERAGE = 2.0
 COVERED = float(special.ndtr(COVERAGE))
 """One-sided probability of ±COVERAGE standard deviations."""
 

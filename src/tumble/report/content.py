@@ -3,10 +3,12 @@ rests on. One document for every kind of output."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from tumble.calibration import Calibration
+from tumble.coverage import covered, shortfalls
 from tumble.errors import InputError
 from tumble.registry.limits import Limits, Verdict
 from tumble.report import compare, limits, recording, result
@@ -144,11 +146,14 @@ def _result(calibration: Calibration) -> Section:
         blocks.append(result.parameter_table(calibration))
         blocks.append(
             Text(
-                text="U is the expanded uncertainty with k = 2 (about 95 %). "
+                text=f"U is the expanded uncertainty with k = 2, which covers {100.0 * covered(math.inf):.1f} % "
+                "where u is known, less where it was estimated from few residuals. "
                 '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.',
                 tone="small",
             )
         )
+        if found := shortfalls(calibration):
+            blocks.append(Items(items=found))
     if calibration.outcome.unobservable:
         blocks.append(Text(text=f"Not determined: {', '.join(calibration.outcome.unobservable)}."))
     if calibration.notes:

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from typing import Literal
 
 from tumble.calibration import Calibration
+from tumble.coverage import shortfalls
 from tumble.registry.limits import RULE, Judgement, Limits, Verdict, judge
 from tumble.registry.records import OCCASIONS, parameter_rows
-from tumble.report.blocks import Block, Section, Table, Text
+from tumble.report.blocks import Block, Items, Section, Table, Text
 from tumble.report.numbers import NONE, minus
 from tumble.text import shown_units
 from tumble.units import engineering, rounded
@@ -34,6 +35,8 @@ def section(calibration: Calibration, limits: Limits | None) -> Section:
         return Section(title="Limits and verdict", blocks=(Text(text=said),))
     rule = f"{RULE[0].upper()}{RULE[1:]}. Limits hold in the frame “{limits.frame}”."
     blocks: list[Block] = [Text(text=rule)]
+    if found := shortfalls(calibration):
+        blocks.append(Items(items=found))
     units = shown_units(calibration.parameters)
     for verdict in verdicts(calibration, limits):
         check = _CHECKS[verdict.occasion]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
+from tumble.coverage import COVERAGE
 from tumble.results import Parameter
 from tumble.units import rounded
-
-COVERAGE = 2.0
-"""Coverage factor k of the expanded uncertainty U = k u."""
 
 NONE = "—"
 

@@ -132,7 +132,8 @@ def _own_form(calibration: Calibration) -> str:
         return ""
     return (
         "The parameters of the accelerometers are those of the frame “paper”: k belongs to the diagonal of the matrix, "
-        "and the angles xy, xz and yz, times the diagonal element of their row, stand above it. Other sensors follow the formula below. "
+        "and the angles xy, xz and yz, times the diagonal element of their row, stand above it. Other sensors follow "
+        "the formula below. "
     )
 
 
@@ -221,10 +222,11 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
     blocks: list[Block] = [
         Text(
             text="U is the expanded uncertainty: the standard uncertainty times the coverage factor k = 2, which for a "
-            "normal distribution covers about 95 %. It contains the noise at rest and in turns, the scatter between "
-            "rests that the residuals show, and the stated uncertainty of gravity; of several launches also their "
-            "instability. It does not contain what one recording cannot show: changes with temperature and age, "
-            "nonlinearity that is the same in every rest, and an error of gravity larger than stated."
+            "normal distribution covers about 95 %, and less where u was estimated from few residuals. It contains the "
+            "noise at rest and in turns, the scatter between rests that the residuals show, and the stated uncertainty "
+            "of gravity; of several launches also their instability. It does not contain what one recording cannot "
+            "show: changes with temperature and age, nonlinearity that is the same in every rest, and an error of "
+            "gravity larger than stated."
         ),
         Figure(
             svg=figures.correlations(name, names, r),
