@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-import yaml  # type: ignore[import-untyped]
+import yaml
 from calibrated import calibration
 
 from tumble.export import export_calibration
