@@ -2,7 +2,7 @@
 the attitudes eliminated.
 
 Unknowns: the sensor parameters θ (accelerometers, then gyros), local gravity g, and the attitude L (body → geographic)
-of every rest. Minimised is the sum of squares, each over its covariance (method-turntable §8), of
+of every rest. Minimised is the sum of squares, each over its covariance (turntable method, §8), of
 
     ŷ − (g S_A u + b_A)                        at rest, u = Lᵀ e_U
     ŷ − (S_G ω + b_G)                          at rest, ω = Lᵀ Ω
