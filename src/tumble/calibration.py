@@ -270,16 +270,33 @@ def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | Non
 
 def read_calibration(path: Path) -> Calibration:
     """A calibration file as written by `Calibration.write`."""
+    return calibration_of(text_of(path), str(path))
+
+
+def text_of(path: Path) -> str:
+    """The text of a calibration file, not yet looked at."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_not_a_number)
-        if content["format"] != FORMAT:
-            raise CalibrationError(f"{path}: expected format {FORMAT}, found {content['format']!r}")
-        return _from_content(content)
+        return path.read_text(encoding="utf-8")
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:  # not UTF-8
+        raise _no_calibration(str(path), error) from error
+
+
+def calibration_of(text: str, name: str) -> Calibration:
+    """The calibration of the text of a file; in messages the file is called `name`."""
+    try:
+        content = json.loads(text, parse_constant=_not_a_number)
+        if content["format"] != FORMAT:
+            raise CalibrationError(f"{name}: expected format {FORMAT}, found {content['format']!r}")
+        return _from_content(content)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        said = f"no key {error}" if isinstance(error, KeyError) else str(error)
-        raise CalibrationError(f"{path}: expected a calibration file of tumble, found {said}") from error
+        raise _no_calibration(name, error) from error
+
+
+def _no_calibration(name: str, error: Exception) -> CalibrationError:
+    said = f"no key {error}" if isinstance(error, KeyError) else str(error)
+    return CalibrationError(f"{name}: expected a calibration file of tumble, found {said}")
 
 
 def _not_a_number(name: str) -> float:

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimate import SCATTER_PROBABILITY, Solution, chance_of, least_squares, scatter_of, sigmas
+from tumble.estimate import SCATTER_PROBABILITY, Fit, Solution, chance_of, least_squares, scatter_of, sigmas
 from tumble.model import Block, SensorModel, to_accelerometer_frame
 from tumble.quadric import fit_many
 from tumble.telling import Refusal, undetermined
@@ -96,6 +96,10 @@ class EllipsoidFit:
     worst: WorstPosition | None
     increments: tuple[Array, ...]
     converged: bool
+
+    def fit(self, unit: str) -> Fit:
+        """Chi-square and scatter as a calibration keeps them; `unit` is that of the modulus."""
+        return Fit(chi_square=self.chi_square, degrees=float(self.degrees), scatter=self.scatter, scatter_unit=unit)
 
 
 def fit_ellipsoid(

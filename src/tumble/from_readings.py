@@ -20,7 +20,7 @@ from tumble import __version__
 from tumble.calibration import Calibration
 from tumble.calibration_text import parameter_table
 from tumble.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
-from tumble.estimate import Fit, Outcome
+from tumble.estimate import Outcome
 from tumble.frames import Convention, Frame, Framed, convert
 from tumble.plain_table import add_numbers, plain_table
 from tumble.readings import Nominal, Table, plain_units, sizes_seen
@@ -159,7 +159,7 @@ def _calibration(
         gyro=model if nominal.sensor == "gyro" else None,
         mag=model if nominal.sensor == "mag" else None,
         outcome=outcome,
-        fits={} if found is None else {_FIT_NAMES[nominal.sensor]: _fit(nominal, found)},
+        fits={} if found is None else {_FIT_NAMES[nominal.sensor]: found.fit(nominal.result_unit)},
         site=_site(nominal),
         readings={nominal.sensor: _readings(table, nominal)},
         notes=_notes(table, nominal, found),
@@ -177,15 +177,6 @@ def _parameters(nominal: Nominal, framed: Framed) -> tuple[Parameter, ...]:
     return tuple(
         Parameter(name=name, value=value, u=each, unit=unit)
         for name, value, each, unit in zip(_names(nominal, framed.names), framed.values.tolist(), u, units, strict=True)
-    )
-
-
-def _fit(nominal: Nominal, found: EllipsoidFit) -> Fit:
-    return Fit(
-        chi_square=found.chi_square,
-        degrees=float(found.degrees),
-        scatter=found.scatter,
-        scatter_unit=nominal.result_unit,
     )
 
 

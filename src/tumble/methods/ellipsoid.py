@@ -52,14 +52,7 @@ def ellipsoid(observations: Observations) -> Estimate:
         rest_sigmas=found.sigmas,
         turn_sigmas=np.empty(0),
         increments=found.increments,
-        fits={
-            "accelerometers": Fit(
-                chi_square=found.chi_square,
-                degrees=float(found.degrees),
-                scatter=found.scatter,
-                scatter_unit="m/s^2",
-            )
-        },
+        fits={"accelerometers": found.fit("m/s^2")},
         converged=found.converged,
     )
 

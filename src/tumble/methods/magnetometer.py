@@ -57,14 +57,7 @@ def magnetometer(observations: Observations, unit: str) -> MagnetometerEstimate:
         values=found.values,
         covariance=found.covariance,
         model=found.model,
-        fits={
-            "magnetometer": Fit(
-                chi_square=found.chi_square,
-                degrees=float(found.degrees),
-                scatter=found.scatter,
-                scatter_unit=unit,
-            )
-        },
+        fits={"magnetometer": found.fit(unit)},
         reasons=_reasons(found, field, unit),
         notes=_notes(found, observations, field, unit),
     )

@@ -26,7 +26,7 @@ from tumble.budget import UNITS
 from tumble.coverage import COVERAGE
 from tumble.errors import InputError
 from tumble.frames import FRAMES
-from tumble.registry.records import OCCASIONS, Occasion, ParameterRow, calibration_of
+from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
 from tumble.units import quantity
 
 FORMAT = 1
@@ -281,6 +281,8 @@ def _device_months(content: Mapping[str, Any], name: str) -> Mapping[str, int]:
 
 
 def _systematic(text: str, frame: str, name: str) -> Mapping[str, float]:
+    from tumble.calibration import calibration_of
+
     calibration = calibration_of(text, f"{name}: systematic")
     if calibration.frame != frame:
         raise InputError(

@@ -9,14 +9,13 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
-from tumble.errors import CalibrationError, InputError
+from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.calibration import Calibration
@@ -105,17 +104,15 @@ def read_submission(path: Path, particulars: Particulars) -> Submission:
 
     Raises InputError, one line: no calibration file, one that was not accepted, a name that cannot be printed, a number
     that is not finite, a date that is missing or in the future."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise CalibrationError(f"{path}: expected a calibration file of tumble, found {error}") from error
-    return submission(text, str(path), particulars)
+    from tumble.calibration import text_of
+
+    return submission(text_of(path), str(path), particulars)
 
 
 def submission(text: str, name: str, particulars: Particulars) -> Submission:
     """The calibration of the text of a file, to be added, as `read_submission`."""
+    from tumble.calibration import calibration_of
+
     calibration = calibration_of(text, name)
     if not calibration.outcome.accepted:
         raise InputError(
@@ -139,19 +136,6 @@ def submission(text: str, name: str, particulars: Particulars) -> Submission:
         parameters=parameters,
         file=text,
     )
-
-
-def calibration_of(text: str, name: str) -> Calibration:
-    """The calibration of the text of a file; in messages the file is called `name`."""
-    from tumble.calibration import read_calibration
-
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "calibration.json"
-        copy.write_text(text, encoding="utf-8")
-        try:
-            return read_calibration(copy)
-        except CalibrationError as error:
-            raise CalibrationError(str(error).replace(str(copy), name)) from error
 
 
 def content_sha256(text: str) -> str:

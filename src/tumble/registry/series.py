@@ -14,7 +14,7 @@ from datetime import datetime
 from tumble.errors import InputError
 from tumble.registry.connect import Registry
 from tumble.registry.limits import Verdict, judge, parse_limits
-from tumble.registry.records import ParameterRow, Record, State, all_parameter_rows, calibration_of
+from tumble.registry.records import ParameterRow, Record, State, all_parameter_rows
 from tumble.registry.store import LimitsRecord, file_of, parameters_of, records
 
 
@@ -91,6 +91,8 @@ def rows_in_frame(
     """The parameters of a record, and of its launches, in a frame."""
     if record.frame == frame:
         return rows
+    from tumble.calibration import calibration_of
+
     calibration = calibration_of(file_of(registry, record.number), f"record {record.number}")
     try:
         return list(all_parameter_rows(calibration.in_frame(frame)))
