@@ -225,14 +225,11 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
     )
 
     def explains(matrix: Array) -> float:
-        """Mean miss of gyros with this matrix, infinite where it does not explain what is seen."""
-        trial = _misses(observations, SensorModel(matrix=matrix, bias=bias))
-        fits = trial.mean() < 0.5 * min(float(miss.mean()), CARRIED) and trial.max() < 0.5 * miss.max()
-        return float(trial.mean()) if fits else np.inf
+        return _explains(observations, SensorModel(matrix=matrix, bias=bias), miss)
 
-    for name, factor in _other_units(channels, rate):
-        if explains(nominal.matrix / factor) < np.inf:
-            return [f"{said}; {_unit_named(channels, name)} would fit"]
+    unit = _fitting_unit(observations, channels, rate, assumed, miss)
+    if unit is not None:
+        return [f"{said}; {_unit_named(channels, unit)} would fit"]
     for name, factor in TIME_UNITS.items():
         if session.log.time is not None and explains(nominal.matrix * session.log.time_factor / factor) < np.inf:
             return [f'{said}; log.time_unit = "{name}" would fit']
@@ -258,6 +255,34 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
         f"{said}, and no other unit, scale, sign or order of columns explains it: check the columns, the unit and "
         "[log.gyro] axes"
     ]
+
+
+def fitting_gyro_unit(observations: Observations, session: Session, rate: float) -> str | None:
+    """The unit in which nominal gyros carry the vertical from rest to rest, where they do not in the one stated; None
+    where they do, or where no unit helps."""
+    turns, block, channels = observations.turns, observations.gyro_block, session.log.gyro
+    if turns is None or block is None or channels is None or len(turns) == 0:
+        return None
+    assumed = SensorModel(matrix=block.nominal().matrix, bias=np.median(observations.rests.gyro, axis=0))
+    miss = _misses(observations, assumed)
+    return None if miss.max() < EVIDENT else _fitting_unit(observations, channels, rate, assumed, miss)
+
+
+def _fitting_unit(
+    observations: Observations, channels: Channels, rate: float, assumed: SensorModel, miss: Array
+) -> str | None:
+    """The first other unit in which the gyros, `assumed` nominal with some bias, explain what they miss."""
+    for name, factor in _other_units(channels, rate):
+        if _explains(observations, SensorModel(matrix=assumed.matrix / factor, bias=assumed.bias), miss) < np.inf:
+            return name
+    return None
+
+
+def _explains(observations: Observations, gyro: SensorModel, miss: Array) -> float:
+    """Mean miss of gyros of this model, infinite where it does not explain what is missed by those assumed."""
+    trial = _misses(observations, gyro)
+    fits = trial.mean() < 0.5 * min(float(miss.mean()), CARRIED) and trial.max() < 0.5 * miss.max()
+    return float(trial.mean()) if fits else np.inf
 
 
 def _lost(observations: Observations, k: int, miss: float) -> str:

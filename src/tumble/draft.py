@@ -18,10 +18,12 @@ from typing import Any
 import numpy as np
 
 from tumble import formats
+from tumble.diagnose import fitting_gyro_unit
 from tumble.errors import InputError, TumbleError
 from tumble.formats import Sensors
 from tumble.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
 from tumble.formats.message import TIME, Message
+from tumble.log import open_log
 from tumble.log_files import log_columns, log_head
 from tumble.procedure import Progress, inspect_session
 from tumble.programme import BUILT_IN
@@ -39,7 +41,6 @@ _TOLERANCE = 0.3
 _ASSUMED_RATE = 100.0
 _RATES = 2.0, 20_000.0  # Hz, of a log
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
-_GYRO_UNITS = ("rad/s", "deg/s", "deg/h", "rad", "deg", "arcsec")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -247,16 +248,15 @@ def _rate(log: Path, time: Mapping[str, Any]) -> float:
 
 def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
     """A draft with the gyros' unit in which they carry the vertical from rest to rest, and the faults left."""
-    faults = _faults(draft.content, progress)
+    unit, faults = _looked_at(draft.content, progress)
     gyro = draft.content["log"].get("gyro")
-    if not faults or gyro is None or gyro["unit"] == "count":
+    if not faults or unit is None or gyro["unit"] == "count":
         return draft, faults
-    for unit in _GYRO_UNITS:
-        trial = _with_gyro_unit(draft.content, unit)
-        if unit != gyro["unit"] and not _faults(trial, progress):
-            said = f"gyros: in {unit}, not {gyro['unit']}: so they carry the vertical from rest to rest"
-            return replace(draft, content=trial, said=(*draft.said, said)), []
-    return draft, faults
+    trial = _with_gyro_unit(draft.content, unit)
+    if _looked_at(trial, progress)[1]:
+        return draft, faults
+    said = f"gyros: in {unit}, not {gyro['unit']}: so they carry the vertical from rest to rest"
+    return replace(draft, content=trial, said=(*draft.said, said)), []
 
 
 def _with_gyro_unit(content: Mapping[str, Any], unit: str) -> dict[str, Any]:
@@ -264,14 +264,19 @@ def _with_gyro_unit(content: Mapping[str, Any], unit: str) -> dict[str, Any]:
     return {**content, "log": {**log, "gyro": {**log["gyro"], "unit": unit}}}
 
 
-def _faults(content: Mapping[str, Any], progress: Progress) -> list[str]:
-    """What a look at the recording finds wrong with a session of this content."""
+def _looked_at(content: Mapping[str, Any], progress: Progress) -> tuple[str | None, list[str]]:
+    """The unit of the gyros that would fit better than the stated one, and what a look at the recording finds wrong
+    with a session of this content."""
     with TemporaryDirectory() as place:
         try:
             write_session(Path(place), content)
-            return list(inspect_session(read_session(Path(place)), progress=progress)[2])
+            session = read_session(Path(place))
+            _, observations, faults = inspect_session(session, progress=progress)
+            if observations is None or not faults:
+                return None, list(faults)
+            return fitting_gyro_unit(observations, session, open_log(session).rate), list(faults)
         except TumbleError as error:
-            return [str(error)]
+            return None, [str(error)]
 
 
 # -------------------- the file --------------------
