@@ -16,10 +16,10 @@ import numpy as np
 import polars as pl
 from calibrate import ONE_RUN, TUMBLE, machine
 
-from tumble.procedure import calibrate
-from tumble.session import write_session
-from tumble.simulate import Request, simulate_session
-from tumble.table_file import write_tables
+from tumble.calibration.calibrate import calibrate
+from tumble.recording.session import write_session
+from tumble.recording.writer import write_tables
+from tumble.simulation.session import Request, simulate_session
 
 ROWS = 1_000_000 if "--short" in sys.argv else 20_000_000
 UNITS = {"accel": "m/s^2", "gyro": "rad/s"}

@@ -22,9 +22,9 @@ from typing import Literal
 
 import polars as pl
 
-from tumble.procedure import calibrate
-from tumble.session import read_session
-from tumble.simulate import Request, simulate_session
+from tumble.calibration.calibrate import calibrate
+from tumble.recording.session import read_session
+from tumble.simulation.session import Request, simulate_session
 
 TUMBLE = Path(sys.executable).with_name("tumble")
 DATA = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data")

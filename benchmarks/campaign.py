@@ -28,11 +28,11 @@ import numpy as np
 import polars as pl
 import psutil
 
-from tumble.campaign import campaign_of
-from tumble.cluster import executor_for
-from tumble.engine import Chunks, Executor, Job, Row, run, serially
-from tumble.statics import fit_statics
-from tumble.trial import BLOCK
+from tumble.campaigns.campaign import campaign_of
+from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.engine import Chunks, Executor, Job, Row, run, serially
+from tumble.campaigns.triads import fit_statics
+from tumble.campaigns.trial import BLOCK
 
 SHORT = "--short" in sys.argv
 PAIRS = 3 if SHORT else 5
@@ -96,15 +96,15 @@ def processor_times(executor: Executor, work: Callable[[], object]) -> list[floa
 
 def overheads() -> dict[str, float]:
     """Seconds a task that does nothing."""
-    import tumble.cluster
+    import tumble.campaigns.cluster
 
     out = {}
     with executor_for(workers=2) as executor:
         wall(empty(10), executor)
         out["in chunks, on two processes"] = wall(empty(20_000), executor) / 20_000
-        usual, tumble.cluster.Chunks = tumble.cluster.Chunks, OneByOne  # type: ignore[misc]
+        usual, tumble.campaigns.cluster.Chunks = tumble.campaigns.cluster.Chunks, OneByOne  # type: ignore[misc]
         out["sent by itself, to two processes"] = wall(empty(500), executor) / 500
-        tumble.cluster.Chunks = usual  # type: ignore[misc]
+        tumble.campaigns.cluster.Chunks = usual  # type: ignore[misc]
     out["in this process"] = wall(empty(20_000), serially) / 20_000
     return out
 

@@ -17,13 +17,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.budget import Setup
-from tumble.grades import NoiseModel
-from tumble.methods.joint import joint
-from tumble.methods.staged import staged
-from tumble.observe import Observations
-from tumble.programme import from_attitudes, programme
-from tumble.simulated_observations import scenario_of, simulate_observations
+from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.staged.method import staged
+from tumble.planning.budget import Setup
+from tumble.programme.positions import from_attitudes, programme
+from tumble.reduction.observations import Observations
+from tumble.sensors.grades import NoiseModel
+from tumble.simulation.observations import scenario_of, simulate_observations
 from tumble.units import DEGREE
 
 SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)

@@ -1,6 +1,6 @@
 """How fast are turns preintegrated, and what does cutting them into lanes bring?
 
-Compares `tumble._kernels.preintegrate` with the same recursion written as one plain loop over the samples of
+Compares `tumble.reduction.kernels.preintegrate` with the same recursion written as one plain loop over the samples of
 a turn, unrolled, with sine and cosine from the mathematical library. A figure is the median of several runs,
 which alternate so that all see the same machine; one core, except where two threads take half of the turns each.
 The answer is printed last.
@@ -19,7 +19,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from tumble._kernels import preintegrate
+from tumble.reduction.kernels import preintegrate
 from tumble.units import Array
 
 RUNS = 15

@@ -25,10 +25,17 @@ import numpy as np
 from paper_device import SETUP
 from scipy.optimize import minimize
 
-from tumble.methods.compensation import ACCEL_ANGLES, compensated, composed, perfect, triad_model, triad_parameters
-from tumble.methods.levelling import vertical
-from tumble.methods.scalar import scalar_fit, scalar_rows
-from tumble.programme import programme
+from tumble.estimation.methods.paper.compensation import (
+    ACCEL_ANGLES,
+    compensated,
+    composed,
+    perfect,
+    triad_model,
+    triad_parameters,
+)
+from tumble.estimation.methods.paper.levelling import vertical
+from tumble.estimation.methods.paper.scalar import scalar_fit, scalar_rows
+from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, Array
 

@@ -25,12 +25,12 @@ from itertools import product
 
 import numpy as np
 
-from tumble.case import Verticals, align_case
-from tumble.methods.scalar import scalar_rows
-from tumble.model import Block, SensorModel, to_accelerometer_frame
-from tumble.programme import programme
-from tumble.quadric import fit_many
+from tumble.calibration.case import Verticals, align_case
+from tumble.estimation.methods.paper.scalar import scalar_rows
+from tumble.estimation.quadric import fit_many
+from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix
+from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.units import DEGREE, Array
 
 NOISE = 1e-4  # g

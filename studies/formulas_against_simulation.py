@@ -20,14 +20,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.accuracy import axis_angle_error, reference_rate_error, scalar_scale_error, up_down_errors
-from tumble.budget import GROUPS, Setup, budget
 from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
-from tumble.grades import NoiseModel
-from tumble.passes import NAMES, Method
-from tumble.programme import programme
-from tumble.require import require
+from tumble.estimation.methods.paper.accuracy_formulas import (
+    axis_angle_error,
+    reference_rate_error,
+    scalar_scale_error,
+    up_down_errors,
+)
+from tumble.planning.budget import GROUPS, Setup, budget
+from tumble.planning.error_propagation import NAMES, Method
+from tumble.planning.requirements import require
+from tumble.programme.positions import programme
 from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
+from tumble.sensors.grades import NoiseModel
 from tumble.units import ARCSEC, DEGREE, Array, IntArray
 
 STEPS = 12

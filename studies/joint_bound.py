@@ -19,16 +19,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.budget import GROUPS, Setup
-from tumble.estimate import Estimate
-from tumble.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
-from tumble.methods.joint import TOTAL, joint
-from tumble.methods.scalar import scalar
-from tumble.methods.sequential import sequential
-from tumble.methods.staged import staged
-from tumble.observe import Observations
-from tumble.scenario import Scenario, itinerary
-from tumble.simulated_observations import scenario_of, simulate_observations
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.estimation.methods.joint import TOTAL, joint
+from tumble.estimation.methods.paper.scalar import scalar
+from tumble.estimation.methods.paper.sequential import sequential
+from tumble.estimation.methods.staged.method import staged
+from tumble.planning.budget import GROUPS, Setup
+from tumble.reduction.observations import Observations
+from tumble.simulation.observations import scenario_of, simulate_observations
+from tumble.simulation.scenario import Scenario, itinerary
 from tumble.units import DEGREE, Array
 
 SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)

@@ -33,22 +33,22 @@ from itertools import pairwise
 import numpy as np
 from paper_device import INSTABILITY
 
-from tumble import _kernels
 from tumble.earth import earth_rate
-from tumble.grades import NoiseModel, grade
-from tumble.log import Chunk
-from tumble.match import Match
-from tumble.methods.joint import joint
-from tumble.methods.levelling import triad
-from tumble.methods.staged import staged
-from tumble.observe import Observations, observe
-from tumble.reduction import Reducer
+from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.paper.levelling import triad
+from tumble.estimation.methods.staged.method import staged
+from tumble.recording.log import Chunk
+from tumble.recording.session import Site
+from tumble.reduction import kernels as _kernels
+from tumble.reduction.blocks import Reducer
+from tumble.reduction.matching import Match
+from tumble.reduction.observations import Observations, observe
+from tumble.reduction.segmentation import find_rests
 from tumble.rotation import rotation_matrix, skew
-from tumble.scenario import Scenario
-from tumble.segment import find_rests
-from tumble.session import Site
-from tumble.simulate import Request, typical_scenario
-from tumble.simulated_recording import Recording, record
+from tumble.sensors.grades import NoiseModel, grade
+from tumble.simulation.recording import Recording, record
+from tumble.simulation.scenario import Scenario
+from tumble.simulation.session import Request, typical_scenario
 from tumble.units import DEGREE, Array
 
 REQUEST = Request(rest=30.0, sample_rate=50.0)

@@ -25,25 +25,37 @@ from dataclasses import dataclass, replace
 import formulas_against_simulation as simulation
 import numpy as np
 
-from tumble.accuracy import scalar_scale_error
-from tumble.budget import Setup
-from tumble.calibration import Calibration
-from tumble.calibration_text import calibration_report
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.launches import difference_percent
+from tumble.calibration.results import Launch, Parameter
 from tumble.earth import earth_rate, normal_gravity
-from tumble.estimate import Outcome
-from tumble.grades import NoiseModel
-from tumble.launches import difference_percent
-from tumble.methods.compensation import ACCEL_ANGLES, compensated, perfect, triad_model, triad_parameters
-from tumble.methods.four_stages import Course, Method, accelerometer_pass, gyro_bias_pass, gyro_matrix_pass
-from tumble.methods.indirect import RecordedTurn, known_turns, programme_matrix
-from tumble.methods.scalar import accelerometers as scalar
-from tumble.methods.sequential import accelerometers as sequential
-from tumble.methods.sequential import check_positions
-from tumble.model import SensorModel
-from tumble.programme import Programme
-from tumble.results import Launch, Parameter
+from tumble.estimation.estimate import Outcome
+from tumble.estimation.methods.paper.accuracy_formulas import scalar_scale_error
+from tumble.estimation.methods.paper.compensation import (
+    ACCEL_ANGLES,
+    compensated,
+    perfect,
+    triad_model,
+    triad_parameters,
+)
+from tumble.estimation.methods.paper.four_stages import (
+    Course,
+    Method,
+    accelerometer_pass,
+    gyro_bias_pass,
+    gyro_matrix_pass,
+)
+from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
+from tumble.estimation.methods.paper.scalar import accelerometers as scalar
+from tumble.estimation.methods.paper.sequential import accelerometers as sequential
+from tumble.estimation.methods.paper.sequential import check_positions
+from tumble.planning.budget import Setup
+from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix
-from tumble.text import print_report
+from tumble.sensors.grades import NoiseModel
+from tumble.sensors.model import SensorModel
+from tumble.terminal.calibration import calibration_report
+from tumble.terminal.text import print_report
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 LAUNCHES = 7

@@ -18,12 +18,12 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from tumble.calibration import Calibration
-from tumble.log import open_log
-from tumble.procedure import calibrate
-from tumble.programme import programme
-from tumble.session import read_session
-from tumble.simulate import Request, simulate_session
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.programme.positions import programme
+from tumble.recording.log import open_log
+from tumble.recording.session import read_session
+from tumble.simulation.session import Request, simulate_session
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, Array
 
 TARGET = Path(__file__).parents[1] / "docs" / "pictures" / "rough-table.svg"

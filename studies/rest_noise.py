@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from tumble.coloured_noise import fit_coloured_noise
+from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.units import Array
 
 BLOCK = 0.1  # s

@@ -20,7 +20,7 @@ import formulas_against_simulation as simulation
 import numpy as np
 from paper_device import SCALAR, SEQUENTIAL, SETUP, passes, values_of
 
-from tumble.grades import NoiseModel
+from tumble.sensors.grades import NoiseModel
 from tumble.units import DEGREE
 
 TABLES = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0)

@@ -29,14 +29,21 @@ import formulas_against_simulation as simulation
 import numpy as np
 from paper_device import SETUP
 
-from tumble.grades import NoiseModel
-from tumble.methods.compensation import ACCEL_ANGLES, compensated, composed, perfect, triad_model, triad_parameters
-from tumble.methods.indirect import accelerometer_errors
-from tumble.methods.levelling import vertical
-from tumble.methods.scalar import scalar_fit
-from tumble.methods.sequential import accelerometers as sequential
-from tumble.model import SensorModel
+from tumble.estimation.methods.paper.compensation import (
+    ACCEL_ANGLES,
+    compensated,
+    composed,
+    perfect,
+    triad_model,
+    triad_parameters,
+)
+from tumble.estimation.methods.paper.indirect import accelerometer_errors
+from tumble.estimation.methods.paper.levelling import vertical
+from tumble.estimation.methods.paper.scalar import scalar_fit
+from tumble.estimation.methods.paper.sequential import accelerometers as sequential
 from tumble.rotation import tangent_basis
+from tumble.sensors.grades import NoiseModel
+from tumble.sensors.model import SensorModel
 from tumble.units import ARCSEC, DEGREE, Array
 
 GROUPS = {

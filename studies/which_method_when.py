@@ -24,13 +24,13 @@ from typing import Any
 
 import numpy as np
 
-from tumble.budget import GROUPS, UNITS
-from tumble.campaign import campaign_of, run_campaign
-from tumble.campaign_summary import Line, summary
-from tumble.procedure import ITERATED_METHODS, METHODS
-from tumble.simulate import Request
-from tumble.simulated_observations import simulate_observations
-from tumble.trial import Cell, scenario_of, stream
+from tumble.calibration.calibrate import ITERATED_METHODS, METHODS
+from tumble.campaigns.campaign import campaign_of, run_campaign
+from tumble.campaigns.summary import Line, summary
+from tumble.campaigns.trial import Cell, scenario_of, stream
+from tumble.planning.budget import GROUPS, UNITS
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.session import Request
 from tumble.units import engineering
 
 STORED = Path(__file__).with_suffix(".json")

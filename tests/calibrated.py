@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration import Calibration
-from tumble.estimate import Outcome
-from tumble.frames import Frame
-from tumble.model import Block
-from tumble.results import Parameter
-from tumble.session import write_session
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.results import Parameter
+from tumble.estimation.estimate import Outcome
+from tumble.recording.session import write_session
+from tumble.sensors.frames import Frame
+from tumble.sensors.model import Block
 from tumble.units import Array
 
 HEXAD = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.8, 0], [0, 0.6, 0.8], [0.8, 0, 0.6]], dtype=float)

@@ -7,9 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
-from tumble.engine import Executor
+from tumble.campaigns.engine import Executor
 
+settings.register_profile("tumble", deadline=None)  # timings decide no test
+settings.load_profile("tumble")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, and tests run side by side
 
 
@@ -28,7 +31,7 @@ def data() -> Path:
 @pytest.fixture(scope="session")
 def processes() -> Iterator[Executor]:
     """Two processes of a local cluster: they take seconds to start, so all tests share them."""
-    from tumble.cluster import executor_for
+    from tumble.campaigns.cluster import executor_for
 
     with executor_for(workers=2) as executor:
         yield executor

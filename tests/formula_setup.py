@@ -15,10 +15,10 @@ from types import ModuleType
 
 import numpy as np
 
-from tumble.budget import Setup
 from tumble.earth import normal_gravity
-from tumble.grades import NoiseModel
-from tumble.programme import programme
+from tumble.planning.budget import Setup
+from tumble.programme.positions import programme
+from tumble.sensors.grades import NoiseModel
 from tumble.units import ARCSEC, DEGREE
 
 LATITUDE = 56.8 * DEGREE

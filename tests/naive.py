@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from tumble.model import Block
+from tumble.sensors.model import Block
 from tumble.units import Array
 
 IntArray = npt.NDArray[np.int64]
@@ -15,7 +15,7 @@ IntArray = npt.NDArray[np.int64]
 def preintegrate(
     increment: Array, dt: Array, starts: IntArray, stops: IntArray, transform: Array, offset: Array
 ) -> tuple[Array, Array, Array]:
-    """C (k, 3, 3), M (k, 3, 3, 3), B (k, 3, 3) of k turns: see `tumble._kernels.preintegrate`."""
+    """C (k, 3, 3), M (k, 3, 3, 3), B (k, 3, 3) of k turns: see `tumble.reduction.kernels.preintegrate`."""
     angle = increment @ transform.T + dt[:, None] * offset
     turns = [_turn(angle, dt, int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
     C, M, B = (np.array(values) for values in zip(*turns, strict=True))
@@ -35,12 +35,13 @@ def _turn(angle: Array, dt: Array, start: int, stop: int) -> tuple[Array, Array,
 
 
 def allan_sums(phase: Array, sizes: IntArray) -> Array:
-    """Sums of the squared second differences of `phase` over each size: see `tumble._kernels.allan_sums`."""
+    """Sums of the squared second differences of `phase` over each size: see `tumble.reduction.kernels.allan_sums`."""
     return np.array([np.sum((phase[2 * m :] - 2 * phase[m:-m] + phase[: -2 * m]) ** 2) for m in sizes])
 
 
 def fit_statics(readings: Array, gravity: float, steps: int) -> tuple[Array, Array]:
-    """Values (9,) and variances (9,) of one triad from its mean readings (N, 3): see `tumble.statics.fit_statics`."""
+    """Values (9,) and variances (9,) of one triad from its mean readings (N, 3): see
+    `tumble.campaigns.triads.fit_statics`."""
     block, values = Block(kind="accel", axes=np.eye(3)), np.zeros(9)
     for _ in range(steps):
         model, derivative = block.model(values), block.jacobian(values)

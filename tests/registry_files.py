@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.model import Block
+from tumble.sensors.model import Block
 
 ACCEL = Block(kind="accel", axes=np.eye(3))
 GYRO = Block(kind="gyro", axes=np.eye(3))

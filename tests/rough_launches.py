@@ -12,21 +12,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tumble import _kernels
 from tumble.earth import earth_rate, normal_gravity
-from tumble.methods.compensation import ACCEL_ANGLES, compensated, perfect, triad_model, triad_parameters
-from tumble.methods.four_stages import (
+from tumble.estimation.methods.paper.compensation import (
+    ACCEL_ANGLES,
+    compensated,
+    perfect,
+    triad_model,
+    triad_parameters,
+)
+from tumble.estimation.methods.paper.four_stages import (
     Course,
     Method,
     accelerometer_pass,
     gyro_bias_pass,
     gyro_matrix_pass,
 )
-from tumble.methods.indirect import RecordedTurn, known_turns, programme_matrix
-from tumble.model import SensorModel
-from tumble.observe import Turns
-from tumble.programme import programme
+from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
+from tumble.programme.positions import programme
+from tumble.reduction import kernels as _kernels
+from tumble.reduction.observations import Turns
 from tumble.rotation import rotation_matrix, skew
+from tumble.sensors.model import SensorModel
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 PROGRAMME = programme("rough-table")

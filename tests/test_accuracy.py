@@ -12,7 +12,9 @@ from formula_setup import AXIS, BIAS, GRAVITY, LATITUDE, NINE, SCALE, SEED, SETU
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tumble.accuracy import (
+from tumble.earth import EARTH_RATE, earth_rate
+from tumble.errors import ProgrammeError
+from tumble.estimation.methods.paper.accuracy_formulas import (
     accelerometer_leakage,
     angle_variance,
     assumed_vertical_errors,
@@ -48,9 +50,7 @@ from tumble.accuracy import (
     up_down_rms,
     vertical_axis_error,
 )
-from tumble.earth import EARTH_RATE, earth_rate
-from tumble.errors import ProgrammeError
-from tumble.programme import ANY_MOVE, Move, Programme, attitude, programme
+from tumble.programme.positions import ANY_MOVE, Move, Programme, attitude, programme
 from tumble.rotation import axes_matrix, rotation_matrix, skew
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 

@@ -15,14 +15,14 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tumble.apply import apply_to_session, rest_residuals
-from tumble.calibration import Calibration, read_calibration
+from tumble.calibration.apply import apply_to_session, rest_residuals
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import InputError, LogError
-from tumble.model import SensorModel
-from tumble.procedure import calibrate
-from tumble.session import read_session
-from tumble.simulate import Request, simulate_session
+from tumble.recording.session import read_session
+from tumble.sensors.model import SensorModel
+from tumble.simulation.session import Request, simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array
 
 ROWS = 400

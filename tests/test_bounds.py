@@ -9,19 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble import simulated_observations
-from tumble.bounds import Course, bound, bound_of, course_of
-from tumble.budget import GROUPS, Setup, budget
 from tumble.errors import InputError
-from tumble.grades import GRADES, NoiseModel
-from tumble.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
-from tumble.methods.joint import joint
-from tumble.observe import Observations
-from tumble.passes import NAMES
-from tumble.programme import TRIPLES, Programme, from_attitudes, programme
-from tumble.scenario import Itinerary, Scenario, itinerary
-from tumble.simulated_observations import scenario_of, simulate_observations
-from tumble.telling import in_words
+from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.estimation.methods.joint import joint
+from tumble.estimation.observability import in_words
+from tumble.planning.bounds import Course, bound, bound_of, course_of
+from tumble.planning.budget import GROUPS, Setup, budget
+from tumble.planning.error_propagation import NAMES
+from tumble.programme.positions import TRIPLES, Programme, from_attitudes, programme
+from tumble.reduction.observations import Observations
+from tumble.sensors.grades import GRADES, NoiseModel
+from tumble.simulation import observations as simulated_observations
+from tumble.simulation.observations import scenario_of, simulate_observations
+from tumble.simulation.scenario import Itinerary, Scenario, itinerary
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 GRAVITY = 9.815817

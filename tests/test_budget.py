@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from formula_setup import GRAVITY, SEED, SETUP, SILENT, study
 
-from tumble.budget import GROUPS, Setup, budget, indirect_coefficients
 from tumble.errors import InputError, ProgrammeError
-from tumble.grades import NoiseModel, Spread
-from tumble.passes import METHODS, NAMES, Method
-from tumble.programme import ANY_MOVE, Programme, programme
+from tumble.planning.budget import GROUPS, Setup, budget, indirect_coefficients
+from tumble.planning.error_propagation import METHODS, NAMES, Method
+from tumble.programme.positions import ANY_MOVE, Programme, programme
+from tumble.sensors.grades import NoiseModel, Spread
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 
 

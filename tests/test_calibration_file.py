@@ -21,15 +21,15 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble import __version__
-from tumble.calibration import Calibration, read_calibration
+from tumble.calibration.calibrate import calibrate, inspect_session
+from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import CalibrationError
-from tumble.grades import GRADES
-from tumble.model import Block, SensorModel
-from tumble.procedure import calibrate, inspect_session
-from tumble.scenario import HandHeld, Profile, Scenario, Vibration, draw_parameters
-from tumble.session import Site, read_session
-from tumble.simulate import Request, simulate_session, write_simulation
+from tumble.recording.session import Site, read_session
+from tumble.sensors.grades import GRADES
+from tumble.sensors.model import Block, SensorModel
+from tumble.simulation.scenario import HandHeld, Profile, Scenario, Vibration, draw_parameters
+from tumble.simulation.session import Request, simulate_session, write_simulation
 from tumble.units import DEGREE
 
 HAND = Request(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=50.0)

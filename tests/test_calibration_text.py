@@ -11,20 +11,20 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console, RenderableType
 
-from tumble.calibration import Calibration
-from tumble.calibration_text import (
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.launches import Run, difference_percent, mean_of_launches
+from tumble.cli import main
+from tumble.recording.session import read_session
+from tumble.simulation.session import Request, simulate_session
+from tumble.terminal.calibration import (
     WHAT_AN_INCREMENT_SAYS,
     calibration_report,
     iteration_table,
     launch_table,
     method_table,
 )
-from tumble.cli import main
-from tumble.launches import Run, difference_percent, mean_of_launches
-from tumble.procedure import calibrate
-from tumble.session import read_session
-from tumble.simulate import Request, simulate_session
-from tumble.text import shown_units
+from tumble.terminal.text import shown_units
 
 REQUEST = Request(rest=10.0, sample_rate=50.0)
 

@@ -15,17 +15,18 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from tumble import trial
-from tumble.campaign import Campaign, campaign_of, read_campaign, run_campaign
-from tumble.campaign_summary import Line, plot, summary
+from tumble.campaigns import trial
+from tumble.campaigns.campaign import Campaign, campaign_of, read_campaign, run_campaign
+from tumble.campaigns.engine import Executor, run, serially
+from tumble.campaigns.summary import Line, summary
+from tumble.campaigns.trial import BLOCK, NAMES, Cell, session_rows, statics_rows
 from tumble.cli import main
-from tumble.engine import Executor, run, serially
 from tumble.errors import InputError, MissingExtraError
+from tumble.report.campaign_picture import plot
 from tumble.rotation import rotation_matrix
-from tumble.scenario import itinerary
-from tumble.simulate import Request
-from tumble.simulated_observations import simulate_observations
-from tumble.trial import BLOCK, NAMES, Cell, session_rows, statics_rows
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import itinerary
+from tumble.simulation.session import Request
 
 TABLE = Cell(request=Request(rest=20.0), noise_factor=1.0)
 SESSIONS = {"seed": 3, "trials": 4, "grid": {"method": ["joint", "ellipsoid"], "table_error_deg": [0.5, 5]}}

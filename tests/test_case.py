@@ -12,19 +12,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tumble.calibration import read_calibration
-from tumble.case import CaseAlignment, Verticals, align_case, case_of, estimate_in, relate, verticals_of, wahba
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.case import (
+    CaseAlignment,
+    Verticals,
+    align_case,
+    case_of,
+    estimate_in,
+    relate,
+    verticals_of,
+    wahba,
+)
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.methods.staged import staged
-from tumble.model import Block, SensorModel
-from tumble.observe import Observations
-from tumble.procedure import calibrate
-from tumble.programme import attitude, from_attitudes, programme
+from tumble.estimation.methods.staged.method import staged
+from tumble.programme.positions import attitude, from_attitudes, programme
+from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix
-from tumble.scenario import OnTable, Scenario, itinerary
-from tumble.simulate import Request, simulate_session, typical_scenario
-from tumble.simulated_observations import simulate_observations
+from tumble.sensors.model import Block, SensorModel
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import OnTable, Scenario, itinerary
+from tumble.simulation.session import Request, simulate_session, typical_scenario
 from tumble.units import DEGREE, Array
 
 seeds = st.integers(min_value=0, max_value=2**32 - 1)
@@ -238,7 +247,7 @@ def test_gyros_tell_the_azimuths_of_a_cube() -> None:
     _, case = estimate_in("case", estimate, seen)
     assert case is not None
     assert len(case.tilt) == 2
-    from tumble.case import _attitudes
+    from tumble.calibration.case import _attitudes
 
     force = estimate.accel.apply(seen.rests.accel)
     attitudes = _attitudes(seen, force / np.linalg.norm(force, axis=1, keepdims=True), estimate.gyro)

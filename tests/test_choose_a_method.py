@@ -54,7 +54,7 @@ def result_is_complete(study: ModuleType, result: dict[str, dict[str, list[dict[
 
 
 def test_every_method_is_on_the_page(study: ModuleType) -> None:
-    from tumble.procedure import ITERATED_METHODS, METHODS
+    from tumble.calibration.calibrate import ITERATED_METHODS, METHODS
 
     listed = set(re.findall(r"^\| `(\w+)` \|", PAGE.read_text(encoding="utf-8"), re.M))
     assert listed == set(study.NEEDS) == {*METHODS, *ITERATED_METHODS}

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from tumble.coloured_noise import ColouredNoise, fit_coloured_noise
+from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.units import Array
 
 CHANNELS = 3

@@ -10,13 +10,13 @@ import pytest
 from calibrated import FRAMES, HEXAD, calibration
 from click.testing import CliRunner
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.compare import compare_calibrations
+from tumble.calibration.results import Parameter
 from tumble.cli import main
-from tumble.compare import compare_calibrations
 from tumble.errors import InputError
-from tumble.frames import Frame
-from tumble.model import Block
-from tumble.results import Parameter
+from tumble.sensors.frames import Frame
+from tumble.sensors.model import Block
 
 
 def moved(made: Calibration, by: dict[str, float]) -> Calibration:

@@ -13,16 +13,16 @@ from scipy import stats
 from test_ellipsoid import FOURTEEN, placed
 from test_export import CERTIFICATE
 
-from tumble.calibration import Calibration
-from tumble.compare import compare_calibrations
-from tumble.coverage import coverage, degrees_of_freedom, shortfalls
-from tumble.estimate import Fit
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.compare import compare_calibrations
+from tumble.calibration.coverage import coverage, degrees_of_freedom, shortfalls
+from tumble.calibration.from_readings import calibrate_table
+from tumble.calibration.readings_table import Table, nominal, read_table
+from tumble.calibration.results import Launch
+from tumble.estimation.estimate import Fit
 from tumble.export import export_calibration
-from tumble.from_readings import calibrate_table
-from tumble.readings import Table, nominal, read_table
 from tumble.registry.limits import parse_limits
 from tumble.report.content import Source, document
-from tumble.results import Launch
 from tumble.units import Array
 
 NAMESPACES = {"si": "https://ptb.de/si", "dcc": "https://ptb.de/dcc"}

@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration import read_calibration
+from tumble.calibration.calibration_file import read_calibration
 from tumble.cli import main
 from tumble.errors import ProgrammeError
-from tumble.log import open_log
-from tumble.match import Match, match_rests
-from tumble.programme import ANY_MOVE, Position, Programme, programme
-from tumble.reduction import reduce_log
+from tumble.programme.positions import ANY_MOVE, Position, Programme, programme
+from tumble.programme.sheet import sheet_page
+from tumble.programme.sheet_words import sheet_rows
+from tumble.recording.log import open_log
+from tumble.recording.session import ProgrammeSpec, Session, read_session
+from tumble.reduction.blocks import reduce_log
+from tumble.reduction.matching import Match, match_rests
+from tumble.reduction.segmentation import find_rests
 from tumble.rotation import rotation_matrix
-from tumble.scenario import OnTable, Profile
-from tumble.segment import find_rests
-from tumble.session import ProgrammeSpec, Session, read_session
-from tumble.sheet import sheet_page
-from tumble.sheet_words import sheet_rows
-from tumble.simulate import Request, simulate_session, typical_scenario, write_simulation
+from tumble.simulation.scenario import OnTable, Profile
+from tumble.simulation.session import Request, simulate_session, typical_scenario, write_simulation
 from tumble.units import DEGREE, Array
 
 CUBES = ("cube-12", "cube-14", "cube-26", "faces-edges-18")

@@ -30,10 +30,10 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import rq
 
+from tumble.calibration.calibrate import calibrate, inspect_session
 from tumble.cli import main
-from tumble.log import open_log
-from tumble.procedure import calibrate, inspect_session
-from tumble.session import read_session
+from tumble.recording.log import open_log
+from tumble.recording.session import read_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 ROOT = Path(__file__).parents[1]

@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble.cli import main
-from tumble.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
-from tumble.session import Session, read_session
-from tumble.simulate import Request, simulate_session
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
+from tumble.recording.session import Session, read_session
+from tumble.simulation.session import Request, simulate_session
 from tumble.units import ACCEL_UNITS, GYRO_UNITS
 
 

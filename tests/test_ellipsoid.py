@@ -15,18 +15,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
+from tumble.calibration.calibrate import calibrate
 from tumble.errors import InputError
-from tumble.methods.ellipsoid import ellipsoid
-from tumble.methods.scalar import scalar_rows
-from tumble.methods.staged import staged
-from tumble.model import Block, SensorModel
-from tumble.observe import Observations, Rests
-from tumble.procedure import calibrate
-from tumble.quadric import fit_many
+from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
+from tumble.estimation.methods.ellipsoid import ellipsoid
+from tumble.estimation.methods.paper.scalar import scalar_rows
+from tumble.estimation.methods.staged.method import staged
+from tumble.estimation.observability import Refusal
+from tumble.estimation.quadric import fit_many
+from tumble.recording.session import Site
+from tumble.reduction.observations import Observations, Rests
 from tumble.rotation import rotation_matrix
-from tumble.session import Site
-from tumble.telling import Refusal
+from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array
 
 NOMINAL = -2.4  # V/g

@@ -20,9 +20,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tumble import engine
-from tumble.cluster import executor_for
-from tumble.engine import Chunks, Done, Executor, Job, Row, run, serially
+from tumble.campaigns import engine
+from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.engine import Chunks, Done, Executor, Job, Row, run, serially
 from tumble.errors import InputError, MissingExtraError
 
 BAD, DEADLY = 7, 13
@@ -272,7 +272,7 @@ def test_everything_listens_on_the_loopback_and_not_at_the_port_of_a_dashboard(p
     ],
 )
 def test_places_that_cannot_be_are_refused(options: dict[str, Any], said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tumble.cluster.CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("tumble.campaigns.cluster.CONNECT_SECONDS", 0.5)
     with pytest.raises(InputError, match=said) as caught, executor_for(**options):
         pass
     assert "\n" not in str(caught.value)

@@ -11,15 +11,15 @@ import pytest
 from calibrated import HEXAD, calibration
 from click.testing import CliRunner
 
+from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.commands import export as command
 from tumble.errors import InputError
-from tumble.estimate import Outcome
+from tumble.estimation.estimate import Outcome
 from tumble.export import FORMATS, export_calibration
 from tumble.export.certificate import Certificate, Party, Person
 from tumble.export.exported import NO_MAGNETOMETER
 from tumble.export.kalibr import Densities, NoiseDensities
-from tumble.results import Parameter
 
 PLAIN = tuple(name for name in FORMATS if name not in ("kalibr", "dcc"))
 WITH_COMMENTS = ("ros-imu-calib", "px4", "ardupilot", "c", "csv", "imucal")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from calibrated import HEXAD, calibration
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export import export_calibration
-from tumble.model import SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 N = 1000

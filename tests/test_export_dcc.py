@@ -16,13 +16,13 @@ from calibrated import HEXAD, calibration
 from click.testing import CliRunner
 from test_export import CERTIFICATE
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.certificate import read_certificate
 from tumble.export.dcc import d_si
-from tumble.session import Site
+from tumble.recording.session import Site
 
 NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
 TOML = """

@@ -10,9 +10,9 @@ import pytest
 from test_docs import lines_of, same_output
 from test_export import CERTIFICATE, NOISE
 
-from tumble.calibration import read_calibration
+from tumble.calibration.calibration_file import read_calibration
 from tumble.export import FORMATS, export_calibration
-from tumble.model import Block
+from tumble.sensors.model import Block
 
 PAGES = Path(__file__).parents[1] / "docs" / "export"
 BLOCK = re.compile(r"<!-- example: (\S+) -->\n```text\n(.*?)^```$", re.M | re.S)

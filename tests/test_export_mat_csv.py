@@ -12,7 +12,7 @@ import pytest
 from calibrated import HEXAD, calibration
 from scipy.io import loadmat
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export import export_calibration
 
 

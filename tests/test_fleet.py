@@ -10,12 +10,12 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
+from tumble.calibration.calibrate import calibrate
+from tumble.campaigns.engine import Executor
+from tumble.campaigns.fleet import run_fleet, sessions_of, tally
 from tumble.cli import main
-from tumble.engine import Executor
 from tumble.errors import InputError, MissingExtraError
-from tumble.fleet import run_fleet, sessions_of, tally
-from tumble.procedure import calibrate
-from tumble.simulate import Request, simulate_session
+from tumble.simulation.session import Request, simulate_session
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from tumble.errors import InputError
-from tumble.formats import Message, as_log, messages
+from tumble.recording.formats import Message, as_log, messages
 from tumble.units import Array
 
 RATE = 100
@@ -280,9 +280,8 @@ def test_a_recording_without_inertial_sensors_is_refused(tmp_path: Path) -> None
 )
 def test_a_missing_extra_is_named(module: str, name: str, record: Array, tmp_path: Path) -> None:
     WRITERS[name](tmp_path / name, record)
-    code = (
-        f"import sys; sys.modules[{module!r}] = None; from tumble.formats import messages; from pathlib import Path\n"
-    )
+    code = f"import sys; sys.modules[{module!r}] = None\nfrom pathlib import Path\n"
+    code += "from tumble.recording.formats import messages\n"
     code += f"from tumble.errors import MissingExtraError\ntry: messages(Path({str(tmp_path / name)!r}))\n"
     code += "except MissingExtraError as error: print(error)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

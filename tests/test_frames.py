@@ -13,17 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import sqrtm
 
-from tumble.calibration import Calibration, read_calibration
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
 from tumble.commands.arguments import FRAMES as OFFERED
 from tumble.errors import InputError
-from tumble.frames import FRAMES, Alignment, Convention, Frame, convert, frame_of, rotation_to, triad_axes
-from tumble.launches import Run, mean_of_launches
-from tumble.model import Block, SensorModel
-from tumble.procedure import calibrate
+from tumble.recording.session import read_session
 from tumble.rotation import rotation_matrix
-from tumble.session import read_session
-from tumble.simulate import Request, simulate_session
+from tumble.sensors.frames import FRAMES, Alignment, Convention, Frame, convert, frame_of, rotation_to, triad_axes
+from tumble.sensors.model import Block, SensorModel
+from tumble.simulation.session import Request, simulate_session
 from tumble.units import Array
 
 TRIAD = np.eye(3)

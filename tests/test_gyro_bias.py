@@ -7,7 +7,7 @@ import pytest
 from rough_launches import EARTH, GRAVITY, LATITUDE, PROGRAMME
 
 from tumble.earth import EARTH_RATE
-from tumble.methods.gyro_bias import (
+from tumble.estimation.methods.paper.gyro_bias import (
     invariant_bias,
     scalar_bias,
     turned_bias,
@@ -15,7 +15,7 @@ from tumble.methods.gyro_bias import (
     vector_bias,
     vertical_bias,
 )
-from tumble.programme import attitude
+from tumble.programme.positions import attitude
 from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, DEGREE_PER_HOUR, Array
 

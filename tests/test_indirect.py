@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rough_launches import COURSE, EARTH, GRAVITY, PROGRAMME, SIZES, TURN_SECONDS, Launches, launches, rough_attitudes
 
-from tumble.accuracy import accelerometer_leakage
 from tumble.errors import ProgrammeError
-from tumble.methods.compensation import perfect
-from tumble.methods.indirect import (
+from tumble.estimation.methods.paper.accuracy_formulas import accelerometer_leakage
+from tumble.estimation.methods.paper.compensation import perfect
+from tumble.estimation.methods.paper.indirect import (
     accelerometer_errors,
     check_directions,
     gyro_errors,
@@ -18,8 +18,8 @@ from tumble.methods.indirect import (
     logged_jacobian,
     programme_matrix,
 )
-from tumble.methods.levelling import triad
-from tumble.programme import ANY_MOVE, Move, Position, Programme, attitude
+from tumble.estimation.methods.paper.levelling import triad
+from tumble.programme.positions import ANY_MOVE, Move, Position, Programme, attitude
 from tumble.units import DEGREE, Array
 
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0])}

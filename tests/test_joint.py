@@ -1,7 +1,7 @@
 """The joint method: exact without noise, at the bound with it, honest about it, and free where nothing is seen.
 
-Observations are simulated directly (`tumble.simulated_observations`), so that a session takes milliseconds. Statistical
-limits are at least five standard errors wide, so that a false alarm is rarer than 1e-6.
+Observations are simulated directly (`tumble.simulation.observations`), so that a session takes milliseconds.
+Statistical limits are at least five standard errors wide, so that a false alarm is rarer than 1e-6.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tumble.budget import Setup
-from tumble.diagnose import verdict
-from tumble.estimate import Estimate
-from tumble.grades import GRADES, NoiseModel, Spread
-from tumble.likelihood import Prior, Problem, Scatter, TurnsAbout, linearise, solve, weights
-from tumble.methods import joint as method
-from tumble.methods.joint import TOTAL, joint
-from tumble.methods.staged import staged
-from tumble.model import Block
-from tumble.observe import Observations
-from tumble.procedure import calibrate
-from tumble.programme import from_attitudes
-from tumble.scenario import IN_HAND, HandHeld, Scenario
-from tumble.simulated_observations import scenario_of, simulate_observations
+from tumble.calibration.calibrate import calibrate
+from tumble.estimation.diagnosis import verdict
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.likelihood import Prior, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.estimation.methods import joint as method
+from tumble.estimation.methods.joint import TOTAL, joint
+from tumble.estimation.methods.staged.method import staged
+from tumble.planning.budget import Setup
+from tumble.programme.positions import from_attitudes
+from tumble.reduction.observations import Observations
+from tumble.sensors.grades import GRADES, NoiseModel, Spread
+from tumble.sensors.model import Block
+from tumble.simulation.observations import scenario_of, simulate_observations
+from tumble.simulation.scenario import IN_HAND, HandHeld, Scenario
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)

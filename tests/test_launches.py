@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration import read_calibration
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.launches import Run, mean_of_launches
-from tumble.procedure import calibrate
-from tumble.session import read_session
-from tumble.simulate import Request, simulate_session
+from tumble.recording.session import read_session
+from tumble.simulation.session import Request, simulate_session
 
 REQUEST = Request(rest=10.0, sample_rate=50.0)
 

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tumble.budget import Setup
-from tumble.grades import NoiseModel
-from tumble.likelihood import (
+from tumble.estimation.likelihood import (
     NO_PRIOR,
     Point,
     Prior,
@@ -26,11 +24,13 @@ from tumble.likelihood import (
     solve,
     weights,
 )
-from tumble.model import Block
-from tumble.programme import programme
+from tumble.planning.budget import Setup
+from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.scenario import Scenario, itinerary
-from tumble.simulated_observations import scenario_of, simulate_observations
+from tumble.sensors.grades import NoiseModel
+from tumble.sensors.model import Block
+from tumble.simulation.observations import scenario_of, simulate_observations
+from tumble.simulation.scenario import Scenario, itinerary
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, gravity_u=1e-5, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)

@@ -18,11 +18,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble import bridging, log_files
-from tumble.bridging import Gap
 from tumble.errors import LogError
-from tumble.log import Chunk, Log, open_log
-from tumble.session import read_session, write_session
+from tumble.recording import gaps as bridging
+from tumble.recording import readers as log_files
+from tumble.recording.gaps import Gap
+from tumble.recording.log import Chunk, Log, open_log
+from tumble.recording.session import read_session, write_session
 from tumble.units import Array
 
 if sys.version_info >= (3, 14):

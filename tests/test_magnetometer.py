@@ -13,17 +13,17 @@ import pytest
 from click.testing import CliRunner
 from test_ellipsoid import cube, placed
 
-from tumble.apply import apply_to_session
-from tumble.calibration import Calibration, read_calibration
+from tumble.calibration.apply import apply_to_session
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
-from tumble.ellipsoid import TRIAD
 from tumble.errors import InputError, SessionError
-from tumble.launches import Run, mean_of_launches
-from tumble.log import open_log
-from tumble.methods.magnetometer import NAMES
-from tumble.procedure import calibrate
-from tumble.reduction import reduce_log
-from tumble.session import read_session, write_session
+from tumble.estimation.ellipsoid import TRIAD
+from tumble.estimation.methods.magnetometer import NAMES
+from tumble.recording.log import open_log
+from tumble.recording.session import read_session, write_session
+from tumble.reduction.blocks import reduce_log
 from tumble.units import Array
 
 RATE, REST, MOVE = 50.0, 6.0, 1.5  # Hz, s, s

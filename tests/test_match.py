@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from tumble.errors import ProgrammeError
-from tumble.log import Chunk
-from tumble.match import Match, match_rests
-from tumble.model import Block
-from tumble.programme import ANY_MOVE, Programme, programme
-from tumble.reduction import Reducer, Reduction
+from tumble.programme.positions import ANY_MOVE, Programme, programme
+from tumble.recording.log import Chunk
+from tumble.recording.session import Channels, Device, LogSpec, Position, ProgrammeSpec, Session, Site
+from tumble.reduction.blocks import Reducer, Reduction
+from tumble.reduction.matching import Match, match_rests
+from tumble.reduction.segmentation import find_rests
 from tumble.rotation import rotation_matrix
-from tumble.scenario import OnTable, Profile
-from tumble.segment import find_rests
-from tumble.session import Channels, Device, LogSpec, Position, ProgrammeSpec, Session, Site
-from tumble.simulate import Request, typical_scenario
-from tumble.simulated_recording import Recording, record
+from tumble.sensors.model import Block
+from tumble.simulation.recording import Recording, record
+from tumble.simulation.scenario import OnTable, Profile
+from tumble.simulation.session import Request, typical_scenario
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, Array
 
 RATE = 20.0
@@ -141,7 +141,7 @@ def test_positions_listed_by_their_codes_are_matched() -> None:
 
 
 def _listed_course(codes: Sequence[str]) -> Programme:
-    from tumble.programme import from_attitudes
+    from tumble.programme.positions import from_attitudes
 
     return from_attitudes(codes)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tumble.model import Block, SensorModel, to_accelerometer_frame
 from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
+from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 
 TRIAD = np.eye(3)
 PERMUTED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

@@ -14,20 +14,20 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from tumble import observe as observing
-from tumble import reduction
 from tumble.earth import earth_rate
-from tumble.log import Chunk
-from tumble.match import Match
-from tumble.model import Block, SensorModel
-from tumble.observe import Observations, TurnSamples, observe
-from tumble.reduction import Reducer, Reduction
+from tumble.recording.log import Chunk
+from tumble.recording.session import Site
+from tumble.reduction import blocks as reduction
+from tumble.reduction import observations as observing
+from tumble.reduction.blocks import Reducer, Reduction
+from tumble.reduction.matching import Match
+from tumble.reduction.observations import Observations, TurnSamples, observe
+from tumble.reduction.segmentation import find_rests, stated_rest
 from tumble.rotation import rotation_matrix, tangent_basis
-from tumble.scenario import Scenario
-from tumble.segment import find_rests, stated_rest
-from tumble.session import Site
-from tumble.simulate import Request, typical_scenario
-from tumble.simulated_recording import Recording, record
+from tumble.sensors.model import Block, SensorModel
+from tumble.simulation.recording import Recording, record
+from tumble.simulation.scenario import Scenario
+from tumble.simulation.session import Request, typical_scenario
 from tumble.units import DEGREE, Array
 
 LATITUDE = 56.84 * DEGREE

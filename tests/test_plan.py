@@ -8,17 +8,25 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from tumble._chain import eliminate
-from tumble.bounds import Bound, Course, bound, bound_of, course_of, course_through
-from tumble.budget import Setup
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.estimate import spreads_of
-from tumble.grades import GRADES, NoiseModel
-from tumble.places import Places, Table
-from tumble.plan import Aim, candidates, compared, next_positions, of_the_literature, optimised, value_of
-from tumble.programme import Programme, from_attitudes, programme
+from tumble.estimation.elimination import eliminate
+from tumble.estimation.estimate import spreads_of
+from tumble.planning.best_positions import (
+    Aim,
+    candidates,
+    compared,
+    next_positions,
+    of_the_literature,
+    optimised,
+    value_of,
+)
+from tumble.planning.bounds import Bound, Course, bound, bound_of, course_of, course_through
+from tumble.planning.budget import Setup
+from tumble.planning.reachable_attitudes import Places, Table
+from tumble.programme.positions import Programme, from_attitudes, programme
 from tumble.rotation import rotation_vector
+from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.units import DEGREE
 
 SETUP = Setup(latitude=56.84 * DEGREE, gravity=9.8157883)
@@ -183,7 +191,7 @@ def test_a_candidate_costs_no_more_in_a_long_programme(monkeypatch: pytest.Monke
         rests.append(len(rest))
         eliminate(rest, *others)
 
-    monkeypatch.setattr("tumble.plan.eliminate", counted)
+    monkeypatch.setattr("tumble.planning.best_positions.eliminate", counted)
     long = Programme(
         name="long",
         positions=SETUP.programme.positions * 4,

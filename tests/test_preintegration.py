@@ -18,8 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tumble import _kernels
-from tumble._kernels import LANES, STRETCH, TILE, preintegrate
+from tumble.reduction import kernels as _kernels
+from tumble.reduction.kernels import LANES, STRETCH, TILE, preintegrate
 from tumble.rotation import rotation_matrix, skew
 from tumble.units import Array
 
@@ -264,7 +264,7 @@ def test_a_number_that_is_not_one_spoils_its_own_turn_only() -> None:
 
 def test_importing_compiles_nothing() -> None:
     code = """
-import tumble._kernels as kernels
+import tumble.reduction.kernels as kernels
 compiled = [name for name, value in vars(kernels).items() if getattr(value, "signatures", None)]
 loops = [name for name, value in vars(kernels).items() if hasattr(value, "signatures")]
 assert loops and not compiled, compiled

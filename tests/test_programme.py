@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tumble.errors import ProgrammeError
-from tumble.programme import (
+from tumble.programme.positions import (
     ANY_MOVE,
     BUILT_IN,
     Move,

@@ -27,24 +27,24 @@ from rough_launches import (
     values_of,
 )
 
-from tumble.accuracy import accelerometer_leakage
 from tumble.earth import EARTH_RATE
-from tumble.methods.compensation import compensated, composed, perfect, triad_model, triad_parameters
-from tumble.methods.four_stages import Method
-from tumble.methods.gyro_bias import invariant_bias
-from tumble.methods.indirect import (
+from tumble.estimation.methods.paper.accuracy_formulas import accelerometer_leakage
+from tumble.estimation.methods.paper.compensation import compensated, composed, perfect, triad_model, triad_parameters
+from tumble.estimation.methods.paper.four_stages import Method
+from tumble.estimation.methods.paper.gyro_bias import invariant_bias
+from tumble.estimation.methods.paper.indirect import (
     accelerometer_errors,
     gyro_errors,
     horizontal_differences,
     logged_jacobian,
     programme_matrix,
 )
-from tumble.methods.levelling import triad, vertical
-from tumble.methods.scalar import accelerometers as scalar_accelerometers
-from tumble.methods.scalar import scalar_differences, scalar_fit, scalar_rows
-from tumble.methods.sequential import accelerometers as sequential_accelerometers
-from tumble.methods.sequential import check_positions
-from tumble.model import SensorModel
+from tumble.estimation.methods.paper.levelling import triad, vertical
+from tumble.estimation.methods.paper.scalar import accelerometers as scalar_accelerometers
+from tumble.estimation.methods.paper.scalar import scalar_differences, scalar_fit, scalar_rows
+from tumble.estimation.methods.paper.sequential import accelerometers as sequential_accelerometers
+from tumble.estimation.methods.paper.sequential import check_positions
+from tumble.sensors.model import SensorModel
 from tumble.units import ARCSEC, DEGREE, Array
 
 N = 600

@@ -11,11 +11,11 @@ from click.testing import CliRunner
 
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.grades import GRADES
-from tumble.noise import Panel
-from tumble.quiet_record import longest_rest, noise_panels, whole_log
-from tumble.session import read_session
-from tumble.simulate import Request, simulate_session
+from tumble.recording.session import read_session
+from tumble.reduction.allan_deviation import Panel
+from tumble.reduction.quiet_samples import longest_rest, noise_panels, whole_log
+from tumble.sensors.grades import GRADES
+from tumble.simulation.session import Request, simulate_session
 from tumble.units import DEGREE
 
 
@@ -84,7 +84,7 @@ def test_the_command_prints_a_row_for_every_sensor_and_draws(session: Path, tmp_
 
 def test_a_session_without_rest_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = simulate_session(tmp_path / "s", Request(grade="mems", positions=3), seed=3)
-    monkeypatch.setattr("tumble.segment.MIN_REST_SECONDS", 1e6)
+    monkeypatch.setattr("tumble.reduction.segmentation.MIN_REST_SECONDS", 1e6)
     with pytest.raises(InputError, match="expected a rest"):
         longest_rest(read_session(folder))
 

@@ -11,12 +11,12 @@ import pytest
 from click.testing import CliRunner, Result
 from test_ellipsoid import FOURTEEN, THETA, B, K, cube, placed, readings
 
-from tumble.calibration import read_calibration
+from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.from_readings import calibrate_table, paper_form
+from tumble.calibration.readings_table import nominal, read_table
 from tumble.cli import main
-from tumble.ellipsoid import TRIAD
 from tumble.errors import InputError
-from tumble.from_readings import calibrate_table, paper_form
-from tumble.readings import nominal, read_table
+from tumble.estimation.ellipsoid import TRIAD
 from tumble.units import DEGREE, G_STANDARD, Array
 
 HEADER = "ux,uy,uz"

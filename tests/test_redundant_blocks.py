@@ -15,17 +15,18 @@ import numpy as np
 import pytest
 from test_staged import COARSE, FINE, NAVIGATION, PYRAMID, error_of, in_the_hand, observations, rough_table, unit
 
-from tumble.accuracy import angle_variance, best_elevations
+from tumble.calibration.calibrate import calibrate
 from tumble.earth import earth_rate
-from tumble.methods import staged_accelerometers, staged_gyros
-from tumble.methods.levelling import triad, vertical
-from tumble.methods.sequential import angle_astride, angle_between, bias_and_scale
-from tumble.methods.staged import staged
-from tumble.model import Block
-from tumble.procedure import calibrate
+from tumble.estimation.methods.paper.accuracy_formulas import angle_variance, best_elevations
+from tumble.estimation.methods.paper.levelling import triad, vertical
+from tumble.estimation.methods.paper.sequential import angle_astride, angle_between, bias_and_scale
+from tumble.estimation.methods.staged import accelerometers as staged_accelerometers
+from tumble.estimation.methods.staged import gyros as staged_gyros
+from tumble.estimation.methods.staged.method import staged
 from tumble.rotation import rotation_matrix
-from tumble.scenario import draw_parameters
-from tumble.simulate import Request, typical_scenario, write_simulation
+from tumble.sensors.model import Block
+from tumble.simulation.scenario import draw_parameters
+from tumble.simulation.session import Request, typical_scenario, write_simulation
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 GOLDEN = 0.5 * (1.0 + 5.0**0.5)

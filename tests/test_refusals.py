@@ -23,19 +23,19 @@ import pytest
 import tomli_w
 from click.testing import CliRunner, Result
 
+from tumble.calibration.calibrate import inspect_session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
-from tumble.estimate import Estimate
-from tumble.grades import GRADES
-from tumble.methods.staged import staged
-from tumble.model import Block
-from tumble.procedure import inspect_session
-from tumble.programme import attitude, from_attitudes, programme
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.methods.staged.method import staged
+from tumble.programme.positions import attitude, from_attitudes, programme
+from tumble.recording.session import Site, read_session
 from tumble.rotation import rotation_matrix
-from tumble.scenario import OnTable, Profile, Scenario, Vibration, draw_parameters
-from tumble.session import Site, read_session
-from tumble.simulate import Request, simulate_session
-from tumble.simulated_recording import record
+from tumble.sensors.grades import GRADES
+from tumble.sensors.model import Block
+from tumble.simulation.recording import record
+from tumble.simulation.scenario import OnTable, Profile, Scenario, Vibration, draw_parameters
+from tumble.simulation.session import Request, simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 ACCEL, GYRO = ("ax", "ay", "az"), ("gx", "gy", "gz")
@@ -788,7 +788,7 @@ def test_an_estimate_that_breaks_down_is_a_refusal(
     def broken(_: object) -> Estimate:
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr("tumble.procedure.METHODS", {"joint": broken})
+    monkeypatch.setattr("tumble.calibration.calibrate.METHODS", {"joint": broken})
     assert reason(hand, tmp_path / "session").startswith("the estimate broke down (SVD did not converge)")
 
 

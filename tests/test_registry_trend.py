@@ -19,15 +19,15 @@ from registry_files import content
 from scipy import stats
 
 from tumble.errors import InputError, MissingExtraError
-from tumble.registry.chart import write_chart
 from tumble.registry.connect import open_registry
 from tumble.registry.limits import read_limits
 from tumble.registry.monitor import Monitored, monitored
 from tumble.registry.records import Particulars, State, submission, utc
 from tumble.registry.series import Point, Series
 from tumble.registry.store import add, set_limits
-from tumble.registry.tables import sparkline
 from tumble.registry.trend import YEAR, Trend, trend_of
+from tumble.report.control_chart import write_chart
+from tumble.terminal.registry import sparkline
 from tumble.units import Array
 
 START = datetime(2020, 1, 1, tzinfo=UTC)
@@ -143,7 +143,7 @@ def simulated(rng: np.random.Generator, count: int, launches: int, tau: float) -
         runs: Array = 1.5 * i + rng.normal(0.0, tau, launches) + rng.normal(0.0, 1.0, launches)
         if launches == 1:
             points.append(point(0.5 * i, float(runs[0])))
-        else:  # as `tumble.launches` states the u of a mean
+        else:  # as `tumble.calibration.launches` states the u of a mean
             u = float(np.sqrt(max(1.0, runs.var(ddof=1)) / launches))
             points.append(point(0.5 * i, float(runs.mean()), u=u, launches=runs.tolist()))
     return trend(*points)

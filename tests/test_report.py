@@ -27,11 +27,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from tumble.calibration import read_calibration
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import read_calibration
 from tumble.cli import main
 from tumble.errors import MissingExtraError
-from tumble.model import SensorModel
-from tumble.procedure import calibrate
 from tumble.report.blocks import Table
 from tumble.report.characters import drawable, visible
 from tumble.report.compare import compared
@@ -43,7 +42,8 @@ from tumble.report.page import page as to_page
 from tumble.report.pdf import pdf as to_pdf
 from tumble.report.result import described
 from tumble.report.write import write_report
-from tumble.simulate import Request, simulate_session
+from tumble.sensors.model import SensorModel
+from tumble.simulation.session import Request, simulate_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
 SHORT = Request(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)

@@ -10,12 +10,12 @@ from formula_setup import AXIS, BIAS, SCALE, SETUP, SILENT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble.accuracy import axis_angle_rms, up_down_rms
-from tumble.budget import GROUPS, budget, indirect_coefficients
 from tumble.errors import InputError
-from tumble.passes import METHODS, Method
-from tumble.programme import programme
-from tumble.require import require
+from tumble.estimation.methods.paper.accuracy_formulas import axis_angle_rms, up_down_rms
+from tumble.planning.budget import GROUPS, budget, indirect_coefficients
+from tumble.planning.error_propagation import METHODS, Method
+from tumble.planning.requirements import require
+from tumble.programme.positions import programme
 from tumble.units import ARCSEC, DEGREE
 
 NINE_ONLY = replace(SILENT, programme=programme("nine"), table_error=DEGREE, mounting_error=0.0)

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble.log import Chunk
-from tumble.model import Block
-from tumble.reduction import Reducer, Reduction
+from tumble.recording.log import Chunk
+from tumble.reduction.blocks import Reducer, Reduction
+from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests, stated_rest
 from tumble.rotation import rotation_matrix
-from tumble.scenario import Scenario, Vibration
-from tumble.segment import RestSpan, Segmentation, find_rests, stated_rest
-from tumble.simulate import Request, typical_scenario
-from tumble.simulated_recording import Recording, record
+from tumble.sensors.model import Block
+from tumble.simulation.recording import Recording, record
+from tumble.simulation.scenario import Scenario, Vibration
+from tumble.simulation.session import Request, typical_scenario
 from tumble.units import Array
 
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))

@@ -24,19 +24,19 @@ from rough_launches import (
 )
 
 from tumble.errors import InputError, ProgrammeError, SessionError
-from tumble.estimate import Estimate
-from tumble.log import open_log
-from tumble.match import match_rests
-from tumble.methods.compensation import compensated, composed, triad_model, triad_parameters
-from tumble.methods.scalar import scalar
-from tumble.methods.sequential import sequential
-from tumble.model import Block
-from tumble.observe import Observations, Rests, TurnSamples, observe
-from tumble.programme import programme
-from tumble.reduction import GyroSamples, reduce_log
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.methods.paper.compensation import compensated, composed, triad_model, triad_parameters
+from tumble.estimation.methods.paper.scalar import scalar
+from tumble.estimation.methods.paper.sequential import sequential
+from tumble.programme.positions import programme
+from tumble.recording.log import open_log
+from tumble.recording.session import Site, read_session
+from tumble.reduction.blocks import GyroSamples, reduce_log
+from tumble.reduction.matching import match_rests
+from tumble.reduction.observations import Observations, Rests, TurnSamples, observe
+from tumble.reduction.segmentation import find_rests
 from tumble.rotation import axes_matrix
-from tumble.segment import find_rests
-from tumble.session import Site, read_session
+from tumble.sensors.model import Block
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 Pipeline = Callable[..., Estimate]
@@ -328,7 +328,9 @@ def test_the_turntable_recording_is_recovered(data: Path, pipeline: Pipeline) ->
 
 
 def test_scatter_between_rests_is_found_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tumble.methods.iterations.SCATTER_PROBABILITY", 1e-3)  # beyond doubt, so that quiet means none
+    monkeypatch.setattr(
+        "tumble.estimation.methods.paper.iterations.SCATTER_PROBABILITY", 1e-3
+    )  # beyond doubt, so that quiet means none
     rng = np.random.default_rng(9)
     values = drawn_values(1, rng)[0]
     quiet, noisy = (sequential(observations(values, rng, noise=n), iterations=4) for n in (1.0, 10.0))

@@ -16,11 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tumble import session as session_module
-from tumble import session_tables
 from tumble.errors import SessionError
-from tumble.programme import BUILT_IN
-from tumble.session import Session, read_session, write_session
+from tumble.programme.positions import BUILT_IN
+from tumble.recording import session as session_module
+from tumble.recording import session_keys as session_tables
+from tumble.recording.session import Session, read_session, write_session
 from tumble.units import TIME_UNITS
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "session-file.md"

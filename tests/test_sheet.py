@@ -21,11 +21,21 @@ from rich.console import Console
 from test_programme import FACES, rows_of_rests, rows_of_turns, triples, uncertainties
 
 from tumble.errors import InputError, ProgrammeError
-from tumble.programme import ANY_MOVE, BUILT_IN, Move, Position, Programme, attitude, from_attitudes, programme
+from tumble.programme.positions import (
+    ANY_MOVE,
+    BUILT_IN,
+    Move,
+    Position,
+    Programme,
+    attitude,
+    from_attitudes,
+    programme,
+)
+from tumble.programme.sheet import sheet_drawing, sheet_page, write_sheet
+from tumble.programme.sheet_pictures import AXIS, CUBE, SCALE, VIEW, legend, picture
+from tumble.programme.sheet_words import clock, direction, move_text, sheet_rows
 from tumble.rotation import rotation_matrix
-from tumble.sheet import sheet_drawing, sheet_page, sheet_table, write_sheet
-from tumble.sheet_pictures import AXIS, CUBE, SCALE, VIEW, legend, picture
-from tumble.sheet_words import clock, direction, move_text, sheet_rows
+from tumble.terminal.sheet import sheet_table
 from tumble.units import DEGREE, Array
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -19,14 +19,14 @@ from hypothesis import strategies as st
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.errors import InputError
-from tumble.grades import GRADES, NoiseModel
-from tumble.model import Block
-from tumble.programme import from_attitudes, programme
+from tumble.programme.positions import from_attitudes, programme
+from tumble.recording.session import Site, read_session
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.scenario import HandHeld, OnTable, Profile, Scenario, Vibration, draw_parameters
-from tumble.session import Site, read_session
-from tumble.simulate import Request, simulate_session, typical_scenario, vibration_of, write_simulation
-from tumble.simulated_recording import Recording, record
+from tumble.sensors.grades import GRADES, NoiseModel
+from tumble.sensors.model import Block
+from tumble.simulation.recording import Recording, record
+from tumble.simulation.scenario import HandHeld, OnTable, Profile, Scenario, Vibration, draw_parameters
+from tumble.simulation.session import Request, simulate_session, typical_scenario, vibration_of, write_simulation
 from tumble.units import DEGREE, Array
 
 UP = np.array([0.0, 1.0, 0.0])

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tumble.budget import Setup
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.grades import NoiseModel
-from tumble.model import Block, SensorModel
-from tumble.observe import Observations
-from tumble.programme import programme
+from tumble.planning.budget import Setup
+from tumble.programme.positions import programme
+from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary
-from tumble.simulated_observations import scenario_of, simulate_observations
+from tumble.sensors.grades import NoiseModel
+from tumble.sensors.model import Block, SensorModel
+from tumble.simulation.observations import scenario_of, simulate_observations
+from tumble.simulation.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary
 from tumble.units import DEGREE, Array
 
 SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0)

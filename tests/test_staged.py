@@ -15,18 +15,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tumble import observe as observing
-from tumble.diagnose import verdict
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimate import Estimate
-from tumble.methods import staged_accelerometers, staged_gyro_rows, staged_gyros
-from tumble.methods.staged import staged
-from tumble.model import Block
-from tumble.observe import Observations, Rests, TurnReadings, Turns, TurnSamples
-from tumble.programme import attitude, programme
-from tumble.reduction import GyroSamples
+from tumble.estimation.diagnosis import verdict
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.methods.staged import accelerometers as staged_accelerometers
+from tumble.estimation.methods.staged import gyro_rows as staged_gyro_rows
+from tumble.estimation.methods.staged import gyros as staged_gyros
+from tumble.estimation.methods.staged.method import staged
+from tumble.programme.positions import attitude, programme
+from tumble.recording.session import Site
+from tumble.reduction import observations as observing
+from tumble.reduction.blocks import GyroSamples
+from tumble.reduction.observations import Observations, Rests, TurnReadings, Turns, TurnSamples
 from tumble.rotation import rotation_matrix
-from tumble.session import Site
+from tumble.sensors.model import Block
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 SITE = Site(latitude=56.84 * DEGREE, height=0.0, gravity=9.8159, gravity_u=0.0)

@@ -6,11 +6,11 @@ import naive
 import numpy as np
 import pytest
 
-from tumble.likelihood import Point, Problem, Scatter, linearise, solve, weights
-from tumble.model import Block
-from tumble.observe import Observations, Rests
-from tumble.session import Site
-from tumble.statics import LANES, STEPS, fit_statics
+from tumble.campaigns.triads import LANES, STEPS, fit_statics
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
+from tumble.recording.session import Site
+from tumble.reduction.observations import Observations, Rests
+from tumble.sensors.model import Block
 from tumble.units import Array
 
 GRAVITY = 9.81

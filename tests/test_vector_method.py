@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tumble.accuracy import best_elevations
 from tumble.errors import ProgrammeError
-from tumble.methods.compensation import compensated, composed, triad_model, triad_parameters
-from tumble.methods.levelling import vertical
-from tumble.methods.sequential import (
+from tumble.estimation.methods.paper.accuracy_formulas import best_elevations
+from tumble.estimation.methods.paper.compensation import compensated, composed, triad_model, triad_parameters
+from tumble.estimation.methods.paper.levelling import vertical
+from tumble.estimation.methods.paper.sequential import (
     accelerometers,
     angle_astride,
     angle_between,
@@ -23,9 +23,9 @@ from tumble.methods.sequential import (
     check_positions,
     levelled_cosines,
 )
-from tumble.model import Block, SensorModel
-from tumble.programme import programme
+from tumble.programme.positions import programme
 from tumble.rotation import axes_matrix, rotation_matrix
+from tumble.sensors.model import Block, SensorModel
 from tumble.units import ARCSEC, DEGREE, Array
 
 g = 9.815817

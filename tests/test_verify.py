@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tumble.calibration import Calibration, read_calibration
-from tumble.case import relate
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.case import relate
+from tumble.calibration.results import Parameter, Readings
+from tumble.calibration.verify import Positions, positions_of, verify_calibration, verticals
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
-from tumble.estimate import Estimate, Outcome
-from tumble.frames import FRAMES
-from tumble.methods.staged import staged
-from tumble.model import Block
-from tumble.observe import Observations, Rests
-from tumble.procedure import calibrate
-from tumble.programme import programme
-from tumble.results import Parameter, Readings
+from tumble.estimation.estimate import Estimate, Outcome
+from tumble.estimation.methods.staged.method import staged
+from tumble.programme.positions import programme
+from tumble.recording.session import Site
+from tumble.reduction.observations import Observations, Rests
 from tumble.rotation import rotation_matrix
-from tumble.session import Site
-from tumble.simulate import Request, simulate_session
+from tumble.sensors.frames import FRAMES
+from tumble.sensors.model import Block
+from tumble.simulation.session import Request, simulate_session
 from tumble.units import DEGREE, Array
-from tumble.verify import Positions, positions_of, verify_calibration, verticals
 
 G = 9.8159
 SITE = Site(latitude=None, height=0.0, gravity=G, gravity_u=0.0)
@@ -344,7 +344,7 @@ def test_what_cannot_be_verified_is_refused(folders: dict[str, Path]) -> None:
     with pytest.raises(InputError, match="found 4 with other axes"):
         verify_calibration(made, four)
     session = calibrate(folders["own"])
-    from tumble.results import Launch
+    from tumble.calibration.results import Launch
 
     launch = Launch(session="own", parameters=(), covariance=None, log_sha256=session.provenance["log_sha256"])
     with pytest.raises(InputError, match="one of its 2 launches"):

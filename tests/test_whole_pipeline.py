@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tumble.estimate import Estimate
-from tumble.grades import GRADES, NoiseModel
-from tumble.log import Chunk
-from tumble.match import Match
-from tumble.methods.staged import staged
-from tumble.model import Block
-from tumble.observe import Observations, observe
-from tumble.reduction import Reducer
-from tumble.scenario import Scenario, draw_parameters
-from tumble.segment import find_rests
-from tumble.session import Site
-from tumble.simulate import Request, typical_scenario
-from tumble.simulated_recording import Recording, record
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.methods.staged.method import staged
+from tumble.recording.log import Chunk
+from tumble.recording.session import Site
+from tumble.reduction.blocks import Reducer
+from tumble.reduction.matching import Match
+from tumble.reduction.observations import Observations, observe
+from tumble.reduction.segmentation import find_rests
+from tumble.sensors.grades import GRADES, NoiseModel
+from tumble.sensors.model import Block
+from tumble.simulation.recording import Recording, record
+from tumble.simulation.scenario import Scenario, draw_parameters
+from tumble.simulation.session import Request, typical_scenario
 from tumble.units import Array
 
 TABLE = Request(grade="mems", rest=5.0, rate_deg_s=60.0, sample_rate=50.0)

@@ -22,18 +22,16 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from rich.table import Table
 
 from tumble import __version__
-from tumble.calibration import Calibration, read_calibration
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.earth import normal_gravity
-from tumble.noise import allan_deviation
-from tumble.plain_table import add_numbers, plain_table
-from tumble.procedure import calibrate
-from tumble.quadric import fit_many
-from tumble.simulate import TRUTH_FILE, Request, read_truth, simulate_session
+from tumble.estimation.quadric import fit_many
+from tumble.files import whole_file
+from tumble.reduction.allan_deviation import allan_deviation
+from tumble.simulation.session import TRUTH_FILE, Request, read_truth, simulate_session
 from tumble.units import DEGREE, G_STANDARD
-from tumble.whole_file import whole_file
 
 LIBRARIES = ("numpy", "scipy", "numba", "polars", "pydantic")
 
@@ -249,17 +247,3 @@ def _difference(name: str, source: str, difference: float, limit: float, unit: s
 
 
 # -------------------- on paper --------------------
-
-
-def record_table(record: Record) -> Table:
-    """The cases of a record."""
-    table = plain_table("case", "compared with")
-    add_numbers(table, "found", "allowed")
-    table.add_column("")
-    for case in record.cases:
-        allowed = f"{case.low:g} … {case.high:g}" if case.low > 0.0 else f"≤ {case.high:g}"
-        verdict = "passed" if case.passed else "FAILED"
-        table.add_row(
-            case.name, case.source, f"{case.figure:.3g}", f"{allowed} {case.unit}".removesuffix(" 1"), verdict
-        )
-    return table

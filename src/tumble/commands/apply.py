@@ -21,10 +21,11 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
 
     Corrected values are in SI under the session's column names; every other column is copied.
     """
-    from tumble.apply import apply_to_session, residual_table, rest_residuals
-    from tumble.calibration import read_calibration
-    from tumble.session import read_session
-    from tumble.text import print_report
+    from tumble.calibration.apply import apply_to_session, rest_residuals
+    from tumble.calibration.calibration_file import read_calibration
+    from tumble.recording.session import read_session
+    from tumble.terminal.residuals import residual_table
+    from tumble.terminal.text import print_report
 
     found, described = read_calibration(calibration), read_session(session)
     if out.exists() and not force:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from tumble.budget import Setup
-    from tumble.log import Chunk, Log
+    from tumble.planning.budget import Setup
+    from tumble.recording.log import Chunk, Log
 
 
 class _NamedPath(click.Path):
@@ -73,10 +73,10 @@ def setup_options(command: Callable[..., None]) -> Callable[..., None]:
 
 def setup_of(options: dict[str, Any]) -> Setup:
     """A set-up from the options of `setup_options`."""
-    from tumble.budget import Setup
     from tumble.earth import normal_gravity
-    from tumble.grades import NoiseModel, grade
-    from tumble.programme import programme
+    from tumble.planning.budget import Setup
+    from tumble.programme.positions import programme
+    from tumble.sensors.grades import NoiseModel, grade
     from tumble.units import DEGREE
 
     kind = grade(options["grade"])

@@ -15,9 +15,10 @@ from tumble.commands.arguments import BUDGETED_METHODS, setup_of, setup_options
 @click.option("--iterations", type=click.IntRange(1, 5), default=2, show_default=True, help="Passes.")
 def budget(methods: tuple[str, ...], iterations: int, **options: Any) -> None:
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
-    from tumble.bounds import bound
-    from tumble.budget import budget
-    from tumble.text import budget_report, print_report
+    from tumble.planning.bounds import bound
+    from tumble.planning.budget import budget
+    from tumble.terminal.budget import budget_report
+    from tumble.terminal.text import print_report
 
     setup = setup_of(options)
     expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]

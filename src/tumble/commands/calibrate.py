@@ -12,7 +12,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, METHODS, wi
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.frames import Frame
+    from tumble.sensors.frames import Frame
 
 
 @click.command()
@@ -45,12 +45,12 @@ def calibrate(
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
     launch to launch, and --out is required. Several methods are compared: the first one's result is the one written.
     """
-    from tumble.calibration_text import calibration_report
-    from tumble.launches import Run, mean_of_launches
-    from tumble.procedure import calibrate
-    from tumble.session import read_session
-    from tumble.simulate import read_truth
-    from tumble.text import print_report
+    from tumble.calibration.calibrate import calibrate
+    from tumble.calibration.launches import Run, mean_of_launches
+    from tumble.recording.session import read_session
+    from tumble.simulation.session import read_truth
+    from tumble.terminal.calibration import calibration_report
+    from tumble.terminal.text import print_report
 
     if len(sessions) > 1 and out is None:
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")

@@ -19,10 +19,12 @@ def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None,
 
     A campaign that was interrupted goes on where it was when the same command is given again.
     """
-    from tumble.campaign import read_campaign, run_campaign
-    from tumble.campaign_summary import plot, summary, summary_report, write_summary
-    from tumble.cluster import executor_for
-    from tumble.text import print_report
+    from tumble.campaigns.campaign import read_campaign, run_campaign
+    from tumble.campaigns.cluster import executor_for
+    from tumble.campaigns.summary import summary, write_summary
+    from tumble.report.campaign_picture import plot
+    from tumble.terminal.campaign import summary_report
+    from tumble.terminal.text import print_report
 
     planned = read_campaign(file)
     place = executor_for(serial=serial, cluster=cluster, workers=workers)

@@ -18,9 +18,10 @@ def compare(first: Path, second: Path) -> None:
 
     Exit status 0: no |E_n| exceeds 1; 1: one does.
     """
-    from tumble.calibration import read_calibration
-    from tumble.compare import compare_calibrations, comparison_report
-    from tumble.text import print_report
+    from tumble.calibration.calibration_file import read_calibration
+    from tumble.calibration.compare import compare_calibrations
+    from tumble.terminal.comparison import comparison_report
+    from tumble.terminal.text import print_report
 
     found = compare_calibrations(read_calibration(first), read_calibration(second))
     print_report(comparison_report(found))

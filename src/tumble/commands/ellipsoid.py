@@ -12,8 +12,8 @@ from tumble.commands.arguments import FILE
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.frames import Frame
-    from tumble.readings import Sensor
+    from tumble.calibration.readings_table import Sensor
+    from tumble.sensors.frames import Frame
     from tumble.units import Array
 
 
@@ -62,9 +62,10 @@ def ellipsoid(
 
     The table has a header with the names of three columns, one per channel, and a row per position.
     """
-    from tumble.from_readings import calibrate_table, result_report
-    from tumble.readings import nominal, read_table
-    from tumble.text import print_report
+    from tumble.calibration.from_readings import calibrate_table
+    from tumble.calibration.readings_table import nominal, read_table
+    from tumble.terminal.readings import result_report
+    from tumble.terminal.text import print_report
 
     if sensor != "accel" and frame != "accelerometer":
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")

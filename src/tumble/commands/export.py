@@ -26,12 +26,12 @@ def export(calibration: Path, to: str, out: Path, noise: Path | None, certificat
 
     What that format has no place for is said on standard error, and in the file where it has comments.
     """
-    from tumble.calibration import read_calibration
+    from tumble.calibration.calibration_file import read_calibration
     from tumble.export import export_calibration
     from tumble.export.certificate import read_certificate
     from tumble.export.kalibr import noise_densities
-    from tumble.session import read_session
-    from tumble.whole_file import whole_file
+    from tumble.files import whole_file
+    from tumble.recording.session import read_session
 
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")

@@ -22,8 +22,8 @@ def fleet(sessions: str, method: str, serial: bool, cluster: str | None, workers
     A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
     where it was when the same command is given again.
     """
-    from tumble.cluster import executor_for
-    from tumble.fleet import run_fleet, sessions_of, tally
+    from tumble.campaigns.cluster import executor_for
+    from tumble.campaigns.fleet import run_fleet, sessions_of, tally
 
     found = sessions_of(sessions)
     with (

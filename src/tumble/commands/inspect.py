@@ -13,9 +13,10 @@ from tumble.commands.arguments import EXISTING_FOLDER, with_progress
 @click.argument("session", type=EXISTING_FOLDER)
 def inspect(session: Path) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
-    from tumble.procedure import inspect_session
-    from tumble.session import read_session
-    from tumble.text import inspection_report, print_report
+    from tumble.calibration.calibrate import inspect_session
+    from tumble.recording.session import read_session
+    from tumble.terminal.inspection import inspection_report
+    from tumble.terminal.text import print_report
 
     segmentation, observations, faults = inspect_session(read_session(session), progress=with_progress)
     print_report(inspection_report(segmentation, observations))

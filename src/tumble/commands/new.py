@@ -19,7 +19,7 @@ def new(folder: Path, log: Path, programme: str | None, message: str | None) -> 
 
     A log is .csv (.gz, .zst) or .parquet; .bag, .db3, .mcap, .ulg, .bin, .mat, .h5 and ROS 2 folders are converted.
     """
-    from tumble.draft import draft_session
+    from tumble.calibration.new_session import draft_session
 
     draft, faults = draft_session(folder, log, programme=programme, message=message, progress=with_progress)
     for sentence in draft.said:

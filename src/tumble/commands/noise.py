@@ -34,10 +34,11 @@ def noise(
 
     LOG is a .csv (.gz, .zst) or .parquet file; it needs --accel, and --time or --rate-hz.
     """
-    from tumble.noise import plot as draw
-    from tumble.quiet_record import longest_rest, noise_panels, whole_log
-    from tumble.session import read_session
-    from tumble.text import noise_report, print_report
+    from tumble.recording.session import read_session
+    from tumble.reduction.quiet_samples import longest_rest, noise_panels, whole_log
+    from tumble.report.allan_picture import plot as draw
+    from tumble.terminal.noise import noise_report
+    from tumble.terminal.text import print_report
 
     if not recording.exists():
         raise InputError(f"{recording}: expected a session folder or a log, found no such file")

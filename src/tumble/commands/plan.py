@@ -11,9 +11,9 @@ import click
 from tumble.commands.arguments import setup_of, setup_options
 
 if TYPE_CHECKING:
-    from tumble.budget import Setup
-    from tumble.places import Table
-    from tumble.plan import Aim
+    from tumble.planning.best_positions import Aim
+    from tumble.planning.budget import Setup
+    from tumble.planning.reachable_attitudes import Table
 
 
 @click.command()
@@ -36,10 +36,10 @@ def plan(
     **options: Any,
 ) -> None:
     """The least uncertainty a programme allows, the best next position, and better programmes."""
-    from tumble.places import Table
-    from tumble.plan import Aim
-    from tumble.programme import from_attitudes
-    from tumble.require import wanted_of
+    from tumble.planning.best_positions import Aim
+    from tumble.planning.reachable_attitudes import Table
+    from tumble.planning.requirements import wanted_of
+    from tumble.programme.positions import from_attitudes
 
     setup = setup_of(options)
     if attitudes:
@@ -55,10 +55,10 @@ def plan(
 
 def _one_more(setup: Setup, aim: Aim, table: Table) -> list[str]:
     """Print what a set-up's programme can show and what one more position would buy; returns what it cannot."""
-    from tumble.bounds import bound
-    from tumble.plan import next_positions
-    from tumble.plan_text import bound_report, next_report, short_of
-    from tumble.text import print_report
+    from tumble.planning.best_positions import next_positions
+    from tumble.planning.bounds import bound
+    from tumble.terminal.plan import bound_report, next_report, short_of
+    from tumble.terminal.text import print_report
 
     best, found = bound(setup, gyros=aim.gyros), next_positions(setup, aim, table)
     print_report(bound_report(setup, best))
@@ -69,9 +69,9 @@ def _one_more(setup: Setup, aim: Aim, table: Table) -> list[str]:
 
 def _found(setup: Setup, positions: int, aim: Aim, table: Table) -> list[str]:
     """Print the best programme that is found, what it can show, and others beside it; returns what it cannot."""
-    from tumble.plan import compared, of_the_literature, optimised
-    from tumble.plan_text import bound_report, comparison_report, positions_report, short_of
-    from tumble.text import print_report
+    from tumble.planning.best_positions import compared, of_the_literature, optimised
+    from tumble.terminal.plan import bound_report, comparison_report, positions_report, short_of
+    from tumble.terminal.text import print_report
 
     setup = replace(setup, programme=optimised(setup, positions, aim, table))
     rows = compared(setup, (setup.programme, *of_the_literature()), aim)

@@ -18,10 +18,11 @@ from tumble.errors import InputError
 @click.option("-o", "--out", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
 def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: float, out: Path | None) -> None:
     """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
-    from tumble.programme import from_attitudes
-    from tumble.programme import programme as built_in
-    from tumble.sheet import sheet_table, write_sheet
-    from tumble.text import print_report
+    from tumble.programme.positions import from_attitudes
+    from tumble.programme.positions import programme as built_in
+    from tumble.programme.sheet import write_sheet
+    from tumble.terminal.sheet import sheet_table
+    from tumble.terminal.text import print_report
     from tumble.units import DEGREE
 
     if (name is None) == (not attitudes):

@@ -90,8 +90,8 @@ def _print_record(opened: Any, record: Record, rows: list[ParameterRow]) -> bool
     """Print a record with the verdict on it, and whether it passes."""
     from tumble.registry.series import verdict_of
     from tumble.registry.store import launches_of, limits_records
-    from tumble.registry.tables import record_report
-    from tumble.text import print_report
+    from tumble.terminal.registry import record_report
+    from tumble.terminal.text import print_report
 
     verdict = verdict_of(opened, record, rows, {own.number: own for own in limits_records(opened)})
     with opened.reading() as connection:
@@ -114,8 +114,8 @@ def list_(serial: str | None, place: str | None) -> None:
     from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
     from tumble.registry.store import records
-    from tumble.registry.tables import devices_table, records_table
-    from tumble.text import print_report
+    from tumble.terminal.registry import devices_table, records_table
+    from tumble.terminal.text import print_report
 
     with open_registry(place) as opened:
         found = records(opened, serial)
@@ -152,9 +152,9 @@ def _verdicts(opened: Any, found: list[Record]) -> dict[int, str]:
 @_place
 def show(number: int, out: Path | None, place: str | None) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
+    from tumble.files import whole_file
     from tumble.registry.connect import open_registry
     from tumble.registry.store import file_of, parameters_of, record
-    from tumble.whole_file import whole_file
 
     with open_registry(place) as opened:
         found = record(opened, number)
@@ -175,11 +175,11 @@ def show(number: int, out: Path | None, place: str | None) -> None:
 @_place
 def trend(serial: str, parameter: str | None, out: Path | None, place: str | None) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration."""
-    from tumble.registry.chart import write_chart
     from tumble.registry.connect import open_registry
     from tumble.registry.monitor import monitored
-    from tumble.registry.tables import history_report, trend_report
-    from tumble.text import print_report
+    from tumble.report.control_chart import write_chart
+    from tumble.terminal.registry import history_report, trend_report
+    from tumble.terminal.text import print_report
 
     with open_registry(place) as opened:
         found = monitored(opened, serial, parameter)
@@ -200,8 +200,8 @@ def limits(model: str | None, file: Path | None, place: str | None) -> None:
     from tumble.registry.connect import open_registry
     from tumble.registry.limits import read_limits
     from tumble.registry.store import limits_in_force, limits_records, set_limits
-    from tumble.registry.tables import limits_report, limits_table
-    from tumble.text import print_report
+    from tumble.terminal.registry import limits_report, limits_table
+    from tumble.terminal.text import print_report
 
     given = None if file is None else read_limits(file)
     with open_registry(place, create=given is not None) as opened:
@@ -226,8 +226,8 @@ def due(day: datetime | None, place: str | None) -> None:
     """What is to be calibrated again, and when; the most urgent first. Exit status 1 if anything is overdue."""
     from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
-    from tumble.registry.tables import due_table
-    from tumble.text import print_report
+    from tumble.terminal.registry import due_table
+    from tumble.terminal.text import print_report
 
     today = datetime.now(UTC).date() if day is None else day.date()
     with open_registry(place) as opened:

@@ -27,8 +27,9 @@ def require(
     wanted: tuple[str, ...], relative: float | None, method: str, iterations: int, gyro_bias: str, **options: Any
 ) -> None:
     """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
-    from tumble.require import require, wanted_of
-    from tumble.text import print_report, requirements_report
+    from tumble.planning.requirements import require, wanted_of
+    from tumble.terminal.budget import requirements_report
+    from tumble.terminal.text import print_report
 
     setup = setup_of(options)
     asked = wanted_of(wanted, relative, setup)

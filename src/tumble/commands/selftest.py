@@ -17,8 +17,9 @@ from tumble.commands.arguments import FILE
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
     from tumble.errors import InputError
-    from tumble.selftest import record_table, selftest
-    from tumble.text import print_report
+    from tumble.selftest import selftest
+    from tumble.terminal.selftest import record_table
+    from tumble.terminal.text import print_report
 
     if out is not None and out.exists():
         raise InputError(f"{out}: expected a new file for the record, found one that exists; records are kept")

@@ -44,8 +44,8 @@ def simulate(
     launch: int,
 ) -> None:
     """Write a session with known truth (truth.json) into FOLDER."""
-    from tumble.scenario import Vibration
-    from tumble.simulate import Request, simulate_session, vibration_of
+    from tumble.simulation.scenario import Vibration
+    from tumble.simulation.session import Request, simulate_session, vibration_of
 
     request = Request(
         grade=grade,

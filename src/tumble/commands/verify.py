@@ -19,9 +19,10 @@ def verify(calibration: Path, readings: Path) -> None:
 
     Where these are the calibration's own, each is left out in turn.
     """
-    from tumble.calibration import read_calibration
-    from tumble.text import print_report
-    from tumble.verify import positions_of, verification_report, verify_calibration
+    from tumble.calibration.calibration_file import read_calibration
+    from tumble.calibration.verify import positions_of, verify_calibration
+    from tumble.terminal.text import print_report
+    from tumble.terminal.verification import verification_report
 
     known = read_calibration(calibration)
     verification = verify_calibration(known, positions_of(readings, known))

@@ -14,7 +14,7 @@ from tumble.errors import InputError
 from tumble.export.exported import NO_MAGNETOMETER
 
 if TYPE_CHECKING:
-    from tumble.calibration import Calibration
+    from tumble.calibration.calibration_file import Calibration
     from tumble.export.certificate import Certificate
     from tumble.export.exported import Exported
     from tumble.export.kalibr import NoiseDensities

@@ -10,7 +10,7 @@ Source: ArduPilot, parameter reference; library AP_InertialSensor.
 
 from __future__ import annotations
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export.autopilot import diagonal, written
 from tumble.export.exported import Exported, origin
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export.exported import (
     NO_UNCERTAINTY,
     SINGLE_PRECISION,
@@ -25,7 +25,7 @@ from tumble.export.exported import (
     shown,
     triads,
 )
-from tumble.model import SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
-from tumble.model import SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 UNITS = {"accel": "m/s^2", "gyro": "rad/s"}

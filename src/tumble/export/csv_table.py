@@ -12,7 +12,7 @@ import csv
 import io
 from collections.abc import Iterator
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export.exported import Exported, example, models, numbers, origin
 
 LOSSES = ("rests, turns, launches and iterations of the calibration have no place in this file",)

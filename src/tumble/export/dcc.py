@@ -21,11 +21,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2, f
 
-from tumble.calibration import Calibration
-from tumble.coverage import COVERAGE, covered, degrees_of_freedom
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import COVERAGE, covered, degrees_of_freedom
 from tumble.export.certificate import Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
-from tumble.model import SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 VERSION = "3.3.0"

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
-from tumble.model import SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import G_STANDARD, Array
 
 EXAMPLE = {"accel": np.array([0.5, -1.0, 9.7]), "gyro": np.array([0.1, -0.2, 0.3])}

@@ -15,9 +15,9 @@ import json
 
 import numpy as np
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, origin, shown, triads
-from tumble.model import SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
 
 

@@ -20,13 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, origin, shown, triads, yaml_list, yaml_number
-from tumble.model import SensorModel
-from tumble.noise import AllanDeviation, Coefficient, Panel
-from tumble.quiet_record import longest_rest, noise_panels
-from tumble.session import Session
+from tumble.recording.session import Session
+from tumble.reduction.allan_deviation import AllanDeviation, Coefficient, Panel
+from tumble.reduction.quiet_samples import longest_rest, noise_panels
+from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 

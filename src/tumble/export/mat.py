@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export.exported import Exported, example, models, origin
 
 LOSSES = ("rests, turns, launches and iterations of the calibration have no place in this file",)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export.autopilot import Diagonal, diagonal, written
 from tumble.export.exported import Exported, origin
 

@@ -10,7 +10,7 @@ Source: package imu_calib (D. Koch), README and class AccelCalib.
 
 from __future__ import annotations
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.export.exported import (
     NO_UNCERTAINTY,
     Exported,

@@ -22,11 +22,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tumble.budget import UNITS
-from tumble.coverage import COVERAGE
+from tumble.calibration.coverage import COVERAGE
 from tumble.errors import InputError
-from tumble.frames import FRAMES
+from tumble.planning.budget import UNITS
 from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
+from tumble.sensors.frames import FRAMES
 from tumble.units import quantity
 
 FORMAT = 1
@@ -281,7 +281,7 @@ def _device_months(content: Mapping[str, Any], name: str) -> Mapping[str, int]:
 
 
 def _systematic(text: str, frame: str, name: str) -> Mapping[str, float]:
-    from tumble.calibration import calibration_of
+    from tumble.calibration.calibration_file import calibration_of
 
     calibration = calibration_of(text, f"{name}: systematic")
     if calibration.frame != frame:

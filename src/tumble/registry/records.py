@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.calibration import Calibration
-    from tumble.results import Parameter
+    from tumble.calibration.calibration_file import Calibration
+    from tumble.calibration.results import Parameter
 
 Occasion = Literal["incoming", "periodic"]
 State = Literal["as-found", "as-left", "unchanged"]
@@ -104,14 +104,14 @@ def read_submission(path: Path, particulars: Particulars) -> Submission:
 
     Raises InputError, one line: no calibration file, one that was not accepted, a name that cannot be printed, a number
     that is not finite, a date that is missing or in the future."""
-    from tumble.calibration import text_of
+    from tumble.calibration.calibration_file import text_of
 
     return submission(text_of(path), str(path), particulars)
 
 
 def submission(text: str, name: str, particulars: Particulars) -> Submission:
     """The calibration of the text of a file, to be added, as `read_submission`."""
-    from tumble.calibration import calibration_of
+    from tumble.calibration.calibration_file import calibration_of
 
     calibration = calibration_of(text, name)
     if not calibration.outcome.accepted:

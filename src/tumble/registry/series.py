@@ -91,7 +91,7 @@ def rows_in_frame(
     """The parameters of a record, and of its launches, in a frame."""
     if record.frame == frame:
         return rows
-    from tumble.calibration import calibration_of
+    from tumble.calibration.calibration_file import calibration_of
 
     calibration = calibration_of(file_of(registry, record.number), f"record {record.number}")
     try:

@@ -32,8 +32,8 @@ from itertools import pairwise
 import numpy as np
 from scipy import special
 
-from tumble.coverage import COVERAGE
-from tumble.estimate import scatter_of
+from tumble.calibration.coverage import COVERAGE
+from tumble.estimation.estimate import scatter_of
 from tumble.registry.series import Point, Series
 from tumble.units import Array
 

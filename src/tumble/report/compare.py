@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
 from tumble.errors import CalibrationError
 from tumble.report import figures
 from tumble.report.blocks import Block, Figure, Section, Table, Text
 from tumble.report.numbers import NONE, as_value, with_expanded
-from tumble.text import shown_units
+from tumble.terminal.text import shown_units
 
 
 def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: str) -> Section:

@@ -7,8 +7,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from tumble.calibration import Calibration
-from tumble.coverage import covered, shortfalls
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import covered, shortfalls
 from tumble.errors import InputError
 from tumble.registry.limits import Limits, Verdict
 from tumble.report import compare, limits, recording, result

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tumble.model import SensorModel
 from tumble.report.figures import COLOURS, FAINT, GREY, INK, PAGE, drawn
+from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
 
 if TYPE_CHECKING:

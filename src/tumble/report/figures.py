@@ -14,12 +14,12 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from tumble.calibration import Calibration
-from tumble.estimate import FIT_SIGMAS
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.results import Parameter, RestResult, SensorsAtRest, TurnResult
+from tumble.estimation.estimate import FIT_SIGMAS
 from tumble.report.characters import drawable
 from tumble.report.numbers import raised
-from tumble.results import Parameter, RestResult, SensorsAtRest, TurnResult
-from tumble.text import shown_units
+from tumble.terminal.text import shown_units
 from tumble.units import G_STANDARD, Array, engineering
 
 if TYPE_CHECKING:

@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from typing import Literal
 
-from tumble.calibration import Calibration
-from tumble.coverage import shortfalls
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import shortfalls
 from tumble.registry.limits import RULE, Judgement, Limits, Verdict, judge
 from tumble.registry.records import OCCASIONS, parameter_rows
 from tumble.report.blocks import Block, Items, Section, Table, Text
 from tumble.report.numbers import NONE, minus
-from tumble.text import shown_units
+from tumble.terminal.text import shown_units
 from tumble.units import engineering, rounded
 
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}

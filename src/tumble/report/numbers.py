@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tumble.coverage import COVERAGE
-from tumble.results import Parameter
+from tumble.calibration.coverage import COVERAGE
+from tumble.calibration.results import Parameter
 from tumble.units import rounded
 
 NONE = "—"

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.calibration import Calibration
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.results import Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import ProgrammeError
-from tumble.estimate import Fit
-from tumble.model import SensorModel
-from tumble.programme import Position, from_attitudes
+from tumble.estimation.estimate import Fit
+from tumble.programme.positions import Position, from_attitudes
+from tumble.recording.session import Site
 from tumble.report import drawings, figures
 from tumble.report.blocks import Block, Facts, Figure, Section, Table, Text
 from tumble.report.numbers import NONE, fixed, minus, significant
-from tumble.results import Readings, RestResult, SensorsAtRest, TurnResult
-from tumble.session import Site
+from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array, engineering
 
 

@@ -6,13 +6,13 @@ import re
 
 import numpy as np
 
-from tumble.calibration import Calibration
-from tumble.model import SensorModel
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.results import Launch, Parameter
 from tumble.report import drawings, figures
 from tumble.report.blocks import Block, Facts, Figure, Formula, Items, Matrices, Matrix, Section, Table, Text
 from tumble.report.numbers import NONE, as_value, fixed, significant, with_expanded
-from tumble.results import Launch, Parameter
-from tumble.text import shown_units
+from tumble.sensors.model import SensorModel
+from tumble.terminal.text import shown_units
 from tumble.units import Array, engineering
 
 _BLOCKS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}

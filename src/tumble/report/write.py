@@ -6,9 +6,9 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from tumble.calibration import read_calibration
+from tumble.calibration.calibration_file import read_calibration
 from tumble.errors import InputError, needs_extra
-from tumble.whole_file import whole_file
+from tumble.files import whole_file
 
 ENDINGS = (".html", ".pdf")
 

@@ -1,0 +1,1 @@
+"""From a session to a calibration, and what is done with one: launches, comparison, verification, application."""

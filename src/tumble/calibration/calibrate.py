@@ -1,0 +1,386 @@
+"""The procedure: from a session to a calibration.
+
+`calibrate` is the main job. `inspect_session` shows what it would work with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from tumble import __version__
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.case import CaseAlignment, estimate_in
+from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
+from tumble.errors import CalibrationError, InputError
+from tumble.estimation.diagnosis import no_rests, recording_faults, sense_faults, verdict
+from tumble.estimation.estimate import Estimate, Outcome
+from tumble.estimation.methods.ellipsoid import ellipsoid
+from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
+from tumble.estimation.methods.magnetometer import magnetometer
+from tumble.estimation.methods.paper.scalar import scalar
+from tumble.estimation.methods.paper.sequential import sequential
+from tumble.estimation.methods.staged.method import staged
+from tumble.recording.log import Chunk, Log, open_log
+from tumble.recording.session import Channels, Session, read_session
+from tumble.reduction.blocks import reduce_log
+from tumble.reduction.matching import Match, match_rests
+from tumble.reduction.observations import Observations, observe
+from tumble.reduction.segmentation import Segmentation, find_rests
+from tumble.sensors.frames import Convention, Frame, convert
+from tumble.units import DEGREE, Array
+
+DEFAULT_METHOD = "joint"
+METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
+ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequential": sequential, "scalar": scalar}
+"""The pipelines of the paper, which take a number of iterations."""
+Progress = Callable[[Log], Iterable[Chunk]]
+
+
+def calibrate(
+    session: Session | Path,
+    *,
+    method: str = DEFAULT_METHOD,
+    iterations: int | None = None,
+    frame: Frame = "accelerometer",
+    progress: Progress = Log.chunks,
+) -> Calibration:
+    """Calibrate the device of a session (a `Session` or the path of its folder). `iterations` is for the methods that
+    iterate as the paper does (default 2). The result is given in `frame` (see `frames`). A recording that cannot be
+    calibrated comes back with the reasons in its outcome; unusable input raises an `InputError`."""
+    if isinstance(session, Path):
+        session = read_session(session)
+    estimator = _estimator(method, iterations)
+    Convention(frame=frame, block=session.accel_block)
+    systematic = _systematic(session)
+    log = open_log(session)
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        digest = beside.submit(log.sha256)
+        found = _estimated(session, log, estimator, systematic, progress)
+        provenance = _provenance(digest.result())
+    if isinstance(found, Outcome):
+        return _without_result(session, log, method, found, provenance)
+    return _with_magnetometer(_result(session, log, *found, systematic, frame, provenance), session, found[1])
+
+
+def _estimator(method: str, iterations: int | None) -> Callable[[Observations], Estimate]:
+    """The function of a method's name."""
+    if method in ITERATED_METHODS:
+        iterated = ITERATED_METHODS[method]
+        return lambda observations: iterated(observations, 2 if iterations is None else iterations)
+    if method not in METHODS:
+        known = ", ".join([*METHODS, *ITERATED_METHODS])
+        raise InputError(f"method: expected one of {known}, found {method!r}")
+    if iterations is not None:
+        raise InputError(
+            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
+            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
+        )
+    return METHODS[method]
+
+
+def _systematic(session: Session) -> Mapping[str, float]:
+    """Values of the systematic (passport) calibration a session names, by parameter name."""
+    if session.device.systematic is None:
+        return {}
+    passport = read_calibration(session.device.systematic)
+    if passport.frame != "accelerometer":
+        raise CalibrationError(
+            f"{session.device.systematic}: expected a calibration in the frame 'accelerometer', found "
+            f"{passport.frame!r}; "
+            "calibrate without --frame to get one"
+        )
+    return {p.name: p.value for p in passport.parameters}
+
+
+def _estimated(
+    session: Session,
+    log: Log,
+    method: Callable[[Observations], Estimate],
+    start: Mapping[str, float],
+    progress: Progress,
+) -> tuple[Estimate, Observations] | Outcome:
+    """The estimate and what it was made from, or why there is none."""
+    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+    faults = recording_faults(reduction, session)
+    if faults:
+        return Outcome(reasons=tuple(faults))
+    segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+    found = None
+    # where the unit of the gyros makes every turn too slow to be one, the accelerometers still show the rests
+    rests = segmentation.rests or find_rests(reduction, session.accel_block, None).rests
+    if rests:
+        everything = Match(rests=rests, programme=None, position=None)
+        with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit
+            found = observe(reduction, everything, session.accel_block, session.gyro_block, session.site)
+        faults = sense_faults(found, session, reduction.rate)
+        if faults:
+            return Outcome(reasons=tuple(faults))
+    match = match_rests(session, reduction, segmentation)
+    if not match.rests:
+        return no_rests(segmentation)
+    if found is not None and match.rests == segmentation.rests:
+        observations = replace(found, programme=match.programme, position=match.position)
+    else:
+        observations = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    observations = replace(observations, start=start)
+    try:
+        return method(observations), observations
+    except np.linalg.LinAlgError as error:
+        said = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
+        return Outcome(reasons=(said,))
+
+
+def inspect_session(
+    session: Session, *, progress: Progress = Log.chunks
+) -> tuple[Segmentation, Observations | None, list[str]]:
+    """The rests and turns of a session as `tumble inspect` shows them, without matching them to a programme, and what
+    is wrong with the recording."""
+    log = open_log(session)
+    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+    faults = recording_faults(reduction, session)
+    with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
+        segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+        if not segmentation.rests:
+            return segmentation, None, faults
+        match = Match(rests=segmentation.rests, programme=None, position=None)
+        found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    return segmentation, found, faults or sense_faults(found, session, reduction.rate)
+
+
+def _provenance(log_sha256: str) -> dict[str, str]:
+    return {
+        "log_sha256": log_sha256,
+        "software": f"tumble {__version__}",
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _bridged(log: Log) -> tuple[str, ...]:
+    """What was bridged in the log, as notes."""
+    return tuple(f"bridged: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what}" for g in log.gaps)
+
+
+def _unchecked(estimate: Estimate) -> tuple[str, ...]:
+    """What no redundancy checks, as notes."""
+    fit = estimate.fits["accelerometers"]
+    if fit.degrees >= 0.5 or estimate.unobservable:
+        return ()
+    return ("as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed",)
+
+
+def _without_result(
+    session: Session, log: Log, method: str, outcome: Outcome, provenance: Mapping[str, str]
+) -> Calibration:
+    return Calibration(
+        serial=session.device.serial,
+        model=session.device.model,
+        method=method,
+        frame="accelerometer",
+        parameters=(),
+        covariance=None,
+        accel=None,
+        gyro=None,
+        outcome=outcome,
+        site=session.site,
+        readings=_readings_of(session),
+        notes=_bridged(log),
+        provenance=provenance,
+    )
+
+
+def _readings_of(session: Session) -> dict[str, Readings]:
+    """What the readings of a session are."""
+    given = {"accel": session.log.accel, "gyro": session.log.gyro}
+    readings = {kind: _readings_in(channels) for kind, channels in given.items() if channels is not None}
+    mag, ones, zeros = session.log.magnetometer, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+    if mag is not None:
+        readings["mag"] = Readings(columns=mag.columns, unit=mag.unit, increments=False, scale=ones, offset=zeros)
+    return readings
+
+
+def _readings_in(channels: Channels) -> Readings:
+    return Readings(
+        columns=channels.columns,
+        unit=channels.unit_name,
+        increments=channels.unit.kind == "increment",
+        scale=tuple((channels.scale / channels.unit.factor).tolist()),
+        offset=tuple(channels.offset.tolist()),
+    )
+
+
+def _rest_results(estimate: Estimate, observations: Observations) -> tuple[RestResult, ...]:
+    rests = observations.rests
+    return tuple(
+        RestResult(
+            file=int(rests.file[i]),
+            start=float(rests.start[i]),
+            stop=float(rests.stop[i]),
+            residual=float(estimate.rest_residual[i]),
+            sigmas=float(estimate.rest_sigmas[i]),
+            attitude=_attitude(observations, i),
+            accel=_sensors_at_rest(rests.accel[i], rests.accel_noise[i], rests.accel_drift[i]),
+            gyro=_sensors_at_rest(rests.gyro[i], rests.gyro_noise[i], rests.gyro_drift[i]),
+            temperature=None if rests.temperature is None else float(rests.temperature[i]),
+        )
+        for i in range(len(rests))
+    )
+
+
+def _attitude(observations: Observations, rest: int) -> str | None:
+    if observations.programme is None or observations.position is None:
+        return None
+    return observations.programme.positions[int(observations.position[rest])].attitude
+
+
+def _sensors_at_rest(mean: Array, noise: Array, drift: Array) -> SensorsAtRest | None:
+    if len(mean) == 0:
+        return None
+    return SensorsAtRest(mean=tuple(mean.tolist()), noise=tuple(noise.tolist()), drift=tuple(drift.tolist()))
+
+
+def _turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnResult, ...]:
+    if observations.turns is None or not len(estimate.turn_sigmas):
+        return ()
+    turns = observations.turns if estimate.gyro is None else observations.turns_about(estimate.gyro)
+    angles = np.arccos(np.clip(0.5 * (np.trace(turns.C, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
+    return tuple(
+        TurnResult(
+            first=int(turns.first[k]),
+            last=int(turns.last[k]),
+            duration=float(turns.duration[k]),
+            angle=None if estimate.gyro is None else float(angles[k]),
+            programmed=_programmed_angle(observations, int(turns.first[k]), int(turns.last[k])),
+            sigmas=float(estimate.turn_sigmas[k]),
+        )
+        for k in range(len(turns))
+    )
+
+
+def _programmed_angle(observations: Observations, first: int, last: int) -> float | None:
+    """Angle (rad, not negative) of the programme's turn from one rest to the next."""
+    if observations.programme is None or observations.position is None or not observations.programme.ordered:
+        return None
+    before, after = int(observations.position[first]), int(observations.position[last])
+    angle = observations.programme.moves[before].angle if after == before + 1 else None
+    return None if angle is None else abs(angle)
+
+
+def _result(
+    session: Session,
+    log: Log,
+    estimate: Estimate,
+    observations: Observations,
+    systematic: Mapping[str, float],
+    frame: Frame,
+    provenance: Mapping[str, str],
+) -> Calibration:
+    outcome = verdict(estimate, observations)
+    rests, turns = _rest_results(estimate, observations), _turn_results(estimate, observations)
+    complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
+    estimate, case = estimate_in(frame, estimate, observations)
+    systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
+    seen = np.flatnonzero(estimate.observable)
+    parameters = tuple(
+        Parameter(
+            name=estimate.names[i],
+            value=float(estimate.values[i]),
+            u=float(estimate.u[i]),
+            unit=estimate.units[i],
+            deviation=float(estimate.values[i]) - systematic[estimate.names[i]]
+            if estimate.names[i] in systematic
+            else None,
+        )
+        for i in seen
+    )
+    missing = {name.split(".")[0] for name in estimate.unobservable}
+    return Calibration(
+        serial=session.device.serial,
+        model=session.device.model,
+        method=estimate.method,
+        frame=frame if complete else "accelerometer",
+        parameters=parameters,
+        covariance=estimate.covariance[np.ix_(seen, seen)],
+        accel=None if "accel" in missing else estimate.accel,
+        gyro=None if missing else estimate.gyro,
+        outcome=outcome,
+        iterations=tuple({estimate.names[i]: float(step[i]) for i in seen} for step in estimate.increments),
+        rests=rests,
+        turns=turns,
+        fits=estimate.fits,
+        site=observations.site,
+        programme=None if observations.programme is None else observations.programme.name,
+        readings=_readings_of(session),
+        notes=_bridged(log) + _unchecked(estimate) + _aligned(case),
+        provenance=provenance,
+    )
+
+
+def _with_magnetometer(calibration: Calibration, session: Session, observations: Observations) -> Calibration:
+    """A calibration with the parameters of the session's magnetometer, where it has one."""
+    spec = session.log.magnetometer
+    if spec is None:
+        return calibration
+    found, outcome = magnetometer(observations, spec.unit), calibration.outcome
+    missing = MAGNETOMETER_NAMES if found.values is None else ()
+    parameters, covariance = calibration.parameters, calibration.covariance
+    if found.values is not None and found.covariance is not None and covariance is not None:
+        u, units = np.sqrt(np.diag(found.covariance)), (spec.unit,) * 3 + ("1",) * 3 + ("rad",) * 3
+        parameters += tuple(
+            Parameter(name=name, value=float(value), u=float(each), unit=unit)
+            for name, value, each, unit in zip(MAGNETOMETER_NAMES, found.values, u, units, strict=True)
+        )
+        apart = np.zeros((len(covariance), 9))
+        covariance = np.block([[covariance, apart], [apart.T, found.covariance]])
+    return replace(
+        calibration,
+        parameters=parameters,
+        covariance=covariance,
+        mag=found.model,
+        outcome=Outcome(reasons=outcome.reasons + found.reasons, unobservable=outcome.unobservable + missing),
+        fits=dict(calibration.fits) | found.fits,
+        notes=calibration.notes + found.notes,
+    )
+
+
+def _systematic_in(
+    frame: Frame, systematic: Mapping[str, float], observations: Observations, gyros: bool, case: CaseAlignment | None
+) -> Mapping[str, float]:
+    """Values of the systematic calibration in another frame; none where it lacks one of them."""
+    if frame == "accelerometer":
+        return systematic
+    accel, gyro = observations.accel_block, observations.gyro_block if gyros else None
+    names = accel.names + (() if gyro is None else gyro.names)
+    if not set(names) <= set(systematic) or (frame == "case" and case is None):
+        return {}
+    framed = convert(
+        accel,
+        gyro,
+        source="accelerometer",
+        values=np.array([systematic[name] for name in names]),
+        covariance=None,
+        target=frame,
+        alignment=None if case is None else case.alignment,
+    )
+    return dict(zip(framed.names, framed.values.tolist(), strict=True))
+
+
+def _aligned(case: CaseAlignment | None) -> tuple[str, ...]:
+    """How the case was found, as a note."""
+    if case is None:
+        return ()
+    u = np.sqrt(np.diag(case.alignment.covariance)) / DEGREE
+    text = (
+        f"case: from {len(case.rests)} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "
+        f"standard uncertainty of its alignment {u[0]:.2g}°, {u[1]:.2g}°, {u[2]:.2g}° about X, Y, Z"
+    )
+    if not len(case.tilt):
+        return (f"{text}; azimuths are not known, so that the tilt of the plate is part of the scatter",)
+    lean = np.linalg.norm(case.tilt) / DEGREE
+    return (f"{text}; the plate leans by {lean:.2g}° (u {np.linalg.norm(case.tilt_u) / DEGREE:.1g}°)",)

@@ -1,0 +1,357 @@
+"""The calibration of a device, and the file that keeps it.
+
+The file is JSON as the contract of the project defines it: parameters in SI and radians with standard uncertainties and
+covariance, the matrices and biases that apply them, the outcome with its reasons, and where it all came from. It is
+written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tumble.calibration.results import (
+    Launch,
+    Parameter,
+    Readings,
+    RestResult,
+    TurnResult,
+    covariance_from,
+    fits_content,
+    fits_from,
+    optional,
+    parameter_content,
+    parameter_from,
+    readings_from,
+    rest_from,
+    site_from,
+    text_from,
+    turn_from,
+)
+from tumble.errors import CalibrationError, InputError
+from tumble.estimation.estimate import Fit, Outcome
+from tumble.files import whole_file
+from tumble.recording.session import Site
+from tumble.sensors.frames import Frame, Framed, convert, frame_of, triad_axes
+from tumble.sensors.model import Block, SensorModel
+from tumble.units import Array
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Calibration:
+    """The result for one device. `covariance` is in the order of `parameters`; `accel` and `gyro` are None where
+    a parameter they need is unobservable. `fits` are chi-square, degrees of freedom and estimated scatter; `programme`
+    is the name of the programme, `readings` what the readings of "accel" and "gyro" are."""
+
+    serial: str
+    model: str | None
+    method: str
+    frame: str
+    parameters: tuple[Parameter, ...]
+    covariance: Array | None
+    accel: SensorModel | None
+    gyro: SensorModel | None
+    outcome: Outcome
+    mag: SensorModel | None = None
+    """The magnetometer, in its own frame, fixed as that of the accelerometers, and in the unit of `mag.bias.x`."""
+    iterations: tuple[Mapping[str, float], ...] = ()
+    rests: tuple[RestResult, ...] = ()
+    turns: tuple[TurnResult, ...] = ()
+    fits: Mapping[str, Fit] = field(default_factory=dict)
+    site: Site | None = None
+    programme: str | None = None
+    readings: Mapping[str, Readings] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    launches: tuple[Launch, ...] = ()
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Parameter:
+        """The parameter of that name."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(f"no parameter {name!r}; there are {', '.join(p.name for p in self.parameters)}")
+
+    def apply(self, accel: Array, gyro: Array | None = None, *, dt: Array | None = None) -> tuple[Array, Array | None]:
+        """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, from readings (..., n)
+        in SI after nominal scale and offset, of more than three sensors by least squares. With the intervals `dt`
+        (...), s, of the samples both are increments, m/s and rad. Without gyro readings the rate is None.
+
+        Raises InputError for another number of sensors than the calibration has."""
+        force = corrected(_known(self.accel, "accel", accel), accel, dt)
+        return force, None if gyro is None else corrected(_known(self.gyro, "gyro", gyro), gyro, dt)
+
+    def in_frame(self, frame: str) -> Calibration:
+        """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
+        and launches; deviations from a systematic calibration are left out. A magnetometer keeps its own frame.
+
+        Raises CalibrationError for the case, which only the session gives, where a parameter of accelerometers or
+        gyros is missing, and for more than three of them."""
+        if frame == self.frame:
+            return self
+        missing = self.outcome.unobservable or (() if self.accel is not None else ("those of accelerometers",))
+        if missing:
+            raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
+        try:
+            return _reframed(self, frame_of(frame))
+        except InputError as error:
+            raise CalibrationError(str(error)) from error
+
+    def write(self, path: Path, *, force: bool = False) -> None:
+        """Write the calibration file, whole or not at all. An existing file is replaced only if it came from the
+        same log by the same method, or with `force`."""
+        if path.exists():
+            if not os.access(path, os.W_OK):
+                raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
+            if not force:
+                self._check_replaceable(path)
+        text = json.dumps(self._content(), indent=1, ensure_ascii=False, allow_nan=False)
+        try:
+            with whole_file(path) as temporary:
+                temporary.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
+
+    def _check_replaceable(self, path: Path) -> None:
+        advice = "give --force to replace it, or --out for another file"
+        try:
+            old = json.loads(path.read_text(encoding="utf-8"))
+            same = old["method"] == self.method and old["provenance"]["log_sha256"] == self.provenance["log_sha256"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise CalibrationError(
+                f"{path}: expected a calibration to replace, found another file; {advice}"
+            ) from error
+        if not same:
+            raise CalibrationError(f"{path}: holds a calibration from another log or by another method; {advice}")
+
+    def _content(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "device": {"serial": self.serial, "model": self.model},
+            "method": self.method,
+            "frame": self.frame,
+            "parameters": [parameter_content(p) for p in self.parameters],
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
+            "accel": _model_content(self.accel, "m/s^2"),
+            "gyro": _model_content(self.gyro, "rad/s"),
+            "mag": _model_content(self.mag, self["mag.bias.x"].unit if self.mag is not None else ""),
+            "outcome": {
+                "accepted": self.outcome.accepted,
+                "reasons": list(self.outcome.reasons),
+                "unobservable": list(self.outcome.unobservable),
+            },
+            "iterations": [
+                {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
+            ],
+            "site": None if self.site is None else asdict(self.site),
+            "programme": self.programme,
+            "readings": {kind: asdict(readings) for kind, readings in self.readings.items()},
+            "rests": [asdict(rest) for rest in self.rests],
+            "turns": [asdict(turn) for turn in self.turns],
+            "fits": fits_content(self.fits),
+            "notes": list(self.notes),
+            "launches": [
+                {
+                    "session": launch.session,
+                    "parameters": [parameter_content(p) for p in launch.parameters],
+                    "covariance": None if launch.covariance is None else launch.covariance.tolist(),
+                    "log_sha256": launch.log_sha256,
+                    "site": None if launch.site is None else asdict(launch.site),
+                    "rests": [asdict(rest) for rest in launch.rests],
+                    "turns": [asdict(turn) for turn in launch.turns],
+                    "fits": fits_content(launch.fits),
+                }
+                for launch in self.launches
+            ],
+            "provenance": dict(self.provenance),
+        }
+
+
+def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> Array:
+    """True vectors (..., 3) of readings (..., n), SI; with the intervals `dt` (...), s, both are increments."""
+    if dt is None:
+        return model.apply(readings)
+    offset = model.bias * np.asarray(dt)[..., None]
+    return np.asarray((readings - offset) @ model.inverse().T)
+
+
+def _known(model: SensorModel | None, kind: str, readings: Array) -> SensorModel:
+    """The model of a kind of sensors, if it is there and fits the readings."""
+    sensors = 0 if model is None else len(model.bias)
+    if model is None or np.shape(readings)[-1:] != (sensors,):
+        raise InputError(
+            f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found an "
+            f"array of shape {np.shape(readings)}"
+        )
+    return model
+
+
+def _reframed(calibration: Calibration, frame: Frame) -> Calibration:
+    """`Calibration.in_frame` of a complete calibration."""
+    assert calibration.accel is not None
+    accel = Block(kind="accel", axes=triad_axes(calibration.accel.matrix))
+    gyro = None
+    if calibration.gyro is not None:
+        gyro = Block(kind="gyro", axes=triad_axes(calibration.gyro.matrix))
+    own = len([p for p in calibration.parameters if not p.name.startswith("mag")])
+
+    def framed(parameters: tuple[Parameter, ...], covariance: Array | None) -> Framed:
+        return convert(
+            accel,
+            gyro,
+            source=frame_of(calibration.frame),
+            values=np.array([p.value for p in parameters[:own]]),
+            covariance=None if covariance is None else covariance[:own, :own],
+            target=frame,
+        )
+
+    mean = framed(calibration.parameters, calibration.covariance)
+    launches = [framed(launch.parameters, launch.covariance) for launch in calibration.launches]
+    spread = np.std([launch.values for launch in launches], axis=0, ddof=1) if launches else None
+    steps = [
+        mean.jacobian @ [step.get(p.name, 0.0) for p in calibration.parameters[:own]] for step in calibration.iterations
+    ]
+    return replace(
+        calibration,
+        frame=frame,
+        parameters=_parameters_of(mean, spread) + calibration.parameters[own:],
+        covariance=_with_rest(mean, calibration.covariance, own),
+        accel=mean.accel,
+        gyro=mean.gyro,
+        iterations=tuple(dict(zip(mean.names, step.tolist(), strict=True)) for step in steps),
+        launches=tuple(
+            replace(
+                launch,
+                parameters=_parameters_of(each, None) + launch.parameters[own:],
+                covariance=_with_rest(each, launch.covariance, own),
+            )
+            for launch, each in zip(calibration.launches, launches, strict=True)
+        ),
+    )
+
+
+def _with_rest(framed: Framed, covariance: Array | None, own: int) -> Array | None:
+    """The covariance of all parameters, those beyond the first `own` unchanged."""
+    if covariance is None:
+        return None
+    carry = np.zeros((len(framed.names) + len(covariance) - own, len(covariance)))
+    carry[: len(framed.names), :own] = framed.jacobian
+    carry[len(framed.names) :, own:] = np.eye(len(covariance) - own)
+    return np.asarray(carry @ covariance @ carry.T)
+
+
+def _parameters_of(framed: Framed, spread: Array | None) -> tuple[Parameter, ...]:
+    u = None if framed.covariance is None else np.sqrt(np.diag(framed.covariance))
+    return tuple(
+        Parameter(
+            name=name,
+            value=float(framed.values[i]),
+            u=None if u is None else float(u[i]),
+            unit=framed.units[i],
+            run_to_run=None if spread is None else float(spread[i]),
+        )
+        for i, name in enumerate(framed.names)
+    )
+
+
+def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | None:
+    if model is None:
+        return None
+    return {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": unit}
+
+
+def read_calibration(path: Path) -> Calibration:
+    """A calibration file as written by `Calibration.write`."""
+    return calibration_of(text_of(path), str(path))
+
+
+def text_of(path: Path) -> str:
+    """The text of a calibration file, not yet looked at."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:  # not UTF-8
+        raise _no_calibration(str(path), error) from error
+
+
+def calibration_of(text: str, name: str) -> Calibration:
+    """The calibration of the text of a file; in messages the file is called `name`."""
+    try:
+        content = json.loads(text, parse_constant=_not_a_number)
+        if content["format"] != FORMAT:
+            raise CalibrationError(f"{name}: expected format {FORMAT}, found {content['format']!r}")
+        return _from_content(content)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise _no_calibration(name, error) from error
+
+
+def _no_calibration(name: str, error: Exception) -> CalibrationError:
+    said = f"no key {error}" if isinstance(error, KeyError) else str(error)
+    return CalibrationError(f"{name}: expected a calibration file of tumble, found {said}")
+
+
+def _not_a_number(name: str) -> float:
+    raise ValueError(f"{name} in place of a number")
+
+
+def _from_content(content: Mapping[str, Any]) -> Calibration:
+    """A calibration from what the contract promises of a file; further keys may be there or not."""
+
+    def model(part: Mapping[str, Any] | None) -> SensorModel | None:
+        if part is None:
+            return None
+        matrix, bias = np.array(part["matrix"], float), np.array(part["bias"], float)
+        if matrix.shape != (len(bias), 3) or bias.ndim != 1:
+            raise ValueError(f"a matrix of shape {matrix.shape} with a bias of shape {bias.shape}")
+        return SensorModel(matrix=matrix, bias=bias)
+
+    outcome = content["outcome"]
+    parameters = tuple(map(parameter_from, content["parameters"]))
+    return Calibration(
+        serial=text_from(content["device"]["serial"]),
+        model=optional(text_from, content["device"]["model"]),
+        method=text_from(content["method"]),
+        frame=text_from(content["frame"]),
+        parameters=parameters,
+        covariance=covariance_from(content["covariance"], len(parameters)),
+        accel=model(content["accel"]),
+        gyro=model(content["gyro"]),
+        mag=model(content.get("mag")),
+        outcome=Outcome(
+            reasons=tuple(map(text_from, outcome["reasons"])),
+            unobservable=tuple(map(text_from, outcome.get("unobservable", ()))),
+        ),
+        iterations=tuple(
+            {text_from(p["name"]): float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]
+        ),
+        rests=tuple(map(rest_from, content["rests"])),
+        turns=tuple(map(turn_from, content.get("turns", ()))),
+        fits=fits_from(content),
+        site=site_from(content),
+        programme=optional(text_from, content.get("programme")),
+        readings={kind: readings_from(each) for kind, each in content.get("readings", {}).items()},
+        notes=tuple(map(text_from, content.get("notes", ()))),
+        launches=tuple(
+            Launch(
+                session=text_from(launch["session"]),
+                parameters=tuple(map(parameter_from, launch["parameters"])),
+                covariance=covariance_from(launch["covariance"], len(launch["parameters"])),
+                log_sha256=text_from(launch.get("log_sha256", "")),
+                site=site_from(launch),
+                rests=tuple(map(rest_from, launch.get("rests", ()))),
+                turns=tuple(map(turn_from, launch.get("turns", ()))),
+                fits=fits_from(launch),
+            )
+            for launch in content.get("launches", ())
+        ),
+        provenance={text_from(key): text_from(value) for key, value in content["provenance"].items()},
+    )

@@ -1,0 +1,341 @@
+"""Where the triad is in its case, and how two blocks on one base stand to each other: rotations from verticals.
+
+Case. The accelerometers say where the vertical is in their own frame b, u_i, to a few µrad. When the block stands on
+a face, the vertical is along ±X, ±Y or ±Z of the case, n_i, but for the tilt of the plate and the seating. With
+L_i the attitude case → geographic and t the lean of the plate's normal to north and east,
+
+    C_cb u_i = n_i − L_iᵀ t − ψ × n_i,     |t|, |ψ| ≪ 1
+
+Wahba's problem (SVD) gives C_cb without t; ψ and t are then least squares of 2N equations, iterated. The tilt is
+resolved in the case by the azimuth: a second placement turned by 180° on the same face has −L_iᵀ t, so that it
+cancels there and is determined. Azimuths need not be true: any common north will do. They come from the gyros, or
+from a programme in order. Where they are not known, the tilt of each placement is part of the scatter, which is
+estimated from the residuals; if the tilt has a stated tolerance, the scatter is not taken to be less, and where
+the azimuths are known it holds t to zero within the tolerance.
+
+Two blocks. Simultaneous verticals of both in three or more positions: Wahba again, weighted by the noise, with what
+each calibration leaves uncertain propagated.
+
+Source: ellipsoid method §5. Wahba's problem: Markley (1988), The Journal of the Astronautical Sciences 36, 245-258.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.errors import InputError
+from tumble.estimation.estimate import Estimate
+from tumble.programme.positions import Programme
+from tumble.reduction.observations import Observations
+from tumble.rotation import rotation_matrix, skew, tangent_basis
+from tumble.sensors.frames import Alignment, Frame, convert
+from tumble.sensors.model import SensorModel
+from tumble.units import DEGREE, Array, IntArray
+
+_UP = np.array([0.0, 1.0, 0.0])
+_ON_A_FACE = np.cos(1.0 * DEGREE)
+_ITERATIONS = 5  # each leaves the square of ψ and t, which are below 0.2 rad
+_SINGULAR = 1e-6  # of the largest singular value
+_SPREAD_OUT = 0.05  # rad: directions nearer to one line do not give a rotation
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verticals:
+    """Directions (N, 3) of the vertical in the frame of a block, with the covariance (N, 3, 3) of each from the noise
+    of its rest, and the derivative (N, 3, m) with parameters whose covariance is (m, m)."""
+
+    direction: Array
+    covariance: Array
+    by_parameters: Array
+    parameter_covariance: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CaseAlignment:
+    """The case in the frame b of the accelerometers: rotation `mat_cb`, covariance and derivative as in
+    `frames.Alignment`; `tilt` and `tilt_u` (2,), rad, the lean of the plate's normal to north and east, empty where
+    the azimuths are not known; `scatter`, rad, of a placement about each horizontal axis, and the `residual` (N,),
+    rad, of the placements `rests` (N,)."""
+
+    alignment: Alignment
+    tilt: Array
+    tilt_u: Array
+    scatter: float
+    residual: Array
+    rests: IntArray
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Relation:
+    """Rotation `mat_12` from the frame of the second block to that of the first, the covariance (3, 3), rad², of its
+    error ψ (the true one is exp([ψ×]) mat_12), and the residual (N,), rad, of each position with `chi_square` of
+    `degrees` of freedom against the noise of the rests."""
+
+    mat_12: Array
+    covariance: Array
+    residual: Array
+    chi_square: float
+    degrees: int
+
+
+def verticals_of(model: SensorModel, jacobian: Array, readings: Array, covariance: Array, known: Array) -> Verticals:
+    """Verticals from readings at rest (N, n) with covariance (N, n, n), the sensor model, its Jacobian (n, 4, m) with
+    respect to parameters, and their covariance (m, m)."""
+    inverse = model.inverse()
+    force = model.apply(readings)
+    length = np.linalg.norm(force, axis=1)
+    direction = force / length[:, None]
+    across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) @ inverse / length[:, None, None]
+    change = np.einsum("pkm,ik->ipm", jacobian[:, :3], force) + jacobian[:, 3]
+    return Verticals(
+        direction=direction,
+        covariance=across @ covariance @ np.swapaxes(across, 1, 2),
+        by_parameters=-across @ change,
+        parameter_covariance=known,
+    )
+
+
+def wahba(first: Array, second: Array) -> Array:
+    """The rotation (3, 3) that best takes unit vectors (N, 3) `second` to `first`, by SVD."""
+    U, _, Vt = np.linalg.svd(first.T @ second)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt)
+
+
+# -------------------- the case --------------------
+
+
+def align_case(
+    verticals: Verticals,
+    normals_c: Array,
+    *,
+    rests: IntArray,
+    attitudes: Array | None = None,
+    tolerance: float | None = None,
+) -> CaseAlignment:
+    """The case from placements on its faces: verticals in b, the directions `normals_c` (N, 3) they have in the case,
+    the attitudes (N, 3, 3) body → geographic where the azimuths are known, and the standard uncertainty of the
+    plate's tilt about each horizontal axis, rad, where one is stated.
+
+    Raises InputError unless the faces are in three different directions."""
+    if len(normals_c) < 3 or np.linalg.svd(normals_c, compute_uv=False)[2] < _SINGULAR:
+        raise InputError(
+            f"case: expected placements on faces in three directions, found {len(normals_c)} placements in fewer"
+        )
+    mat_cb = wahba(normals_c, verticals.direction)
+    if attitudes is not None and not _tells_tilt(normals_c, attitudes @ mat_cb.T, tolerance):
+        attitudes = None
+    scatter, prior = 0.0, np.zeros((3, 3) if attitudes is None else (5, 5))
+    for _ in range(_ITERATIONS):
+        rows = _case_rows(normals_c, None if attitudes is None else attitudes @ mat_cb.T)
+        misfit = _across(normals_c, verticals.direction @ mat_cb.T - normals_c)
+        gain = np.linalg.solve(rows.T @ rows + prior, rows.T)
+        step = gain @ misfit
+        mat_cb = rotation_matrix(step[:3]) @ mat_cb
+        left = misfit - rows @ step
+        scatter = _scatter(left, rows.shape[1], tolerance if attitudes is None else None)
+        if tolerance is not None:
+            prior[3:, 3:] = np.eye(len(prior) - 3) * (scatter / tolerance) ** 2
+    covariance = scatter**2 * np.asarray(np.linalg.inv(rows.T @ rows + prior), dtype=float)
+    by_parameters = np.einsum("kr,rm->km", gain[:3], _moved(normals_c, mat_cb, verticals.by_parameters))
+    return CaseAlignment(
+        alignment=Alignment(mat_cb=mat_cb, covariance=covariance[:3, :3], by_parameters=by_parameters),
+        tilt=step[3:],
+        tilt_u=np.sqrt(np.diag(covariance)[3:]),
+        scatter=scatter,
+        residual=np.linalg.norm(left.reshape(-1, 2), axis=1),
+        rests=rests,
+    )
+
+
+def _case_rows(normals_c: Array, attitudes_c: Array | None) -> Array:
+    """Derivative (2N, 3 or 5) of C_cb u − n across n with respect to ψ and, where azimuths are known, t."""
+    rows = np.einsum("irk,ikj->irj", tangent_basis(normals_c), skew(normals_c))
+    if attitudes_c is not None:
+        leaning = -np.swapaxes(attitudes_c, 1, 2)[:, :, [0, 2]]
+        rows = np.concatenate([rows, np.einsum("irk,ikj->irj", tangent_basis(normals_c), leaning)], axis=2)
+    return np.asarray(rows.reshape(2 * len(normals_c), -1))
+
+
+def _across(normals_c: Array, vectors: Array) -> Array:
+    """Components (2N,) of vectors across the normals."""
+    return np.asarray(np.einsum("irk,ik->ir", tangent_basis(normals_c), vectors).ravel())
+
+
+def _moved(normals_c: Array, mat_cb: Array, change: Array) -> Array:
+    """Changes (N, 3, m) of verticals in b, as components (2N, m) across the normals in the case."""
+    moved = np.einsum("irk,kj,ijm->irm", tangent_basis(normals_c), mat_cb, change)
+    return np.asarray(moved.reshape(2 * len(normals_c), -1))
+
+
+def _tells_tilt(normals_c: Array, attitudes_c: Array, tolerance: float | None) -> bool:
+    """Whether the placements tell the plate's tilt from the rotation, or a tolerance holds it."""
+    singular = np.linalg.svd(_case_rows(normals_c, attitudes_c), compute_uv=False)
+    return tolerance is not None or bool(singular[-1] > 1e-2 * singular[0] and len(normals_c) > 3)
+
+
+def _scatter(left: Array, unknowns: int, tolerance: float | None) -> float:
+    """Standard deviation of an equation, from what is left; not less than a stated tolerance."""
+    estimated = float(np.sqrt(left @ left / max(len(left) - unknowns, 1)))
+    return max(estimated, tolerance or 0.0)
+
+
+def case_of(
+    observations: Observations, accel: Verticals, gyro: SensorModel | None, *, tolerance: float | None = None
+) -> CaseAlignment:
+    """The case of a session whose programme stands on all six faces, from the verticals of all its rests.
+
+    Raises InputError, one line, where the session does not give the case."""
+    programme, position = observations.programme, observations.position
+    if programme is None or position is None:
+        raise InputError(
+            "frame 'case': expected a session with a [programme] that stands on all six faces, such as cube-14 or "
+            "nine, found none: without it no rest is known to be on a face"
+        )
+    _check_faces(programme)
+    nominal = np.array([p.vertical_b for p in programme.positions])[position]
+    rests = np.flatnonzero(np.abs(nominal).max(axis=1) > _ON_A_FACE)
+    attitudes = _attitudes(observations, accel.direction, gyro)
+    chosen = Verticals(
+        direction=accel.direction[rests],
+        covariance=accel.covariance[rests],
+        by_parameters=accel.by_parameters[rests],
+        parameter_covariance=accel.parameter_covariance,
+    )
+    return align_case(
+        chosen,
+        np.round(nominal[rests]),
+        rests=rests,
+        attitudes=None if attitudes is None else attitudes[rests],
+        tolerance=tolerance,
+    )
+
+
+def _check_faces(programme: Programme) -> None:
+    verticals = np.array([p.vertical_b for p in programme.positions])
+    names = ("X up", "X down", "Y up", "Y down", "Z up", "Z down")
+    wanted = np.concatenate([[axis, -axis] for axis in np.eye(3)])
+    missing = [n for n, w in zip(names, wanted, strict=True) if np.max(verticals @ w) < _ON_A_FACE]
+    if missing:
+        raise InputError(
+            f"frame 'case': expected a programme that stands on all six faces, such as cube-14 or nine, found "
+            f"{programme.name!r} without {', '.join(missing)}"
+        )
+
+
+def _attitudes(observations: Observations, verticals: Array, gyro: SensorModel | None) -> Array | None:
+    """Attitudes (N, 3, 3) body → geographic with one common north: from rest to rest by the gyros, or as a programme
+    in order has them; None where neither tells the azimuths. The Earth's turn during the moves, 0.25° a minute, is
+    left out: it turns the tilt by as little."""
+    turns = observations.turns
+    if turns is not None and gyro is not None and len(turns) == len(verticals) - 1:
+        C = observations.turns_about(gyro).C
+        out = [_levelled(np.eye(3), verticals[0])]
+        for turn, vertical in zip(C, verticals[1:], strict=True):
+            out.append(_levelled(out[-1] @ turn, vertical))
+        return np.array(out)
+    programme, position = observations.programme, observations.position
+    if programme is not None and position is not None and programme.ordered:
+        return np.array([p.matrix for p in programme.positions])[position]
+    return None
+
+
+def _levelled(attitude: Array, vertical: Array) -> Array:
+    """An attitude turned the shortest way so that the vertical is up in it."""
+    found = attitude @ vertical
+    cross = np.cross(found, _UP)
+    sine = float(np.linalg.norm(cross))
+    if sine < _SINGULAR and found @ _UP < 0.0:
+        return np.asarray(np.diag([1.0, -1.0, -1.0]) @ attitude)
+    scale = np.arctan2(sine, float(found @ _UP)) / sine if sine > 0.0 else 1.0
+    return rotation_matrix(scale * cross) @ attitude
+
+
+def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) -> tuple[Estimate, CaseAlignment | None]:
+    """An estimate in the frame of the accelerometers as one in another frame, with the alignment of the case where
+    that is the frame. Where an accelerometer parameter is not observable no frame is fixed: it stays as it is.
+
+    Raises InputError, one line, where the session does not give the case."""
+    accel, found = observations.accel_block, None
+    count = len(accel.names)
+    if frame == "accelerometer" or not estimate.observable[:count].all():
+        return estimate, None
+    if frame == "case":
+        found = case_of(observations, _verticals_of_rests(estimate, observations), estimate.gyro)
+    framed = convert(
+        accel,
+        None if estimate.gyro is None else observations.gyro_block,
+        source="accelerometer",
+        values=estimate.values,
+        covariance=estimate.covariance,
+        target=frame,
+        alignment=None if found is None else found.alignment,
+    )
+    assert framed.covariance is not None
+    unseen = set(estimate.unobservable)
+    moved = replace(
+        estimate,
+        names=framed.names,
+        units=framed.units,
+        values=framed.values,
+        covariance=framed.covariance,
+        observable=np.array([name not in unseen for name in framed.names]),
+        accel=framed.accel,
+        gyro=framed.gyro,
+        increments=tuple(framed.jacobian @ step for step in estimate.increments),
+    )
+    return moved, found
+
+
+def _verticals_of_rests(estimate: Estimate, observations: Observations) -> Verticals:
+    block, rests = observations.accel_block, observations.rests
+    count = len(block.names)
+    jacobian, known = block.jacobian(estimate.values[:count]), estimate.covariance[:count, :count]
+    return verticals_of(estimate.accel, jacobian, rests.accel, rests.accel_covariance, known)
+
+
+# -------------------- two blocks --------------------
+
+
+def relate(first: Verticals, second: Verticals) -> Relation:
+    """How two blocks on one base stand to each other, from the verticals both had in the same positions, in order.
+
+    Raises InputError for different numbers of positions, fewer than three, or verticals along one line."""
+    count = len(first.direction)
+    if count != len(second.direction):
+        raise InputError(
+            f"two blocks: expected the same rests of both, found {count} of the first and {len(second.direction)} of "
+            "the second"
+        )
+    if count < 3:
+        raise InputError(f"two blocks: expected rests in three or more positions, found {count}")
+    if np.linalg.svd(first.direction, compute_uv=False)[1] < _SPREAD_OUT:
+        raise InputError("two blocks: expected verticals in different directions, found them along one line")
+    mat_12 = wahba(first.direction, second.direction)
+    for _ in range(_ITERATIONS):
+        turned = second.direction @ mat_12.T
+        basis = tangent_basis(first.direction)
+        rows = np.einsum("irk,ikj->irj", basis, skew(turned))
+        noise = first.covariance + mat_12 @ second.covariance @ mat_12.T
+        whiten = np.linalg.inv(np.linalg.cholesky(basis @ noise @ np.swapaxes(basis, 1, 2)))
+        misfit = np.einsum("irk,ik->ir", basis, turned - first.direction)
+        design = (whiten @ rows).reshape(-1, 3)
+        gain = np.linalg.pinv(design)
+        step = gain @ np.einsum("irs,is->ir", whiten, misfit).ravel()
+        mat_12 = rotation_matrix(step) @ mat_12
+    left = misfit - np.einsum("irk,k->ir", rows, step)
+    chi_square = float((np.einsum("irs,is->ir", whiten, left) ** 2).sum())
+    degrees = 2 * count - 3
+    covariance = max(1.0, chi_square / degrees) * gain @ gain.T
+    for block, carry in ((first, np.eye(3)), (second, mat_12)):
+        by = np.einsum("irs,isk,kj,ijm->irm", whiten, basis, carry, block.by_parameters)
+        change = gain @ by.reshape(2 * count, -1)
+        covariance = covariance + change @ block.parameter_covariance @ change.T
+    return Relation(
+        mat_12=mat_12,
+        covariance=covariance,
+        residual=np.linalg.norm(left, axis=1),
+        chi_square=chi_square,
+        degrees=degrees,
+    )

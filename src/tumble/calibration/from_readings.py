@@ -1,0 +1,259 @@
+"""From a table of readings to a calibration, by the ellipsoid method, and what is said of it.
+
+Everything that the readings do not say of themselves is in `readings.Nominal`. The calibration is in the form of all
+others; what a table adds is the residual of every position, plain and left out in turn, and the coefficients in the
+form of the source: k in output per g, the angles θ of its upper triangular matrix, the bias b referred to the input,
+
+    u = diag(k) [[1, θz, θy], [0, 1, θx], [0, 0, 1]] (a + b)                                             (1), (5)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import ndtri
+
+from tumble import __version__
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.readings_table import Nominal, Table, plain_units, sizes_seen
+from tumble.calibration.results import Parameter, Readings
+from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
+from tumble.estimation.estimate import Outcome
+from tumble.estimation.observability import Refusal
+from tumble.recording.session import Site
+from tumble.sensors.frames import Convention, Frame, Framed, convert
+from tumble.units import Array, engineering
+
+if TYPE_CHECKING:
+    pass
+
+SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
+"""Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the
+field of the Earth is not the same in every position."""
+
+SIZE_TOLERANCE = 0.25
+"""Scale factors may be off the stated ones by this part before scale and unit are doubted. Iron around a magnetometer
+may do more."""
+
+NAMED = 4
+"""Of more positions than these, the one to look at is not told."""
+
+BAD_CHANCE = 1e-3
+"""A position is bad where chance alone makes one of the positions so bad in less than this part of all tables."""
+
+_FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Result:
+    """A calibration from a table; `fit` is None where it was refused."""
+
+    calibration: Calibration
+    table: Table
+    nominal: Nominal
+    fit: EllipsoidFit | None
+
+
+def calibrate_table(
+    table: Table, nominal: Nominal, *, frame: Frame = "accelerometer", serial: str | None = None
+) -> Result:
+    """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions. What cannot be calibrated comes
+    back with the reasons in its outcome. Without a `serial` number of the device it is the name of the table."""
+    serial = table.path.stem if serial is None else serial
+    bad = float(-ndtri(0.5 * BAD_CHANCE / len(table.values)))
+    found = fit_ellipsoid(nominal.to_si(table.values), modulus=nominal.modulus, bad_sigmas=bad)
+    if isinstance(found, Refusal):
+        misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
+        outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal))
+        empty = _calibration(serial, table, nominal, None, None, outcome)
+        return Result(calibration=empty, table=table, nominal=nominal, fit=None)
+    outcome = Outcome(reasons=tuple(_reasons(table, nominal, found)))
+    calibration = _calibration(serial, table, nominal, found, _framed(found, frame), outcome)
+    return Result(calibration=calibration, table=table, nominal=nominal, fit=found)
+
+
+def _framed(found: EllipsoidFit, frame: Frame) -> Framed:
+    """The parameters of a fit in a frame."""
+    return convert(TRIAD, None, source="accelerometer", values=found.values, covariance=found.covariance, target=frame)
+
+
+def _names(nominal: Nominal, names: tuple[str, ...] = TRIAD.names) -> tuple[str, ...]:
+    """Names of parameters for the sensors that they are of."""
+    return tuple(f"{nominal.sensor}.{name.partition('.')[2]}" for name in names)
+
+
+def _reasons(table: Table, nominal: Nominal, found: EllipsoidFit) -> list[str]:
+    """What speaks against a fit."""
+    misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + found.values[3:6]))
+    if misstated is not None:
+        return [misstated]
+    size, unit = engineering(nominal.result_unit, float(np.abs(found.residual).max()))
+    reasons = [
+        f"position {i + 1} (line {table.lines[i]}) does not fit: {found.sigmas[i]:.1f} sigma, residual "
+        f"{found.residual[i] / size:+.3g} {unit}; it was left out"
+        for i in np.flatnonzero(~found.used)
+    ]
+    if found.doubtful and found.worst is not None:
+        which = " or ".join(f"{i + 1} (line {table.lines[i]})" for i in sorted(found.doubtful))
+        reasons.append(
+            f"position {which} does not fit: {found.worst.sigmas:.1f} sigma"
+            + ("; these positions do not tell which, so that none was left out" if len(found.doubtful) > 1 else "")
+        )
+    limit = SCATTER_LIMIT[nominal.sensor] * nominal.modulus
+    if found.scatter > limit:
+        size, unit = engineering(nominal.result_unit, found.scatter)
+        said = f"the positions scatter by {found.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}"
+        first = () if found.worst is None else (found.worst.position, *found.worst.rivals)
+        if found.worst is not None and len(first) <= NAMED and found.worst.scatter < 0.5 * found.scatter:
+            which = " or ".join(f"{i + 1} (line {table.lines[i]})" for i in sorted(first))
+            said += (
+                f"; look first at position {which}, without which it would be {found.worst.scatter / size:.3g} {unit}"
+            )
+        reasons.append(said)
+    if not found.converged:
+        reasons.append("the fit did not converge: the readings contradict the model")
+    return reasons
+
+
+def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
+    """That the channels' output `seen` (3,), per SI unit, is not what scale and unit state, and which would fit."""
+    if nominal.estimated or nominal.sensor == "mag" or seen is None:
+        return None
+    if _near_one(seen / np.abs(nominal.scale)):
+        return None
+    stated, outputs = (
+        ", ".join(f"{v * nominal.per_factor:.3g}" for v in scale)
+        for scale in (nominal.scale, np.sign(nominal.scale) * seen)
+    )
+    fitting = [f"--unit {unit}" for unit, factor in plain_units(nominal.sensor).items() if _near_one(seen * factor)]
+    if nominal.unit == nominal.per:
+        length = "gravity" if nominal.sensor == "accel" else "--modulus"
+        said = f"the readings are {outputs} times what --unit {nominal.unit} and {length} give"
+    else:
+        said = f"the outputs seen are {outputs} {nominal.unit}/{nominal.per}, the scale states {stated}"
+        fitting += [f"--scale={outputs}".replace(" ", "")]
+    return f"{said}; {' or '.join(fitting) or 'another unit or scale'} would fit"
+
+
+def _near_one(ratios: Array) -> bool:
+    return bool(np.all(np.abs(ratios - 1.0) <= SIZE_TOLERANCE))
+
+
+def _calibration(
+    serial: str, table: Table, nominal: Nominal, found: EllipsoidFit | None, framed: Framed | None, outcome: Outcome
+) -> Calibration:
+    model = None if framed is None else framed.accel
+    return Calibration(
+        serial=serial,
+        model=None,
+        method="ellipsoid",
+        frame="accelerometer" if framed is None else framed.frame,
+        parameters=() if framed is None else _parameters(nominal, framed),
+        covariance=None if framed is None else framed.covariance,
+        accel=model if nominal.sensor == "accel" else None,
+        gyro=model if nominal.sensor == "gyro" else None,
+        mag=model if nominal.sensor == "mag" else None,
+        outcome=outcome,
+        fits={} if found is None else {_FIT_NAMES[nominal.sensor]: found.fit(nominal.result_unit)},
+        site=_site(nominal),
+        readings={nominal.sensor: _readings(table, nominal)},
+        notes=_notes(table, nominal, found),
+        provenance={
+            "log_sha256": table.sha256,
+            "software": f"tumble {__version__}",
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        },
+    )
+
+
+def _parameters(nominal: Nominal, framed: Framed) -> tuple[Parameter, ...]:
+    u = [None] * 9 if framed.covariance is None else np.sqrt(np.diag(framed.covariance)).tolist()
+    units = (nominal.result_unit,) * 3 + framed.units[3:]
+    return tuple(
+        Parameter(name=name, value=value, u=each, unit=unit)
+        for name, value, each, unit in zip(_names(nominal, framed.names), framed.values.tolist(), u, units, strict=True)
+    )
+
+
+def _site(nominal: Nominal) -> Site | None:
+    """Gravity as stated, where it was the modulus."""
+    if nominal.sensor != "accel":
+        return None
+    return Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=0.0)
+
+
+def _readings(table: Table, nominal: Nominal) -> Readings:
+    return Readings(
+        columns=table.columns,
+        unit=nominal.unit,
+        increments=False,
+        scale=tuple(nominal.scale.tolist()),
+        offset=(0.0, 0.0, 0.0),
+    )
+
+
+def _notes(table: Table, nominal: Nominal, found: EllipsoidFit | None) -> tuple[str, ...]:
+    notes = []
+    per = ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
+    if nominal.estimated:
+        notes.append(f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings")
+    if nominal.assumed:
+        notes.append(
+            f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not tell it; state it "
+            "with --scale or --position"
+        )
+    negative = [name for name, s in zip(table.columns, nominal.scale, strict=True) if s < 0.0]
+    if negative:
+        said = f"polarity of {', '.join(negative)}: negative, as the scale or the positions state"
+        if len(negative) % 2:
+            said += (
+                "; as they are written, the readings are the mirror image of a right-handed triad, so the fit needs a "
+                "reflection"
+            )
+        notes.append(said)
+    if found is not None and found.degrees == 0:
+        notes.append("as many positions as parameters: nothing checks the fit, and no uncertainty can be given")
+    return tuple(notes)
+
+
+# -------------------- the form of the source --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PaperForm:
+    """k (3,) in the table's unit per `per`; θ (x, y, z), rad; b (3,), in units of `per`; with the covariance (9, 9) of
+    all, k, θ, b, None where there is none."""
+
+    k: Array
+    theta: Array
+    b: Array
+    covariance: Array | None
+
+
+def paper_form(result: Result) -> PaperForm:
+    """The coefficients of a fit in the form of Table 1 of the source."""
+    assert result.fit is not None
+    framed = _framed(result.fit, "paper")
+    values, model, nominal = framed.values, framed.accel, result.nominal
+    inverse = model.inverse()
+    b = inverse @ model.bias
+    derivative = Convention(frame="paper", block=TRIAD).jacobian(values)
+    by_values = np.zeros((9, 9))
+    scale = nominal.scale * nominal.per_factor
+    by_values[:3, 3:6] = np.diag(scale)
+    by_values[3:6, [8, 7, 6]] = np.eye(3)  # θx, θy, θz are yz, xz, xy
+    change = derivative[:, 3] - np.einsum("pqm,q->pm", derivative[:, :3], b)
+    by_values[6:] = inverse @ change / nominal.per_factor
+    covariance = None if framed.covariance is None else by_values @ framed.covariance @ by_values.T
+    return PaperForm(
+        k=scale * (1.0 + values[3:6]),
+        theta=values[[8, 7, 6]],
+        b=b / nominal.per_factor,
+        covariance=covariance,
+    )
+
+
+# -------------------- what is said --------------------

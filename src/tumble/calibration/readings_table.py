@@ -1,0 +1,289 @@
+"""Tables of readings: laboratories write down averaged voltages, one row per position.
+
+READINGS.csv has a header with the names of three columns, one per channel, and a row of three numbers per position. The
+readings become SI by the nominal scale, whose sign is the polarity of the channel, and the triad is calibrated by the
+ellipsoid method. Accelerometers at rest, magnetometers, and gyros on a table that turns at a constant rate are the same
+problem with another modulus.
+
+The ellipsoid does not show polarity: y and −y of a channel lie equally well on it. It comes from the nominal scale, or
+from positions of which it is roughly known where the vector pointed. Where an odd number of channels is negative, the
+readings as written are the mirror image of a right-handed triad, and the fit needs a reflection, which is said.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from tumble.errors import InputError
+from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, MAGNETIC_UNITS, Array, IntArray
+
+Sensor = Literal["accel", "gyro", "mag"]
+SENSORS: tuple[Sensor, ...] = get_args(Sensor)
+
+TELLING = 0.3
+"""A channel's polarity is told by a position in which the vector has at least this part along it, in the fit and as
+stated."""
+
+EARTH_GRAVITY = (9.7, 9.9)
+"""m/s², between which gravity is on Earth."""
+
+LARGEST = 1e30
+"""No reading is as large: its powers would leave the range of numbers."""
+
+_RAW = ("V", "count")
+_UNITS: Mapping[Sensor, Mapping[str, float]] = {
+    "accel": {name: ACCEL_UNITS[name].factor for name in ("g", "m/s^2")},
+    "gyro": {name: GYRO_UNITS[name].factor for name in ("deg/s", "deg/h", "rad/s")},
+    "mag": dict.fromkeys(MAGNETIC_UNITS, 1.0),
+}
+"""Units of a reading, the first being the one a scale is per unless stated, and their factors to the unit of the
+calibration: m/s², rad/s, or for magnetometers themselves."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Table:
+    """A table of readings: `values` (N, 3) as written, `lines` (N,) of the file they stand in."""
+
+    path: Path
+    columns: tuple[str, ...]
+    values: Array
+    lines: tuple[int, ...]
+    sha256: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Nominal:
+    """What the readings of a triad of `sensor` are worth: SI = value / scale, scale (3,) in the table's `unit` per SI
+    unit (of magnetometers per `result_unit`), signed by polarity; and the length of the true vector, SI.
+
+    `per` is the unit a raw scale is per, of the size `per_factor` in SI; `estimated` says that the sizes of the scale
+    were taken from the readings themselves; `assumed` are the columns whose polarity nothing states."""
+
+    sensor: Sensor
+    unit: str
+    per: str
+    per_factor: float
+    scale: Array
+    modulus: float
+    estimated: bool
+    assumed: tuple[str, ...]
+
+    @property
+    def result_unit(self) -> str:
+        """The unit of biases and corrected readings."""
+        return {"accel": "m/s^2", "gyro": "rad/s", "mag": self.per}[self.sensor]
+
+    def to_si(self, values: Array) -> Array:
+        """Readings (N, 3) in the unit of the result."""
+        return values / self.scale
+
+
+# -------------------- reading the file --------------------
+
+
+def read_table(path: Path) -> Table:
+    """The readings of a CSV file. Raises InputError, one line that names the file, the line and the column, for
+    anything but a header of three names and rows of three finite numbers."""
+    try:
+        content = path.read_bytes()
+        text = content.decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: expected a table of readings, found: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"{path}: expected UTF-8 text, found {error.reason}; save the table as CSV in UTF-8"
+        ) from error
+    reader = csv.reader(text.splitlines(), strict=True)
+    try:
+        rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: expected comma-separated numbers, found: {error}") from error
+    if not rows:
+        raise InputError(f"{path}: expected a header of three columns and a row per position, found an empty file")
+    columns = _header(path, *rows[0])
+    if len(rows) == 1:
+        raise InputError(f"{path}: expected a row per position below the header, found none")
+    values = [
+        [_number(path, line, column, cell) for column, cell in _cells(path, line, columns, row)]
+        for line, row in rows[1:]
+    ]
+    return Table(
+        path=path,
+        columns=columns,
+        values=np.array(values),
+        lines=tuple(line for line, _ in rows[1:]),
+        sha256=hashlib.sha256(content).hexdigest(),
+    )
+
+
+def _header(path: Path, line: int, row: list[str]) -> tuple[str, ...]:
+    names = tuple(cell.strip() for cell in row)
+    place = f"{path}: line {line}"
+    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
+        raise InputError(
+            f"{place}: expected commas between the columns, found {names[0][:40]!r}; save as CSV with commas"
+        )
+    if len(names) != 3:
+        raise InputError(f"{place}: expected a header of three columns, one per channel, found {len(names)}")
+    if all(map(_is_number, names)):
+        raise InputError(f"{place}: expected a header with the names of three columns, found numbers; put one above")
+    if "" in names:
+        raise InputError(
+            f"{place}: expected names of three columns, found an empty one in column {names.index('') + 1}"
+        )
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise InputError(f"{place}: expected three different columns, found {name!r} {count} times")
+    return names
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _cells(path: Path, line: int, columns: tuple[str, ...], row: list[str]) -> list[tuple[str, str]]:
+    if len(row) != len(columns):
+        raise InputError(f"{path}: line {line}: expected three numbers, one per column, found {len(row)} values")
+    return list(zip(columns, row, strict=True))
+
+
+def _number(path: Path, line: int, column: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < LARGEST:
+        found = repr(cell.strip()[:40]) if cell.strip() else "an empty value"
+        raise InputError(f"{path}: line {line}, column {column!r}: expected a number, found {found}; correct the row")
+    return value
+
+
+# -------------------- what the readings are worth --------------------
+
+
+def plain_units(sensor: Sensor) -> Mapping[str, float]:
+    """The units in which the readings of a kind of sensor need no scale, with their factors to the unit of the
+    calibration."""
+    return _UNITS[sensor]
+
+
+def nominal(
+    table: Table,
+    *,
+    sensor: Sensor = "accel",
+    unit: str = "V",
+    scale: Sequence[float] | None = None,
+    scale_per: str | None = None,
+    gravity: float = G_STANDARD,
+    modulus: float | None = None,
+    known: Mapping[int, Array] | None = None,
+) -> Nominal:
+    """What the readings of a table are worth. `scale` is one number or three, for `unit` V or count only, per
+    `scale_per`; without it its sizes are taken from the readings. `gravity` (m/s²) is the modulus of accelerometers;
+    that of the others is `modulus`, in the unit of the readings or of `scale_per`. `known` are directions (3,) of the
+    vector in positions (from 1).
+
+    Raises InputError, one line, for what does not go together."""
+    units = _UNITS[sensor]
+    if unit not in (*_RAW, *units):
+        raise InputError(f"--unit: expected one of {', '.join((*_RAW, *units))} for --sensor {sensor}, found {unit!r}")
+    if unit not in _RAW and (scale is not None or scale_per is not None):
+        raise InputError(f"--scale: expected only with --unit V or count, found --unit {unit}")
+    per = unit if unit not in _RAW else (scale_per or next(iter(units)))
+    if per not in units:
+        raise InputError(f"--scale-per: expected one of {', '.join(units)} for --sensor {sensor}, found {per!r}")
+    length = _length(sensor, gravity, modulus, units[per])
+    sizes, estimated = _sizes(table, unit, scale, length / units[per])
+    signs, told = _polarity(table, sizes, known or {}, free=estimated)
+    return Nominal(
+        sensor=sensor,
+        unit=unit,
+        per=per,
+        per_factor=units[per],
+        scale=sizes * signs / units[per],
+        modulus=length,
+        estimated=estimated,
+        assumed=tuple(name for name, known_by in zip(table.columns, told, strict=True) if estimated and not known_by),
+    )
+
+
+def _length(sensor: Sensor, gravity: float, modulus: float | None, factor: float) -> float:
+    """The modulus in the unit of the result."""
+    if sensor == "accel":
+        if modulus is not None:
+            raise InputError("--modulus: expected --gravity for accelerometers, found --modulus")
+        if not EARTH_GRAVITY[0] <= gravity <= EARTH_GRAVITY[1]:
+            raise InputError(f"--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found {gravity:g}")
+        return gravity
+    if modulus is None:
+        what = {"gyro": "the rate of the table", "mag": "the field, or 1 where only ratios are wanted"}[sensor]
+        raise InputError(f"--modulus: expected {what} for --sensor {sensor}, found none")
+    if not 0.0 < modulus < LARGEST:
+        raise InputError(f"--modulus: expected a positive number, found {modulus:g}")
+    return modulus * factor
+
+
+def _sizes(table: Table, unit: str, scale: Sequence[float] | None, length: float) -> tuple[Array, bool]:
+    """The scale (3,) per unit as stated, 1 where there is none, or from the readings, to three digits."""
+    if unit not in _RAW:
+        return np.ones(3), False
+    if scale is not None:
+        if len(scale) not in (1, 3):
+            raise InputError(f"--scale: expected one number or three, one per column, found {len(scale)}")
+        given = np.broadcast_to(np.asarray(scale, dtype=float), 3).copy()
+        if not np.all((np.abs(given) > 1.0 / LARGEST) & (np.abs(given) < LARGEST)):
+            raise InputError(f"--scale: expected numbers other than zero, found {', '.join(f'{s:g}' for s in given)}")
+        return given, False
+    seen = sizes_seen(table.values, length)
+    sizes = 0.5 * np.ptp(table.values, axis=0) / length if seen is None else seen
+    return np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in sizes]), True
+
+
+def sizes_seen(values: Array, length: float) -> Array | None:
+    """The output (3,) of the channels per unit of a vector of this length, from the ellipsoid through the readings
+    (N, 3); None where they lie on none."""
+    from tumble.estimation.quadric import fit_many
+
+    found = fit_many(values[None])
+    return np.linalg.norm(found.models(length).matrix[0], axis=1) if found.found[0] else None
+
+
+def _polarity(table: Table, sizes: Array, known: Mapping[int, Array], *, free: bool) -> tuple[Array, IntArray]:
+    """Signs (3,) that roughly known positions give the channels, and the number of the position that told each, 0 for
+    none; where `free` is false the signs must not differ from those of the scale."""
+    from tumble.estimation.observability import rough_directions
+
+    seen = rough_directions(table.values / sizes)
+    signs, told = np.ones(3), np.zeros(3, dtype=int)
+    for position, direction in known.items():
+        if not 1 <= position <= len(seen):
+            raise InputError(f"--position: expected a position from 1 to {len(seen)} of the table, found {position}")
+        stated = direction / np.linalg.norm(direction)
+        for p in np.flatnonzero((np.abs(stated) > TELLING) & (np.abs(seen[position - 1]) > TELLING)):
+            sign = np.sign(stated[p] * seen[position - 1, p])
+            column = table.columns[p]
+            if told[p] and sign != signs[p]:
+                raise InputError(
+                    f"--position: positions {told[p]} and {position} contradict each other about the polarity of "
+                    f"{column!r}; correct one of them"
+                )
+            if not free and sign < 0.0:
+                raise InputError(
+                    f"--position: position {position} shows {column!r} with the other polarity than its scale; change "
+                    "the sign of its scale, or correct the position"
+                )
+            signs[p], told[p] = sign, position
+    return signs, told

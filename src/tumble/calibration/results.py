@@ -1,0 +1,220 @@
+"""What a calibration consists of: parameters, rests, turns, launches and fits, and how the calibration file has them.
+
+Each part has a dataclass and a function that reads it from the content of a file; further keys may be there or not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+
+from tumble.estimation.estimate import Fit
+from tumble.recording.session import Site
+from tumble.units import Array
+
+_Value = TypeVar("_Value")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Parameter:
+    """A named quantity with its standard uncertainty (None where the method gives none), SI; where the session names a
+    systematic (passport) calibration, with the deviation from it; for the mean of several launches with the standard
+    deviation from launch to launch."""
+
+    name: str
+    value: float
+    u: float | None
+    unit: str
+    deviation: float | None = None
+    run_to_run: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Readings:
+    """What the readings of n sensors are: SI = (raw − offset) / scale of the log's columns, for increments divided by
+    the interval of the sample. `scale` (n,) and `offset` (n,) are in the log's `unit`."""
+
+    columns: tuple[str, ...]
+    unit: str
+    increments: bool
+    scale: tuple[float, ...]
+    offset: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SensorsAtRest:
+    """Of each of n sensors over a rest, SI: mean reading, density of its noise (unit/√Hz) and drift, its change."""
+
+    mean: tuple[float, ...]
+    noise: tuple[float, ...]
+    drift: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RestResult:
+    """A rest as used: times (s), residual |corrected reading| − g (m/s²) and how many sigmas it is from the fit; the
+    code of its attitude in the programme, what its sensors read, and the temperature (°C), where there are such."""
+
+    file: int
+    start: float
+    stop: float
+    residual: float
+    sigmas: float
+    attitude: str | None = None
+    accel: SensorsAtRest | None = None
+    gyro: SensorsAtRest | None = None
+    temperature: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TurnResult:
+    """A turn from one rest to another (from 0) as used: its duration (s), its angle as the calibrated gyros saw it and
+    as the programme has it (rad, 0 … π; None where there is none) and how many sigmas it is from the fit."""
+
+    first: int
+    last: int
+    duration: float
+    angle: float | None
+    programmed: float | None
+    sigmas: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Launch:
+    """One of several sessions behind a calibration."""
+
+    session: str
+    parameters: tuple[Parameter, ...]
+    covariance: Array | None
+    log_sha256: str
+    site: Site | None = None
+    rests: tuple[RestResult, ...] = ()
+    turns: tuple[TurnResult, ...] = ()
+    fits: Mapping[str, Fit] = field(default_factory=dict)
+
+
+def parameter_content(parameter: Parameter) -> dict[str, Any]:
+    """A parameter as the file has it."""
+    content = {"name": parameter.name, "value": parameter.value, "u": parameter.u, "unit": parameter.unit}
+    more = {"deviation": parameter.deviation, "run_to_run": parameter.run_to_run}
+    return content | {key: value for key, value in more.items() if value is not None}
+
+
+def fits_content(fits: Mapping[str, Fit]) -> dict[str, Any]:
+    """Fits as the file has them."""
+    return {
+        name: {
+            "chi_square": f.chi_square,
+            "degrees": f.degrees,
+            "probability": f.probability,
+            "scatter": f.scatter,
+            "unit": f.scatter_unit,
+        }
+        for name, f in fits.items()
+    }
+
+
+def text_from(value: Any) -> str:
+    """A text. Raises TypeError for anything else."""
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} in place of a text")
+    return value
+
+
+def optional(read: Callable[[Any], _Value], value: Any) -> _Value | None:
+    """What is read from a value, or None where that is null."""
+    return None if value is None else read(value)
+
+
+def parameter_from(content: Mapping[str, Any]) -> Parameter:
+    """A parameter of the file."""
+    return Parameter(
+        name=text_from(content["name"]),
+        value=float(content["value"]),
+        u=optional(float, content.get("u")),
+        unit=text_from(content["unit"]),
+        deviation=optional(float, content.get("deviation")),
+        run_to_run=optional(float, content.get("run_to_run")),
+    )
+
+
+def rest_from(content: Mapping[str, Any]) -> RestResult:
+    """A rest of the file."""
+    return RestResult(
+        file=int(content.get("file", 0)),
+        start=float(content["start"]),
+        stop=float(content["stop"]),
+        residual=float(content["residual"]),
+        sigmas=float(content.get("sigmas", 0.0)),
+        attitude=optional(text_from, content.get("attitude")),
+        accel=optional(_at_rest, content.get("accel")),
+        gyro=optional(_at_rest, content.get("gyro")),
+        temperature=optional(float, content.get("temperature")),
+    )
+
+
+def _at_rest(content: Mapping[str, Any]) -> SensorsAtRest:
+    return SensorsAtRest(**{key: tuple(map(float, content[key])) for key in ("mean", "noise", "drift")})
+
+
+def turn_from(content: Mapping[str, Any]) -> TurnResult:
+    """A turn of the file."""
+    return TurnResult(
+        first=int(content["first"]),
+        last=int(content["last"]),
+        duration=float(content["duration"]),
+        angle=optional(float, content["angle"]),
+        programmed=optional(float, content["programmed"]),
+        sigmas=float(content["sigmas"]),
+    )
+
+
+def fits_from(content: Mapping[str, Any]) -> dict[str, Fit]:
+    """The fits of the file or of one of its launches."""
+    return {
+        name: Fit(
+            chi_square=float(f["chi_square"]),
+            degrees=float(f["degrees"]),
+            scatter=float(f["scatter"]),
+            scatter_unit=text_from(f["unit"]),
+        )
+        for name, f in content.get("fits", {}).items()
+    }
+
+
+def site_from(content: Mapping[str, Any]) -> Site | None:
+    """The site of the file or of one of its launches, where it has one."""
+    site = content.get("site")
+    if site is None:
+        return None
+    return Site(
+        latitude=optional(float, site["latitude"]),
+        height=float(site["height"]),
+        gravity=float(site["gravity"]),
+        gravity_u=float(site["gravity_u"]),
+        field=optional(float, site.get("field")),
+    )
+
+
+def readings_from(content: Mapping[str, Any]) -> Readings:
+    """What the readings of sensors are, from the file."""
+    return Readings(
+        columns=tuple(map(text_from, content["columns"])),
+        unit=text_from(content["unit"]),
+        increments=bool(content["increments"]),
+        scale=tuple(map(float, content["scale"])),
+        offset=tuple(map(float, content["offset"])),
+    )
+
+
+def covariance_from(rows: list[list[float]] | None, size: int) -> Array | None:
+    """A covariance of `size` parameters, where the file has one. Raises ValueError for another shape."""
+    if rows is None:
+        return None
+    matrix = np.array(rows, dtype=float)
+    if matrix.shape != (size, size) and not size == matrix.size == 0:
+        raise ValueError(f"a covariance of shape {matrix.shape} for {size} parameters")
+    return matrix.reshape(size, size)

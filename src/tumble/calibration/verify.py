@@ -1,0 +1,252 @@
+"""Check positions: whether a calibration holds where it is looked at again.
+
+In every position at rest, Eq. (21) of the ellipsoid method, with true = matrix⁻¹ (reading − bias):
+
+    Δg = g − |true|
+
+Where the positions did not take part in the calibration, Δg has the variance
+
+    u² = noise of the rest + scatter between rests + vᵀ S⁻¹ ∂(S g v + b)/∂θ Σ (…)ᵀ + u(g)²
+
+v being the vertical and Σ the covariance of the parameters. If the calibration was made with the same stated gravity,
+its error is in the scale factors too and cancels. Where the positions are the calibration's own, each is left out in
+turn: with the leverage h, the variance of |true| from the parameters over that of the position itself,
+
+    Δg without the position = Δg / (1 − h),   u² = own variance / (1 − h)
+
+which is exact for a linear fit. The plain residual would be too small by √(1 − h).
+
+A calibration is refused where |Δg|/u of one position is beyond what happens by chance in CHANCE of all verifications,
+Bonferroni over the positions, Student's t where the scatter was estimated from few rests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tumble.calibration.calibrate import inspect_session
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.case import Verticals, verticals_of
+from tumble.calibration.readings_table import read_table
+from tumble.errors import CalibrationError, InputError
+from tumble.estimation.estimate import Fit, sigmas
+from tumble.recording.log import open_log
+from tumble.recording.session import Session, read_session
+from tumble.sensors.frames import Convention, frame_of, triad_axes
+from tumble.sensors.model import Block
+from tumble.units import Array, engineering
+
+CHANCE = 0.01
+"""How often a good calibration is refused."""
+
+NOTHING_LEFT = 1e-6
+"""1 − h below which nothing but the position itself determines what it is compared with."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Positions:
+    """Readings at rest to verify a calibration with: mean readings (N, n) of a block with covariance (N, n, n), SI,
+    what the positions are called, gravity with its standard uncertainty, m/s², and the SHA-256 of their source."""
+
+    block: Block
+    readings: Array
+    covariance: Array
+    labels: tuple[str, ...]
+    gravity: float
+    gravity_u: float
+    sha256: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Verification:
+    """Δg (N,) of every position with standard uncertainty `u` (N,), m/s², both without the position where
+    `left_out`; `sigmas` (N,) is |Δg|/u (of positions left out studentised), `limit` what it may be."""
+
+    labels: tuple[str, ...]
+    difference: Array
+    u: Array
+    sigmas: Array
+    limit: float
+    left_out: bool
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the calibration is not accepted; none if it is."""
+        if not np.isfinite(self.sigmas).any():
+            return ("nothing checks the calibration: as many positions as parameters; record check positions",)
+        size, unit = engineering("m/s^2", float(np.nanmax(np.abs(self.difference))))
+        return tuple(
+            f"{self.labels[i]}: Δg is {self.difference[i] / size:+.3g} {unit}, {self.sigmas[i]:.1f} of its standard "
+            f"uncertainty, expected at most {self.limit:.1f}"
+            for i in np.flatnonzero(self.sigmas > self.limit)
+        )
+
+
+def positions_of(path: Path, calibration: Calibration) -> Positions:
+    """The positions of a session folder or a table of readings. Raises as `rests_of` and `positions_of_table`."""
+    if not path.is_dir():
+        return positions_of_table(path, calibration)
+    session = read_session(path)
+    if session.device.serial != calibration.serial:
+        raise InputError(
+            f"{path}: expected a session of device {calibration.serial!r}, which was calibrated, found "
+            f"{session.device.serial!r}"
+        )
+    return rests_of(session)
+
+
+def rests_of(session: Session) -> Positions:
+    """Every rest of a session. Raises InputError where there is none."""
+    _, observations, faults = inspect_session(session)
+    if observations is None or faults:
+        said = faults[0] if faults else "no rests; look at it with `tumble inspect`"
+        raise InputError(f"{session.folder}: expected rests to verify with, found {said}")
+    rests = observations.rests
+    return Positions(
+        block=observations.accel_block,
+        readings=rests.accel,
+        covariance=rests.accel_covariance,
+        labels=tuple(
+            f"rest {i} ({start:z.1f}–{stop:z.1f} s)"
+            for i, (start, stop) in enumerate(zip(rests.start, rests.stop, strict=True), 1)
+        ),
+        gravity=session.site.gravity,
+        gravity_u=session.site.gravity_u,
+        sha256=open_log(session).sha256(),
+    )
+
+
+def positions_of_table(path: Path, calibration: Calibration) -> Positions:
+    """The rows of a table of readings, in the unit and with the scale that the calibration was made with, taken where
+    gravity is as it was there. Their noise is that of its rests; the calibration of a table has it in its scatter.
+
+    Raises InputError for a table that cannot be read, and CalibrationError where the calibration does not say what
+    the readings are worth, or nothing says how uncertain they are."""
+    table, worth = read_table(path), calibration.readings.get("accel")
+    if calibration.accel is None or worth is None or worth.increments or calibration.site is None:
+        raise CalibrationError(
+            f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
+            "none; calibrate again, or verify with a session"
+        )
+    variances = [
+        np.array(rest.accel.noise) ** 2 / (rest.stop - rest.start)
+        for rest in calibration.rests
+        if rest.accel is not None
+    ]
+    if not variances and _accelerometer_fit(calibration).scatter == 0.0:
+        raise CalibrationError(
+            f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
+            "scatter in it: it has as many positions as parameters; calibrate with more"
+        )
+    variance = np.median(variances, axis=0) if variances else np.zeros(3)
+    readings = (table.values - np.array(worth.offset)) / np.array(worth.scale)
+    return Positions(
+        block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
+        readings=readings,
+        covariance=np.broadcast_to(np.diag(variance), (len(readings), 3, 3)),
+        labels=tuple(f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)),
+        gravity=calibration.site.gravity,
+        gravity_u=calibration.site.gravity_u,
+        sha256=table.sha256,
+    )
+
+
+def _accelerometer_fit(calibration: Calibration) -> Fit:
+    nothing = Fit(chi_square=0.0, degrees=0.0, scatter=0.0, scatter_unit="m/s^2")
+    return calibration.fits.get("accelerometers", nothing)
+
+
+def verify_calibration(calibration: Calibration, positions: Positions) -> Verification:
+    """Eq. (21) in every position.
+
+    Raises CalibrationError for a calibration that was not accepted or has no accelerometers, and InputError for
+    positions of other sensors or of one of several launches behind the calibration."""
+    seen = verticals(calibration, positions)
+    assert calibration.accel is not None
+    own = calibration.provenance.get("log_sha256") == positions.sha256
+    if any(launch.log_sha256 == positions.sha256 for launch in calibration.launches):
+        raise InputError(
+            f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
+            f"only session, found one of its {len(calibration.launches)} launches; verify with another session"
+        )
+    fit = _accelerometer_fit(calibration)
+    across = seen.direction[:, None, :] @ calibration.accel.inverse()
+    noise = positions.covariance + fit.scatter**2 * np.eye(positions.block.size)
+    variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
+    by_parameters = _length_by_parameters(calibration, positions, seen)
+    known = np.einsum("im,mk,ik->i", by_parameters, seen.parameter_covariance, by_parameters)
+    difference = positions.gravity - np.linalg.norm(calibration.accel.apply(positions.readings), axis=1)
+    if own:
+        known = np.maximum(known - positions.gravity_u**2, 0.0)
+        return _left_out(positions, difference, variance, known, fit)
+    same_gravity = calibration.site is not None and (
+        (calibration.site.gravity, calibration.site.gravity_u) == (positions.gravity, positions.gravity_u)
+    )
+    by_gravity = -(positions.gravity_u**2) if same_gravity else positions.gravity_u**2
+    u = np.sqrt(variance + np.maximum(known + by_gravity, 0.0))
+    return Verification(
+        labels=positions.labels,
+        difference=difference,
+        u=u,
+        sigmas=np.abs(difference) / u,
+        limit=_limit(len(u), fit.degrees if fit.scatter > 0.0 else np.inf),
+        left_out=False,
+    )
+
+
+def _left_out(positions: Positions, difference: Array, variance: Array, known: Array, fit: Fit) -> Verification:
+    """Each of the calibration's own positions without itself; nan where nothing else determines it."""
+    left = 1.0 - known / variance
+    left = np.where(left > NOTHING_LEFT, left, np.nan)
+    normalised = difference / np.sqrt(variance * left)
+    return Verification(
+        labels=positions.labels,
+        difference=difference / left,
+        u=np.sqrt(variance / left),
+        sigmas=sigmas(normalised, fit.degrees, fit.scatter > 0.0),
+        limit=_limit(len(left), np.inf),
+        left_out=True,
+    )
+
+
+def _limit(count: int, degrees: float) -> float:
+    """What the largest of `count` ratios exceeds in CHANCE of all cases."""
+    from scipy.special import ndtri, stdtrit
+
+    tail = 1.0 - 0.5 * CHANCE / count
+    return float(ndtri(tail) if np.isinf(degrees) else stdtrit(degrees, tail))
+
+
+def verticals(calibration: Calibration, positions: Positions) -> Verticals:
+    """Where the vertical was in the calibration's frame in every position, with its covariance, for the relation of two
+    blocks (`case.relate`). Raises as `verify_calibration`."""
+    if calibration.accel is None or not calibration.outcome.accepted:
+        raise CalibrationError(
+            f"calibration of {calibration.serial!r}: expected an accepted one of accelerometers, found "
+            f"{'; '.join(calibration.outcome.reasons) or 'none of accelerometers'}"
+        )
+    convention = Convention(frame=frame_of(calibration.frame), block=positions.block)
+    names = tuple(p.name for p in calibration.parameters if p.name.startswith(positions.block.kind))
+    if names != convention.names:
+        raise InputError(
+            f"calibration of {calibration.serial!r}: expected readings of its {len(calibration.accel.bias)} "
+            f"accelerometers, found {positions.block.size} with other axes; verify with recordings of the same device"
+        )
+    count = len(names)
+    known = np.zeros((count, count)) if calibration.covariance is None else calibration.covariance[:count, :count]
+    jacobian = convention.jacobian(np.array([p.value for p in calibration.parameters[:count]]))
+    return verticals_of(calibration.accel, jacobian, positions.readings, positions.covariance, known)
+
+
+def _length_by_parameters(calibration: Calibration, positions: Positions, seen: Verticals) -> Array:
+    """Derivative (N, m) of |true| with the parameters of the accelerometers."""
+    assert calibration.accel is not None
+    count = seen.parameter_covariance.shape[0]
+    convention = Convention(frame=frame_of(calibration.frame), block=positions.block)
+    jacobian = convention.jacobian(np.array([p.value for p in calibration.parameters[:count]]))
+    force = calibration.accel.apply(positions.readings)
+    change = np.einsum("pkm,ik->ipm", jacobian[:, :3], force) + jacobian[:, 3]
+    return np.asarray(-np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change))

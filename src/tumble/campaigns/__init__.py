@@ -1,0 +1,1 @@
+"""Many calibrations, simulated or recorded, on one machine or a cluster."""

@@ -1,0 +1,253 @@
+"""Campaigns: many simulated calibrations over a grid of methods and conditions, from a TOML file to a table of errors.
+
+    kind = "sessions"            "statics": accelerometers from rests alone, thousands of triads a trial
+    source = "observations"      "log": sampled logs, through the whole chain (see `tumble.campaigns.trial`)
+    seed = 1
+    trials = 200                 of every point of the grid
+    [grid]                       a value, or a list of them; every combination is a point of the grid
+    method = ["staged", "scalar"]
+    table_error_deg = [0.5, 1, 2]
+
+Trial i belongs to point i mod P of the P points, so that all are about equally far at any time. All methods of a trial
+see the same observations. What the rows hold is said in `tumble.campaigns.trial`; `tumble.campaigns.summary` sums
+them up.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import polars as pl
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from tumble.calibration.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS
+from tumble.campaigns.engine import Executor, Job, Progress, Row, run
+from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_rows
+from tumble.errors import InputError
+from tumble.programme.positions import BUILT_IN
+from tumble.sensors.grades import GRADES
+from tumble.simulation.session import Request
+
+ESTIMATORS = (*METHODS, *ITERATED_METHODS)
+AXES = (
+    "grade",
+    "programme",
+    "positions",
+    "table_error_deg",
+    "mounting_error_deg",
+    "rest",
+    "rate_deg_s",
+    "sample_rate",
+    "latitude_deg",
+    "noise_factor",
+)
+"""The axes of the grid apart from the method, outermost first."""
+
+MOST_TASKS = 10_000_000
+_FAULTS_SHOWN = 3
+
+
+def _one_of(known: Iterable[str]) -> str:
+    return f"one of {', '.join(known)}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Campaign:
+    """What a campaign file says. `cells` are the points of the grid, apart from the methods."""
+
+    kind: Literal["sessions", "statics"]
+    source: Source
+    seed: int
+    trials: int
+    methods: tuple[str, ...]
+    cells: tuple[Cell, ...]
+    definition: Mapping[str, Any]
+
+    def job(self) -> Job:
+        """The campaign as a job of trials × cells tasks."""
+        statics = self.kind == "statics"
+        rows = partial(statics_rows, self.seed)
+        if not statics:
+            rows = partial(session_rows, self.seed, self.source, self.methods)
+        return Job(
+            definition=self.definition,
+            items=self.cells * self.trials,
+            task=rows,
+            label=label,
+            schema=_label_schema() | (_statics_schema() if statics else _session_schema()),
+        )
+
+
+def run_campaign(
+    campaign: Campaign, folder: Path, *, executor: Executor | None = None, progress: Progress = lambda _done, _all: None
+) -> Path:
+    """Run a campaign in a folder, or what is missing of it, and return the path of its rows: see `engine.run`."""
+    return run(campaign.job(), folder, executor=executor, progress=progress)
+
+
+def label(cell: Cell) -> Row:
+    """The columns that tell a cell from others."""
+    found = {axis: getattr(cell.request, axis) for axis in AXES[:-1]} | {"noise_factor": cell.noise_factor}
+    return found | ({} if cell.request.positions is None else {"programme": None})
+
+
+def _label_schema() -> dict[str, Any]:
+    types = {"grade": pl.String, "programme": pl.String, "positions": pl.Int64}
+    return {name: types.get(name, pl.Float64) for name in AXES}
+
+
+def _session_schema() -> dict[str, Any]:
+    said = {"method": pl.String, "accepted": pl.Boolean, "reasons": pl.String}
+    return said | {f"{what}.{name}": pl.Float64 for what in ("error", "u", "bound") for name in NAMES}
+
+
+def _statics_schema() -> dict[str, Any]:
+    counts = {"method": pl.String, "triads": pl.Int64, "failed": pl.Int64}
+    moments = ("mean", "square", "bound", "covered")
+    return counts | {f"{what}.{name}": pl.Float64 for what in moments for name in NAMES[:9]}
+
+
+# The file
+
+
+def read_campaign(path: Path) -> Campaign:
+    """The campaign of a file. Raises InputError, one line, with up to three faults."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: expected a readable campaign file, found: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: expected TOML, found an error in its syntax: {error}") from None
+    try:
+        return campaign_of(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def campaign_of(content: Mapping[str, Any]) -> Campaign:
+    """The campaign of a file's content. Raises InputError with up to three faults."""
+    try:
+        document = _Document.model_validate(content)
+    except ValidationError as error:
+        faults = list(dict.fromkeys(_fault(fault, content) for fault in error.errors(include_url=False)))
+        more = [f"and {len(faults) - _FAULTS_SHOWN} more"] if len(faults) > _FAULTS_SHOWN else []
+        raise InputError("; ".join(faults[:_FAULTS_SHOWN] + more)) from None
+    grid = document.grid
+    return Campaign(
+        kind=document.kind,
+        source=document.source,
+        seed=document.seed,
+        trials=document.trials,
+        methods=tuple(grid.method),
+        cells=_cells(grid),
+        definition={"campaign": document.model_dump()},
+    )
+
+
+def _cells(grid: _Grid) -> tuple[Cell, ...]:
+    points = [dict(zip(AXES, values, strict=True)) for values in product(*(getattr(grid, name) for name in AXES))]
+    return tuple(Cell(noise_factor=point.pop("noise_factor"), request=Request(**point)) for point in points)
+
+
+def _fault(fault: Any, content: Mapping[str, Any]) -> str:
+    """A fault as "key: expected …, found …"."""
+    if fault["type"] == "value_error":
+        return str(fault["ctx"]["error"])
+    table: type[BaseModel] = _Document
+    value: Any = content
+    keys: list[str] = []
+    for part in fault["loc"]:
+        if part not in table.model_fields:
+            if fault["type"] == "extra_forbidden":
+                return f"unknown key '{part}' {'in [grid]' if keys else 'at the top level'}{_nearest(part, table)}"
+            break
+        keys.append(part)
+        value = value.get(part) if isinstance(value, Mapping) else None
+        if part == "grid":
+            table = _Grid
+    expected = (_Grid if len(keys) > 1 else _Document).model_fields[keys[-1]].description
+    found = "none" if fault["type"] == "missing" else json.dumps(value, default=str, ensure_ascii=False)
+    return f"{'.'.join(keys)}: expected {expected}, found {found}"
+
+
+def _nearest(name: str, table: type[BaseModel]) -> str:
+    near = get_close_matches(name, table.model_fields, n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+_Degrees = Annotated[float, Field(ge=0.0, le=10.0)]
+_Seconds = Annotated[float, Field(ge=0.1, le=86_400.0)]
+_Positive = Annotated[float, Field(gt=0.0, le=10_000.0)]
+
+
+class _Grid(_Table):
+    """Every axis is a list; a single value stands for a list of one. None, as with `tumble simulate`, for what is usual
+    on a table or by hand."""
+
+    method: list[str] = Field(default=[DEFAULT_METHOD], min_length=1, description=_one_of(ESTIMATORS))
+    grade: list[str] = Field(default=["navigation"], min_length=1, description=_one_of(GRADES))
+    programme: list[str] = Field(default=["rough-table"], min_length=1, description=_one_of(BUILT_IN))
+    positions: list[Annotated[int, Field(ge=1, le=1000)] | None] = Field(
+        default=[None], min_length=1, description="whole numbers from 1 to 1000"
+    )
+    table_error_deg: list[_Degrees] = Field(default=[1.0], min_length=1, description="numbers from 0 to 10 (degrees)")
+    mounting_error_deg: list[_Degrees] = Field(
+        default=[1.0], min_length=1, description="numbers from 0 to 10 (degrees)"
+    )
+    rest: list[_Seconds | None] = Field(default=[None], min_length=1, description="numbers from 0.1 to 86400 (s)")
+    rate_deg_s: list[_Positive | None] = Field(
+        default=[None], min_length=1, description="numbers above 0 (degrees a second)"
+    )
+    sample_rate: list[_Positive | None] = Field(default=[None], min_length=1, description="numbers above 0 (Hz)")
+    latitude_deg: list[Annotated[float, Field(ge=-90.0, le=90.0)]] = Field(
+        default=[56.84], min_length=1, description="numbers from -90 to 90"
+    )
+    noise_factor: list[Annotated[float, Field(ge=0.0, le=1000.0)]] = Field(
+        default=[1.0], min_length=1, description="numbers from 0 to 1000"
+    )
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        return value if isinstance(value, list) else [value]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for key, known in (("method", ESTIMATORS), ("grade", GRADES), ("programme", BUILT_IN)):
+            for name in getattr(self, key):
+                if name not in known:
+                    raise ValueError(f"grid.{key}: expected {_one_of(known)}, found {json.dumps(name)}")
+        if {"programme", "positions"} <= self.model_fields_set:
+            raise ValueError("grid.positions: expected no grid.programme with it, found both; leave one out")
+        return self
+
+
+class _Document(_Table):
+    kind: Literal["sessions", "statics"] = Field(default="sessions", description='"sessions" or "statics"')
+    source: Source = Field(default="observations", description='"observations" or "log"')
+    seed: int = Field(default=0, ge=0, le=2**63, description="a whole number, not negative")
+    trials: int = Field(ge=1, le=MOST_TASKS, description=f"a whole number from 1 to {MOST_TASKS}")
+    grid: _Grid = Field(default=_Grid(), description="a table")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.kind == "statics" and ("source" in self.model_fields_set or "method" in self.grid.model_fields_set):
+            raise ValueError('kind: expected neither source nor grid.method with "statics", found one; leave it out')
+        if self.trials * math.prod(len(getattr(self.grid, axis)) for axis in AXES) > MOST_TASKS:
+            raise ValueError(f"trials: expected at most {MOST_TASKS} over all points of the grid, found more")
+        return self

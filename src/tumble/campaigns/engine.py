@@ -1,0 +1,247 @@
+"""Many numbered tasks, each of which gives rows of one table: in this process or on a cluster, interrupted and resumed.
+
+A task is known by its number alone, so that its rows depend neither on who computes it nor on when. Tasks go out in
+chunks. The rows of a chunk are written as a part, a Parquet file that is there whole or not at all; tasks whose parts
+are there are done. When all are done the parts become one table, sorted by task:
+
+    FOLDER/manifest.json      what is computed, with a hash: a folder that was begun is resumed by the same job only
+    FOLDER/parts/*.parquet    rows of finished chunks; gone when the table is complete
+    FOLDER/rows.parquet       the table
+
+A task that raises an exception becomes a row with the exception in its column `error`, and the others go on. So does
+one that ends every process it runs in: see `tumble.campaigns.cluster`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tumble import __version__
+from tumble.errors import InputError
+from tumble.files import whole_file
+
+CHUNK_SECONDS = 1.0
+"""How long a chunk should take: a task on a cluster costs 1.6 ms of overhead, a lost worker a chunk or two."""
+
+LEAST_SECONDS = 0.1
+
+GROWTH = 16
+"""How many times longer than those before a chunk may be: the first are slow while code is loaded."""
+
+TABLE = "rows.parquet"
+MANIFEST = "manifest.json"
+
+Row = Mapping[str, Any]
+Progress = Callable[[int, int], None]
+"""Called with the number of tasks that are done and of all tasks."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Job:
+    """What is to be computed. `definition`, of JSON values, holds all that the rows depend on. Task i is
+    `task(i, items[i])`, which returns its rows, at least one; `label(items[i])` are the columns that a row has even if
+    the task fails. `schema` has the polars type of every column; `task` comes before them and `error` after them.
+
+    `task`, `label` and the items are sent to other processes: functions of a module or `functools.partial` of one."""
+
+    definition: Mapping[str, Any]
+    items: Sequence[Any]
+    task: Callable[[int, Any], list[Row]]
+    label: Callable[[Any], Row]
+    schema: Mapping[str, Any]
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the definition, the number of tasks and the version of tumble."""
+        text = json.dumps(self._identity(), sort_keys=True, allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The polars types of all columns of the table."""
+        import polars as pl
+
+        return {"task": pl.Int64, **self.schema, "error": pl.String}
+
+    def _identity(self) -> dict[str, Any]:
+        return {**self.definition, "tasks": len(self.items), "software": f"tumble {__version__}"}
+
+
+Chunk = Sequence[int]
+Done = tuple[Chunk, bytes]
+"""Numbers of tasks, and their rows as a Parquet file."""
+Executor = Callable[[Job, Sequence[int]], Iterator[Done]]
+"""Computes tasks, given by their numbers, and returns them chunk by chunk as they are finished, in any order."""
+
+
+def run(
+    job: Job, folder: Path, *, executor: Executor | None = None, progress: Progress = lambda _done, _all: None
+) -> Path:
+    """Compute what is still missing of a job in a folder, and return the path of the table. Without an executor (see
+    `tumble.campaigns.cluster`) everything happens in this process.
+
+    Raises InputError if the folder holds something else or was begun by another job, TumbleError if a cluster is lost;
+    what was computed is then kept."""
+    table = folder / TABLE
+    if _begun(job, folder) and table.exists():
+        return table
+    (folder / "parts").mkdir(exist_ok=True)
+    done = _tasks_of_parts(folder)
+    pending = [number for number in range(len(job.items)) if number not in done]
+    count = len(job.items) - len(pending)
+    progress(count, len(job.items))
+    for numbers, part in (executor or serially)(job, pending):
+        _write_part(folder, numbers, part)
+        count += len(numbers)
+        progress(count, len(job.items))
+    _join_parts(job, folder)
+    return table
+
+
+# Tasks and chunks
+
+
+def serially(job: Job, pending: Sequence[int]) -> Iterator[Done]:
+    """Chunks of tasks with their rows, computed here."""
+    chunks = Chunks(pending, workers=1)
+    while chunk := chunks.next():
+        part, seconds = compute(job.task, job.label, job.columns, [(number, job.items[number]) for number in chunk])
+        chunks.took(len(chunk), seconds)
+        yield chunk, part
+
+
+class Chunks:
+    """Chunks of tasks that are still to be done: one task at first, then as many as should take CHUNK_SECONDS; towards
+    the end fewer, down to LEAST_SECONDS, lest a worker should be idle."""
+
+    def __init__(self, pending: Sequence[int], *, workers: int) -> None:
+        self._pending = pending
+        self._at = 0
+        self._share = 1 if workers == 1 else 4 * workers
+        self._size = 1.0
+
+    def next(self) -> Chunk:
+        """The next chunk; empty when there is none."""
+        share = (len(self._pending) - self._at) / self._share
+        size = max(min(self._size, share), self._size * LEAST_SECONDS / CHUNK_SECONDS)
+        chunk = self._pending[self._at : self._at + math.ceil(size)]
+        self._at += len(chunk)
+        return chunk
+
+    def took(self, tasks: int, seconds: float) -> None:
+        """Take note of how long so many tasks took."""
+        self._size = min(CHUNK_SECONDS * tasks / max(seconds, 1e-9), GROWTH * self._size)
+
+
+def compute(
+    task: Callable[[int, Any], list[Row]],
+    label: Callable[[Any], Row],
+    columns: Mapping[str, Any],
+    tasks: Iterable[tuple[int, Any]],
+) -> tuple[bytes, float]:
+    """The rows of tasks as a Parquet file with these columns, and how long they took, s."""
+    start = time.perf_counter()
+    rows: list[Row] = []
+    for number, item in tasks:
+        try:
+            found: list[Row] = task(number, item)
+        except Exception as error:
+            rows.append(failed(number, label(item), error))
+        else:
+            rows += [{"task": number, **label(item), **row} for row in found]
+    return parquet_of(rows, columns), time.perf_counter() - start
+
+
+def parquet_of(rows: Sequence[Row], columns: Mapping[str, Any]) -> bytes:
+    """Rows as a Parquet file."""
+    import polars as pl
+
+    file = io.BytesIO()
+    pl.DataFrame(rows, schema=columns).write_parquet(file)
+    return file.getvalue()
+
+
+def failed(number: int, label: Row, error: BaseException | str) -> Row:
+    """The row of a task that failed."""
+    said = error if isinstance(error, str) else f"{type(error).__name__}: {error}"
+    return {"task": number, **label, "error": " ".join(said.split())}
+
+
+# The folder
+
+
+def _begun(job: Job, folder: Path) -> bool:
+    """Whether the folder was begun by this job; if it is new, it is begun."""
+    manifest = folder / MANIFEST
+    if manifest.exists():
+        _check_same(job, manifest)
+        return True
+    if folder.exists() and not (folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())):
+        raise InputError(f"{folder}: expected a new folder, or one that was begun by the same command, found another")
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {"format": 1, "sha256": job.sha256, **job._identity()}
+    with whole_file(manifest) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return False
+
+
+def _check_same(job: Job, manifest: Path) -> None:
+    try:
+        content = json.loads(manifest.read_text(encoding="utf-8"))
+        same = content["sha256"] == job.sha256
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
+    if not same:
+        ours = job._identity()
+        key = next((key for key in ours if content.get(key) != ours[key]), "sha256")
+        raise InputError(
+            f"{manifest.parent}: was begun by another job: {key} is {_short(content.get(key))} there and "
+            f"{_short(ours.get(key))} here; give another folder"
+        )
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 60 else f"{text[:59]}…"
+
+
+def _parts(folder: Path) -> list[Path]:
+    return sorted((folder / "parts").glob("[0-9]*.parquet"))
+
+
+def _tasks_of_parts(folder: Path) -> set[int]:
+    """Numbers of the tasks that are done."""
+    import polars as pl
+
+    parts = _parts(folder)
+    return set(pl.scan_parquet(parts).select("task").collect().to_series().to_list()) if parts else set()
+
+
+def _write_part(folder: Path, numbers: Chunk, part: bytes) -> None:
+    """Write the rows of a chunk. Every part has a name of its own: first and last task, and how many."""
+    with whole_file(folder / "parts" / f"{numbers[0]:09d}-{numbers[-1]:09d}-{len(numbers)}.parquet") as temporary:
+        temporary.write_bytes(part)
+
+
+def _join_parts(job: Job, folder: Path) -> None:
+    """Make one table of the parts, sorted by task. Where two runs shared a folder and did a task both, its rows are
+    equal, and those of one part are taken."""
+    import polars as pl
+
+    parts = _parts(folder)
+    frame = pl.scan_parquet(parts, include_file_paths="part") if parts else pl.DataFrame(schema=job.columns).lazy()
+    if parts:
+        frame = frame.filter(pl.col("part") == pl.col("part").min().over("task")).drop("part")
+    table = frame.sort("task", maintain_order=True).collect()
+    with whole_file(folder / TABLE) as temporary:
+        table.write_parquet(temporary)
+    shutil.rmtree(folder / "parts")

@@ -1,0 +1,223 @@
+"""Fleets: the sessions of many devices, calibrated again by one method, with a row for each whatever becomes of it.
+
+Sessions are folders of this machine or URLs that fsspec reads (s3://bucket/launch, sftp://host/launch); those are
+copied to a temporary folder by the process that calibrates them. They come from a glob or from a manifest: a text file
+with a folder or URL in each line, or a CSV file with a column `session`; relative ones start at the manifest's folder.
+"""
+
+from __future__ import annotations
+
+import csv
+import glob
+import io
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.campaigns.engine import Executor, Job, Progress, Row, run
+from tumble.errors import InputError, needs_extra
+from tumble.recording.session import SESSION_FILE, read_session
+
+MANIFESTS = (".txt", ".csv")
+COLUMN = "session"
+
+SCHEMA = {
+    COLUMN: pl.String,
+    "serial": pl.String,
+    "model": pl.String,
+    "method": pl.String,
+    "accepted": pl.Boolean,
+    "reasons": pl.List(pl.String),
+    "unobservable": pl.List(pl.String),
+    "parameter": pl.List(pl.String),
+    "value": pl.List(pl.Float64),
+    "u": pl.List(pl.Float64),
+    "unit": pl.List(pl.String),
+    "covariance": pl.List(pl.Float64),
+    "rests": pl.Int64,
+    "log_sha256": pl.String,
+}
+"""Columns of the rows. `parameter`, `value`, `u` and `unit` are lists in one order, SI; `covariance` is the matrix in
+that order, row after row."""
+
+
+def run_fleet(
+    sessions: Sequence[str],
+    folder: Path,
+    *,
+    method: str,
+    executor: Executor | None = None,
+    progress: Progress = lambda _done, _all: None,
+) -> Path:
+    """Calibrate sessions in a folder for the results, or those that are missing of it, and return the path of the
+    rows, one a session: see `engine.run` and `SCHEMA`."""
+    job = Job(
+        definition={"fleet": {"method": method}, "sessions": list(sessions)},
+        items=list(sessions),
+        task=partial(calibrated, method),
+        label=label,
+        schema=SCHEMA,
+    )
+    return run(job, folder, executor=executor, progress=progress)
+
+
+def label(session: str) -> Row:
+    """The column that tells a session from others."""
+    return {COLUMN: session}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Tally:
+    """How the sessions of a fleet ended: accepted; not accepted, and failed, each with why, by session."""
+
+    accepted: int
+    refused: Mapping[str, str]
+    failed: Mapping[str, str]
+
+
+def tally(rows: Path) -> Tally:
+    """The tally of a fleet's rows (the path of `run_fleet`)."""
+    frame = pl.read_parquet(rows, columns=[COLUMN, "accepted", "reasons", "error"])
+    refused = frame.filter(pl.col("accepted").not_())
+    failed = frame.filter(pl.col("error").is_not_null())
+    return Tally(
+        accepted=int(frame["accepted"].sum()),
+        refused={session: "; ".join(reasons) for session, reasons in refused.select(COLUMN, "reasons").iter_rows()},
+        failed=dict(failed.select(COLUMN, "error").iter_rows()),
+    )
+
+
+# Which sessions
+
+
+def sessions_of(pattern: str) -> list[str]:
+    """The sessions that a manifest (.txt, .csv) lists, or the folders that hold a session.toml among those that a glob
+    matches, sorted. Raises InputError if there are none."""
+    listed = pattern.lower().endswith(MANIFESTS)
+    found = _listed(pattern) if listed else _matching(pattern)
+    if not found:
+        what = "a session in each line" if listed else "a glob that matches folders with a session.toml"
+        raise InputError(f"{pattern}: expected {what}, found none")
+    twice = next((s for s in found if found.count(s) > 1), None) if len(set(found)) < len(found) else None
+    if twice is not None:
+        raise InputError(f"{pattern}: expected every session once, found {twice} twice")
+    return found
+
+
+def _listed(manifest: str) -> list[str]:
+    text = _text(manifest)
+    if manifest.lower().endswith(".csv"):
+        table = csv.DictReader(io.StringIO(text))
+        if COLUMN not in (table.fieldnames or ()):
+            raise InputError(f"{manifest}: expected a column {COLUMN!r}, found {', '.join(table.fieldnames or ())}")
+        lines = [row[COLUMN] or "" for row in table]
+    else:
+        lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
+    return [_from(manifest, line.strip()) for line in lines if line.strip()]
+
+
+def _from(manifest: str, session: str) -> str:
+    """A session of a manifest; a relative one starts at the manifest's folder."""
+    if _is_url(session):
+        return session
+    if _is_url(manifest):
+        return f"{manifest.rpartition('/')[0]}/{session}"
+    return str(Path(manifest).absolute().parent / session)
+
+
+def _text(manifest: str) -> str:
+    try:
+        if not _is_url(manifest):
+            return Path(manifest).read_text(encoding="utf-8-sig")
+        system, path = _file_system(manifest)
+        return str(system.cat_file(path).decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{manifest}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{manifest}: expected a readable manifest, found: {error.strerror or error}") from None
+
+
+def _matching(pattern: str) -> list[str]:
+    """Folders with a session.toml that a glob matches, themselves or through the file."""
+    if not _is_url(pattern):
+        found = {Path(match) for match in glob.glob(pattern, recursive=True)}  # noqa: PTH207 — absolute ones too
+        folders = {p.parent if p.name == SESSION_FILE else p for p in found if _holds_session(p)}
+        return sorted(str(folder.absolute()) for folder in folders)
+    system, path = _file_system(pattern)
+    matches = [str(match).removesuffix(f"/{SESSION_FILE}") for match in system.glob(path)]
+    return sorted({system.unstrip_protocol(m) for m in matches if system.isfile(f"{m}/{SESSION_FILE}")})
+
+
+def _holds_session(path: Path) -> bool:
+    return path.name == SESSION_FILE or (path / SESSION_FILE).is_file()
+
+
+def _is_url(name: str) -> bool:
+    return "://" in name
+
+
+def _file_system(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it."""
+    with needs_extra("a session at a URL", "cluster", "fsspec"):
+        from fsspec.core import url_to_fs
+    try:
+        system, path = url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise InputError(f"{url}: expected a URL that fsspec can read, found: {error}") from error
+    return system, str(path)
+
+
+# One session
+
+
+def calibrated(method: str, _number: int, session: str) -> list[Row]:
+    """The row of a session."""
+    with _at_hand(session) as folder:
+        try:
+            found = read_session(folder)
+            return [_row(calibrate(found, method=method))]
+        except InputError as error:
+            return [{"error": str(error).replace(str(folder), session)}]
+
+
+def _row(calibration: Calibration) -> Row:
+    parameters, covariance = calibration.parameters, calibration.covariance
+    return {
+        "serial": calibration.serial,
+        "model": calibration.model,
+        "method": calibration.method,
+        "accepted": calibration.outcome.accepted,
+        "reasons": list(calibration.outcome.reasons),
+        "unobservable": list(calibration.outcome.unobservable),
+        "parameter": [p.name for p in parameters],
+        "value": [p.value for p in parameters],
+        "u": [p.u for p in parameters],
+        "unit": [p.unit for p in parameters],
+        "covariance": None if covariance is None else covariance.ravel().tolist(),
+        "rests": len(calibration.rests),
+        "log_sha256": calibration.provenance["log_sha256"],
+    }
+
+
+@contextmanager
+def _at_hand(session: str) -> Iterator[Path]:
+    """The folder of a session, copied to this machine if it is at a URL."""
+    if not _is_url(session):
+        yield Path(session)
+        return
+    system, path = _file_system(session)
+    with tempfile.TemporaryDirectory(prefix="tumble-") as temporary:
+        folder = Path(temporary) / "session"
+        try:
+            system.get(f"{path.rstrip('/')}/", f"{folder}/", recursive=True)
+        except OSError as error:
+            raise InputError(f"{session}: expected a session folder, found: {error.strerror or error}") from error
+        yield folder

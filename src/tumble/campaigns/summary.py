@@ -1,0 +1,185 @@
+"""What a campaign found: errors by method and group of parameters at every point of the grid, as a table and a picture.
+
+For a group (accel.bias and so on), over its parameters p and the accepted trials i, e the value less the truth:
+
+    bias² = mean_p (mean_i e)²     scatter² = mean_p var_i e     rms² = mean e² = bias² + scatter²
+    to bound = rms / √(mean of the Cramér–Rao variances of the same observations)
+    coverage = part of the |e| within 1.96 u
+
+The device is drawn anew at every trial: a methodical error that is in proportion to the device's own parameters shows
+in the scatter, and the bias is what all devices have in common. With n trials, bias has a noise of scatter/√n.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from tumble.campaigns.campaign import AXES
+from tumble.campaigns.trial import NAMES
+from tumble.files import whole_file
+from tumble.planning.budget import GROUPS, UNITS
+from tumble.units import Array
+
+if TYPE_CHECKING:
+    pass
+
+COVERED_WITHIN = 1.96
+"""Uncertainties in a 95 % interval."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Line:
+    """One method at one point of the grid, in one group of parameters: how many trials (or triads), of them accepted
+    and failed, and over the accepted ones bias, scatter and rms error in `unit` (SI), rms over bound and coverage; None
+    where there is nothing to tell it from."""
+
+    point: Mapping[str, Any]
+    method: str
+    group: str
+    unit: str
+    trials: int
+    accepted: int
+    failed: int
+    bias: float | None
+    scatter: float | None
+    rms: float | None
+    to_bound: float | None
+    coverage: float | None
+
+
+def summary(rows: Path) -> tuple[Line, ...]:
+    """The lines of a campaign's rows (the path of `run_campaign`)."""
+    frame = pl.read_parquet(rows)
+    axes = list(AXES)
+    out = []
+    for values, part in frame.group_by([*axes, "method"], maintain_order=True):
+        point = dict(zip(axes, values, strict=False))
+        out += list(_lines(point, str(values[-1] or "every method"), part))
+    return tuple(out)
+
+
+def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterator[Line]:
+    statics = "triads" in part.columns
+    if statics:
+        trials, failed = int(part["triads"].sum()), int(part["failed"].sum() or 0)
+        accepted = trials - failed
+    else:
+        trials, failed = len(part), int(part["error"].is_not_null().sum())
+        part = part.filter(pl.col("accepted"))
+        accepted = len(part)
+    moments = _statics_moments(part) if statics else _session_moments(part)
+    for group in GROUPS:
+        members = [moments[name] for name in NAMES if name.startswith(group) and name in moments]
+        if members or not accepted:
+            yield Line(
+                point=point,
+                method=method,
+                group=group,
+                unit=UNITS[group],
+                trials=trials,
+                accepted=accepted,
+                failed=failed,
+                **_of_group(members),
+            )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Moments:
+    """Of one parameter: means of the error, its square, the variance of the bound (None without), and the coverage
+    (None where there is no u)."""
+
+    mean: float
+    square: float
+    bound: float | None
+    covered: float | None
+
+
+def _session_moments(part: pl.DataFrame) -> dict[str, _Moments]:
+    """Moments by parameter over trials that have a value."""
+    out = {}
+    for name in NAMES:
+        error, u, bound = (_column(part, f"{what}.{name}") for what in ("error", "u", "bound"))
+        seen = np.isfinite(error)
+        if not seen.any():
+            continue
+        error, u, bound = error[seen], u[seen], bound[seen]
+        out[name] = _Moments(
+            mean=float(error.mean()),
+            square=float((error**2).mean()),
+            bound=float((bound**2).mean()) if np.isfinite(bound).all() else None,
+            covered=float((np.abs(error) <= COVERED_WITHIN * u).mean()) if np.isfinite(u).all() else None,
+        )
+    return out
+
+
+def _statics_moments(part: pl.DataFrame) -> dict[str, _Moments]:
+    """Moments by parameter from those of the trials, each weighted with its triads."""
+    part = part.filter(pl.col("error").is_null() & (pl.col("failed") < pl.col("triads")))
+    if part.is_empty():
+        return {}
+    weight = (part["triads"] - part["failed"]).to_numpy()
+
+    def mean(what: str, name: str) -> float:
+        return float(np.average(_column(part, f"{what}.{name}"), weights=weight))
+
+    return {
+        name: _Moments(
+            mean=mean("mean", name),
+            square=mean("square", name),
+            bound=mean("bound", name),
+            covered=mean("covered", name),
+        )
+        for name in NAMES[:9]
+    }
+
+
+def _column(part: pl.DataFrame, name: str) -> Array:
+    return part[name].cast(pl.Float64).fill_null(math.nan).to_numpy()
+
+
+def _of_group(members: Sequence[_Moments]) -> dict[str, float | None]:
+    """The figures of a group from the moments of its parameters."""
+    if not members:
+        return dict.fromkeys(("bias", "scatter", "rms", "to_bound", "coverage"))
+    bias2 = float(np.mean([m.mean**2 for m in members]))
+    square = float(np.mean([m.square for m in members]))
+    bounds = [m.bound for m in members if m.bound is not None]
+    covered = [m.covered for m in members if m.covered is not None]
+    bounded = len(bounds) == len(members) and sum(bounds) > 0.0
+    return {
+        "bias": math.sqrt(bias2),
+        "scatter": math.sqrt(max(square - bias2, 0.0)),
+        "rms": math.sqrt(square),
+        "to_bound": math.sqrt(square / float(np.mean(bounds))) if bounded else None,
+        "coverage": float(np.mean(covered)) if len(covered) == len(members) else None,
+    }
+
+
+def varying(lines: Sequence[Line]) -> tuple[str, ...]:
+    """The axes of the grid that have more than one value."""
+    return tuple(axis for axis in AXES if len({line.point[axis] for line in lines}) > 1)
+
+
+def write_summary(lines: Sequence[Line], path: Path) -> None:
+    """Write the lines as CSV, SI, one row each."""
+    figures = ("trials", "accepted", "failed", "unit", "bias", "scatter", "rms", "to_bound", "coverage")
+    rows = [
+        {**line.point, "method": line.method, "group": line.group} | {name: getattr(line, name) for name in figures}
+        for line in lines
+    ]
+    with whole_file(path) as temporary:
+        pl.DataFrame(rows, infer_schema_length=None).write_csv(temporary)
+
+
+def _plain(value: Any) -> str:
+    return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+# The picture

@@ -1,0 +1,224 @@
+"""One trial of a campaign: a device is drawn and put through a programme, and calibrated by every method.
+
+The random numbers of trial i come from the i-th child of the seed (numpy.random.SeedSequence), so that its rows depend
+on the seed and i alone. In a trial all methods see the same observations.
+
+Where the observations come from. "observations": directly from the truth, without a log (`simulated_observations`),
+about a hundred times as fast; noise covariances are the true ones. "log": from a sampled log through the whole chain,
+finding rests, matching them and estimating the noise included: for what those may spoil.
+
+A trial of rests alone (`statics_rows`) is a block of BLOCK triads at once, and its row holds their moments.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, calibrate
+from tumble.campaigns.engine import Row
+from tumble.campaigns.triads import fit_statics
+from tumble.errors import InputError
+from tumble.estimation.diagnosis import verdict
+from tumble.estimation.estimate import DETERMINED, spreads
+from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.reduction.observations import Observations
+from tumble.rotation import rotation_matrix
+from tumble.sensors.grades import NoiseModel, grade
+from tumble.sensors.model import Block
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import HandHeld, Scenario, draw_parameters, itinerary
+from tumble.simulation.session import Request, typical_scenario, write_simulation
+from tumble.units import Array
+
+Source = Literal["observations", "log"]
+
+NAMES = tuple(name for kind in ("accel", "gyro") for name in Block(kind=kind, axes=np.eye(3)).names)
+"""The parameters of a trial, in the order of the calibration file."""
+
+BLOCK = 4096
+"""Triads in a trial of rests alone."""
+
+NEGLIGIBLE = 1e-2
+"""Of its uncertainty: a last step that means nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cell:
+    """One point of a campaign's grid: what is simulated, with the noise of the grade multiplied by a factor."""
+
+    request: Request
+    noise_factor: float
+
+
+def stream(seed: int, number: int) -> np.random.Generator:
+    """The random numbers of a trial."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
+
+
+def scenario_of(cell: Cell, rng: np.random.Generator) -> Scenario:
+    """The scenario of a cell with a device drawn from its grade."""
+    scenario = _nominal(cell)
+    return replace(scenario, truth=draw_parameters(cell.request.grade, (scenario.accel, scenario.gyro), rng))
+
+
+@cache
+def _nominal(cell: Cell) -> Scenario:
+    """The scenario of a cell, whose device is to be replaced; making a programme takes as long as many a trial."""
+    scenario = typical_scenario(cell.request, np.random.default_rng(0), serial="simulated")
+    return replace(scenario, noise=_scaled(scenario.noise, cell.noise_factor))
+
+
+def _scaled(noise: NoiseModel, factor: float) -> NoiseModel:
+    return NoiseModel(
+        accel_white=factor * noise.accel_white,
+        gyro_white=factor * noise.gyro_white,
+        accel_instability=factor * noise.accel_instability,
+        gyro_instability=factor * noise.gyro_instability,
+    )
+
+
+# Sessions
+
+
+def session_rows(seed: int, source: Source, methods: Sequence[str], number: int, cell: Cell) -> list[Row]:
+    """A row for each method: whether the calibration was accepted, if not why, and for every parameter p of NAMES
+    `error.p`, its value less the truth, `u.p`, its standard uncertainty, and, without a log, `bound.p`, the Cramér–Rao
+    bound of the observations; nothing where there is none."""
+    rng = stream(seed, number)
+    scenario = scenario_of(cell, rng)
+    if source == "log":
+        return _through_a_log(scenario, methods, rng)
+    way = itinerary(scenario, stream(seed, number).spawn(1)[0])  # that of simulate_observations
+    observations = simulate_observations(scenario, rng)
+    bounds = {f"bound.{name}": u for name, u in bound(scenario, way.attitudes, observations).items()}
+    return [_from_observations(scenario, observations, method) | bounds for method in methods]
+
+
+def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> dict[str, float]:
+    """Square roots of the Cramér–Rao bounds of the parameters that observations determine, by name, SI: of the joint
+    likelihood at the true parameters and attitudes (N, 3, 3), with the true in-run instability as scatter that is
+    independent from rest to turn."""
+    truth = np.array([scenario.truth[name] for name in NAMES])
+    problem = Problem.of(observations)
+    about = TurnsAbout.of(observations, problem.gyro_model(truth))
+    point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
+    scatter = Scatter(accel=scenario.noise.accel_instability, gyro=scenario.noise.gyro_instability)
+    step = solve(problem, linearise(problem, point, about), weights(problem, scatter))
+    found = np.sqrt(np.diag(step.covariance)[1:])
+    return {n: float(u) for n, u, s in zip(NAMES, found, problem.spread, strict=True) if u < s / DETERMINED}
+
+
+def _from_observations(scenario: Scenario, observations: Observations, method: str) -> dict[str, Any]:
+    try:
+        estimate = METHODS[method](observations) if method in METHODS else ITERATED_METHODS[method](observations, 2)
+    except (InputError, np.linalg.LinAlgError) as error:
+        return {"method": method, "error": f"{type(error).__name__}: {error}"}
+    outcome = verdict(estimate, observations)
+    seen = [i for i in range(len(estimate.names)) if estimate.observable[i]]
+    values = {estimate.names[i]: (float(estimate.values[i]), float(estimate.u[i])) for i in seen}
+    return _row(method, outcome.reasons, values, scenario)
+
+
+def _through_a_log(scenario: Scenario, methods: Sequence[str], rng: np.random.Generator) -> list[Row]:
+    with tempfile.TemporaryDirectory(prefix="tumble-") as temporary:
+        folder = write_simulation(Path(temporary) / "session", scenario, rng)
+        return [_from_session(scenario, folder, method) for method in methods]
+
+
+def _from_session(scenario: Scenario, folder: Path, method: str) -> Row:
+    try:
+        calibration = calibrate(folder, method=method)
+    except InputError as error:
+        return {"method": method, "error": f"{type(error).__name__}: {error}".replace(str(folder), "session")}
+    values = {p.name: (p.value, p.u) for p in calibration.parameters}
+    return _row(method, calibration.outcome.reasons, values, scenario)
+
+
+def _row(
+    method: str, reasons: Sequence[str], values: Mapping[str, tuple[float, float | None]], scenario: Scenario
+) -> dict[str, Any]:
+    errors = {f"error.{name}": value - scenario.truth[name] for name, (value, _) in values.items()}
+    uncertainties = {f"u.{name}": u for name, (_, u) in values.items()}
+    return {"method": method, "accepted": not reasons, "reasons": "; ".join(reasons), **errors, **uncertainties}
+
+
+# Rests alone
+
+
+def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
+    """One row for BLOCK triads of accelerometers, calibrated from rests alone: how many, how many of them `failed`,
+    and over the others, for every parameter p, the means `mean.p` of the errors, `square.p` of their squares, `bound.p`
+    of the variances by the Cramér–Rao bound, and the part `covered.p` of the errors within 1.96 u."""
+    rng = stream(seed, number)
+    scenario = scenario_of(cell, rng)
+    gravity, sigma = scenario.site.gravity, _of_a_mean(scenario)
+    truth = _drawn_triads(cell.request.grade, rng)
+    force = gravity * _verticals(scenario, rng)
+    model = triad_model(truth[:, :3], truth[:, 3:6], truth[:, 6:])
+    readings = force @ np.ascontiguousarray(np.swapaxes(model.matrix, 1, 2)) + model.bias[:, None]
+    readings += sigma * rng.standard_normal(readings.shape)
+    values, variance, step = fit_statics(readings, gravity)
+    variance *= sigma**2
+    with np.errstate(invalid="ignore"):
+        u = np.sqrt(variance)
+        good = ((np.abs(step) <= NEGLIGIBLE * u + 1e-15) & (u < spreads(scenario.accel) / DETERMINED)).all(axis=1)
+    error, variance = (values - truth)[good], variance[good]
+    row: dict[str, Any] = {"method": "rests alone", "triads": BLOCK, "failed": int(BLOCK - good.sum())}
+    if good.any():
+        columns = {
+            "mean": error.mean(axis=0),
+            "square": (error**2).mean(axis=0),
+            "bound": variance.mean(axis=0),
+            "covered": (np.abs(error) <= 1.96 * np.sqrt(variance)).mean(axis=0),
+        }
+        row |= {f"{what}.{name}": float(v) for what, of in columns.items() for name, v in zip(NAMES, of, strict=False)}
+    return [row]
+
+
+def _of_a_mean(scenario: Scenario) -> float:
+    """Standard deviation of the mean reading of a rest, m/s²."""
+    return float(
+        np.hypot(scenario.noise.accel_white / np.sqrt(scenario.profile.rest), scenario.noise.accel_instability)
+    )
+
+
+def _drawn_triads(name: str, rng: np.random.Generator) -> Array:
+    """Parameters (BLOCK, 9) of accelerometer triads of a grade."""
+    spread = grade(name).accel
+    spreads = np.repeat([spread.bias, spread.scale, spread.axis], 3)
+    return np.asarray(spreads * rng.standard_normal((BLOCK, len(spreads))))
+
+
+def _verticals(scenario: Scenario, rng: np.random.Generator) -> Array:
+    """Directions (BLOCK, N, 3) of the vertical in the body: Mᵀ Lᵀ Rᵀ e_U with the errors R of the table at every
+    position and M of the mounting."""
+    course = scenario.course
+    if isinstance(course, HandHeld):
+        free = rng.standard_normal((BLOCK, course.positions, 3))
+        return np.asarray(free / np.linalg.norm(free, axis=2, keepdims=True))
+    nominal = np.array([position.matrix for position in course.programme.positions])
+    table = course.table_error * rng.uniform(-1.0, 1.0, (BLOCK, len(nominal), 3))
+    mounting = rotation_matrix(course.mounting_error * rng.uniform(-1.0, 1.0, (BLOCK, 3)))
+    up = _up_after(table)
+    for i, matrix in enumerate(nominal):
+        up[:, i] = up[:, i] @ matrix
+    return np.asarray(up @ mounting)
+
+
+def _up_after(vector: Array) -> Array:
+    """exp(−[v×]) e_U (..., 3) for rotation vectors v, rad (Rodrigues, for one direction)."""
+    angle = np.linalg.norm(vector, axis=-1)
+    out = (0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * vector[..., 1])[..., None] * vector
+    sine = np.sinc(angle / np.pi)
+    out[..., 0] += sine * vector[..., 2]
+    out[..., 1] += np.cos(angle)
+    out[..., 2] -= sine * vector[..., 0]
+    return np.asarray(out)

@@ -1,0 +1,178 @@
+"""What every method returns, and the least squares behind it.
+
+An `Estimate` always comes back: when the data do not determine a parameter it has no value, and the outcome
+names it; when they do not fit, the outcome says which rest or turn, and by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from tumble.sensors.model import Block, SensorModel
+from tumble.units import Array, BoolArray
+
+SPREAD = {
+    "accel.bias": 1.0,
+    "accel.scale": 0.1,
+    "accel.axis": 0.1,
+    "gyro.bias": 0.1,
+    "gyro.scale": 0.1,
+    "gyro.axis": 0.1,
+}
+"""How far a parameter may reasonably be from nominal (SI)."""
+
+DETERMINED = 10.0
+"""How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
+that is hardly better known wanders while the estimate is iterated, and takes the others with it."""
+
+SEEN = 1e-3
+"""A parameter is unobservable when more than this part of it (in units of its spread) is in the null space."""
+
+RELATIVE_RANK = 1e-11
+"""Singular values below this part of the largest are rounding."""
+
+SCATTER_PROBABILITY = 0.5
+"""Scatter is estimated where chance alone would exceed chi-square less often than this: where it is above its median.
+With a stricter limit a scatter that is there, but not beyond doubt, would be missing from u."""
+
+
+FIT_SIGMAS = 5.0
+"""A rest or turn further than this from the fit does not fit."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome:
+    """Whether an estimate can be used, and if not, why: sentences with cause and remedy."""
+
+    reasons: tuple[str, ...] = ()
+    unobservable: tuple[str, ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """No reason against it."""
+        return not self.reasons
+
+
+def chance_of(chi_square: float, degrees: float) -> float:
+    """Probability that chance alone exceeds a chi-square of so many degrees of freedom."""
+    return float(special.chdtrc(degrees, chi_square)) if degrees > 0.0 else 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Fit:
+    """Chi-square of a group of residuals with its degrees of freedom and the scatter (SI) that was added to the
+    noise within rests to explain it; `scatter_unit` is m/s^2, rad/s or rad."""
+
+    chi_square: float
+    degrees: float
+    scatter: float
+    scatter_unit: str
+
+    @property
+    def probability(self) -> float:
+        """Probability that chance alone exceeds this chi-square."""
+        return chance_of(self.chi_square, self.degrees)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Estimate:
+    """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
+    only these mean anything; `null` (q, m) are the combinations they do not, in units of the spreads.
+    `converged` says whether the last step was negligible. `rest_residual` (N,) is |corrected reading| − g, m/s²;
+    `rest_sigmas` and `turn_sigmas` say how far each rest and turn is from the fit. `increments` are the parameter
+    changes of each iteration, `fits` the chi-squares by what they judge."""
+
+    method: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    covariance: Array
+    observable: BoolArray
+    null: Array
+    accel: SensorModel
+    gyro: SensorModel | None
+    rest_residual: Array
+    rest_sigmas: Array
+    turn_sigmas: Array
+    increments: tuple[Array, ...]
+    fits: Mapping[str, Fit]
+    converged: bool
+    reasons: tuple[str, ...] = ()
+    """What the method itself has against the result."""
+
+    @property
+    def unobservable(self) -> tuple[str, ...]:
+        """Names of the parameters the data do not determine."""
+        return tuple(name for name, seen in zip(self.names, self.observable, strict=True) if not seen)
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainties."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Solution:
+    """A weighted least-squares step: `step` (m,), `gain` (m, r) of the whitened residuals, `null` (q, m) the
+    combinations the data do not determine, in units of the spreads, and the covariance (m, m), to which the
+    spreads of the null space have been added."""
+
+    step: Array
+    gain: Array
+    null: Array
+    covariance: Array
+
+    @property
+    def observable(self) -> BoolArray:
+        """Which parameters the data determine."""
+        return np.asarray(np.sqrt((self.null**2).sum(axis=0)) < SEEN)
+
+
+def spreads(block: Block) -> Array:
+    """The spread of each parameter of a block, SI."""
+    return spreads_of(block.names)
+
+
+def spreads_of(names: Sequence[str]) -> Array:
+    """The spread of parameters of these names, SI."""
+    return np.array([SPREAD[".".join(name.split(".")[:2])] for name in names])
+
+
+def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
+    """Smallest step that minimises |residual − jacobian · step|², both whitened; singular combinations, which the
+    data determine no better than DETERMINED times their spread, are left alone."""
+    Q, R = np.linalg.qr(jacobian * spread)
+    U, s, Vt = np.linalg.svd(R)
+    rank = int(np.sum(s > max(DETERMINED, RELATIVE_RANK * s[0])))
+    seen, null = Vt[:rank], Vt[rank:]
+    gain = spread[:, None] * (seen.T / s[:rank]) @ (Q @ U[:, :rank]).T
+    covariance = gain @ gain.T + (spread[:, None] * null.T) @ (null * spread)
+    return Solution(step=gain @ residual, gain=gain, null=null, covariance=covariance)
+
+
+def scatter_of(excess: Callable[[float], float], start: float) -> float:
+    """The scatter at which `excess(scatter)` (chi-square less its expectation, falling) vanishes; `start` is a
+    first guess of its size. Zero where there is none."""
+    from scipy.optimize import brentq
+
+    if excess(0.0) <= 0.0:
+        return 0.0
+    high = start
+    while excess(high) > 0.0:
+        high *= 4.0
+    return float(brentq(excess, 0.0, high, rtol=1e-3))
+
+
+def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
+    """How many Gaussian sigmas each normalised residual is out; where the scale came from the same residuals, the
+    residual is judged by the scale of all others (externally studentised)."""
+    z = np.abs(normalised)
+    if not scaled or degrees < 2:
+        return z
+    z2 = np.minimum(z**2, degrees * (1.0 - 1e-9))
+    studentised = np.sqrt(z2 * (degrees - 1.0) / (degrees - z2))
+    return np.asarray(-special.ndtri(special.stdtr(degrees - 1.0, -studentised)))

@@ -1,0 +1,1 @@
+"""Methods of estimation, interchangeable: observations in, estimate out."""

@@ -1,0 +1,83 @@
+"""Ellipsoid method: the accelerometers alone, from the rest means of any log in any orientation.
+
+The rest means lie on an ellipsoid (`tumble.estimation.ellipsoid`); their covariances are the weights, and a scatter
+between rests is estimated on top. Where the rests are good this is stage 1 of the method `staged`, to a small part
+of u. What differs: it starts from the algebraic fit, not from nominal sensors, so that errors of any size are found;
+a bad rest is left out of the fit, and named, instead of bending it; positions that cannot determine all nine
+parameters are refused as a whole. Gyros, turns, Earth's rate and programme are not used.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tumble.errors import InputError
+from tumble.estimation.ellipsoid import fit_ellipsoid
+from tumble.estimation.estimate import Estimate, Fit
+from tumble.estimation.observability import Refusal
+from tumble.reduction.observations import Observations
+
+
+def ellipsoid(observations: Observations) -> Estimate:
+    """The accelerometer parameters of a session with covariance.
+
+    Raises InputError for more than three accelerometers, and LinAlgError where the rests lie on no ellipsoid."""
+    block, rests, site = observations.accel_block, observations.rests, observations.site
+    if block.size != 3:
+        raise InputError(
+            f"method ellipsoid: expected three accelerometers, found {block.size}; take the method staged, which also "
+            "uses what they say of each other"
+        )
+    found = fit_ellipsoid(
+        rests.accel,
+        modulus=site.gravity,
+        modulus_u=site.gravity_u,
+        covariance=rests.accel_covariance,
+        block=block,
+    )
+    if isinstance(found, Refusal):
+        return _refused(observations, found)
+    assert found.covariance is not None
+    return Estimate(
+        method="ellipsoid",
+        names=block.names,
+        units=block.units,
+        values=found.values,
+        covariance=found.covariance,
+        observable=np.ones(9, dtype=bool),
+        null=np.empty((0, 9)),
+        accel=found.model,
+        gyro=None,
+        rest_residual=found.residual,
+        rest_sigmas=found.sigmas,
+        turn_sigmas=np.empty(0),
+        increments=found.increments,
+        fits={"accelerometers": found.fit("m/s^2")},
+        converged=found.converged,
+    )
+
+
+def _refused(observations: Observations, refusal: Refusal) -> Estimate:
+    """No parameter is determined: a part of them would be as wrong as the missing part allows."""
+    if not len(refusal.null):
+        raise np.linalg.LinAlgError(refusal.reason)
+    block, rests = observations.accel_block, observations.rests
+    model = block.nominal()
+    return Estimate(
+        method="ellipsoid",
+        names=block.names,
+        units=block.units,
+        values=np.zeros(9),
+        covariance=np.zeros((9, 9)),
+        observable=np.zeros(9, dtype=bool),
+        null=refusal.null,
+        accel=model,
+        gyro=None,
+        rest_residual=np.linalg.norm(model.apply(rests.accel), axis=1) - observations.site.gravity,
+        rest_sigmas=np.zeros(len(rests)),
+        turn_sigmas=np.empty(0),
+        increments=(),
+        fits={"accelerometers": Fit(chi_square=0.0, degrees=0.0, scatter=0.0, scatter_unit="m/s^2")},
+        converged=False,
+        reasons=(refusal.reason,),
+    )

@@ -1,0 +1,1 @@
+"""The methods of Vodicheva & Parysheva (2019), with their accuracy formulas."""

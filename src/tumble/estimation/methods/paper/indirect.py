@@ -1,0 +1,219 @@
+"""The indirect method, stage 4: what errors of the gyros do to the horizontal after a turn.
+
+A series of turns starts from an attitude by TRIAD, which the gyros carry through the turns and which is held during
+rests. Each turn by 180° leaves y = (Δf_N, Δf_E)/g, the change of the horizontal specific force from its start to its
+end, computed with the carried attitude:
+
+    y_N = −Δψ_E + Δα_N,   y_E = Δψ_N + Δα_E,   α = L(b + M Lᵀe_U)
+
+with ψ the error of the carried attitude, L̂ = (I + [ψ×]) L, and α that of the accelerometers (b = δw/g, M = S − I).
+A turn by Θ about the geographic unit vector n adds Eq. (6.2)
+
+    Δψ = [Θ nnᵀ + sin Θ (I − nnᵀ) + (1 − cos Θ)[n×]] F n,   F = L₀ E L₀ᵀ,   E = S_G − I.
+
+`programme_matrix` says it for the programmed attitudes, Eq. (6.3); `logged_jacobian` for the turns as they were,
+from the logged rate, §6.6. The paper has the first and does not say in which directions it turns; they decide
+whether biases of the accelerometers pass for scale-factor errors of the gyros: `check_directions`.
+
+Arrays may have leading axes, for many launches at once. Columns of the gyros are k_x, k_y, k_z, γ_xy, γ_xz, γ_yx,
+γ_yz, γ_zx, γ_zy; of the accelerometers b_x, b_y, b_z (rad), k_x, k_y, k_z, γ_yx, γ_zx, γ_zy.
+Source: §6 of the turntable method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.errors import ProgrammeError
+from tumble.estimation.methods.paper.accuracy_formulas import (
+    accelerometer_leakage,
+    indirect_accelerometer_matrix,
+    indirect_matrix,
+)
+from tumble.estimation.methods.paper.levelling import carried, vertical
+from tumble.programme.positions import Programme
+from tumble.reduction.observations import Turns
+from tumble.rotation import rotation_matrix
+from tumble.units import DEGREE, Array
+
+GYRO_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+ACCEL_ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
+"""Where the columns are in the error matrices E and M."""
+
+LEAK = 1e-6
+"""Biases that enter scale factors with less than this coefficient cancel."""
+
+_TILT = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+_LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""What of ψ and of α the two rows y_N, y_E are."""
+
+
+# The programmed turns
+
+
+def known_turns(programme: Programme) -> tuple[tuple[int, ...], ...]:
+    """Series of turns with known axis and angle that follow each other: indices of the moves."""
+    series: list[list[int]] = []
+    for k, move in enumerate(programme.moves):
+        if move.axis is None or move.angle is None:
+            continue
+        if series and series[-1][-1] == k - 1:
+            series[-1].append(k)
+        else:
+            series.append([k])
+    return tuple(tuple(s) for s in series)
+
+
+def programme_matrix(programme: Programme) -> tuple[Array, Array]:
+    """H_G and H_A (2T, 9), by which y of the T known turns depends on the errors of gyros and accelerometers, at
+    the programmed attitudes: Eq. (6.3) for the turns by 180° of the rough-table programme. Terms of the order of
+    Ω T (1.5e-3) are left out, as in the paper."""
+    if not known_turns(programme):
+        return np.empty((0, 9)), np.empty((0, 9))
+    return indirect_matrix(programme), indirect_accelerometer_matrix(programme)
+
+
+def gyro_errors(rate: Array) -> Array:
+    """Columns E ω (..., 3, 9) of the error of a rate ω (..., 3) in the body."""
+    return _entries(rate, GYRO_ENTRIES)
+
+
+def accelerometer_errors(u: Array) -> Array:
+    """Columns b + M u (..., 3, 9) of the error of the specific force, in g, with the vertical u (..., 3) in the
+    body."""
+    bias = np.broadcast_to(np.eye(3), (*u.shape[:-1], 3, 3))
+    return np.concatenate([bias, _entries(u, ACCEL_ENTRIES)], axis=-1)
+
+
+def _entries(vector: Array, entries: Sequence[tuple[int, int]]) -> Array:
+    columns = np.zeros((*vector.shape[:-1], 3, len(entries)))
+    for j, (p, q) in enumerate(entries):
+        columns[..., p, j] = vector[..., q]
+    return columns
+
+
+# Directions of the turns
+
+
+def check_directions(programme: Programme) -> None:
+    """Raise ProgrammeError if the known turns of a programme do not determine the nine gyro parameters, or if
+    accelerometer biases leak into the gyro scale factors, as with (+N, +U, +N), (+N, −N, +U) and (+U, +N, −N), where
+    k takes up 2/π of them. The paper does not state the directions of its turns."""
+    H_G, _ = programme_matrix(programme)
+    rank = int(np.linalg.matrix_rank(H_G)) if len(H_G) else 0
+    described = "; ".join(_described(programme, series) for series in known_turns(programme)) or "none"
+    advice = "take the programme rough-table or the method staged"
+    if rank < 9:
+        raise ProgrammeError(
+            f"programme {programme.name}: expected known turns that determine nine gyro scale factors and angles, "
+            f"found {rank} from {described}; {advice}"
+        )
+    leak = float(np.abs(accelerometer_leakage(programme)[:3, :3]).max())
+    if leak > LEAK:
+        raise ProgrammeError(
+            f"programme {programme.name}: expected turns in whose directions accelerometer biases cancel in the gyro "
+            f"scale factors, found {described}, which pass on {leak:.2f} of a bias in g; turn back the second time "
+            "about the same axis, as in N+180, U+180, N-180"
+        )
+
+
+def _described(programme: Programme, series: tuple[int, ...]) -> str:
+    """The turns of a series in the way of attitude codes: "N+180, U+180, N-180"."""
+    said = []
+    for move in (programme.moves[k] for k in series):
+        assert move.axis is not None
+        assert move.angle is not None
+        axis = "NUE"[int(np.argmax(np.abs(move.axis)))]
+        said.append(f"{axis}{move.angle / DEGREE:+.0f}")
+    return ", ".join(said)
+
+
+# The turns as they were
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordedTurn:
+    """One recorded turn of a series: its index, the rests before and after it, and whether it is a turn of the
+    programme, which counts, or what happened between two rests in the same position."""
+
+    turn: int
+    first: int
+    last: int
+    counts: bool
+
+
+Series = tuple[RecordedTurn, ...]
+
+
+def carried_attitudes(series: Series, attitude: Array, C: Array, duration: Array, earth_rate: Array) -> list[Array]:
+    """Attitudes (..., 3, 3) of a series before its first turn and after each: the start is that of the rest before
+    the first turn, of attitudes (..., N, 3, 3), held during rests and carried by the turns C (..., K, 3, 3)."""
+    found = [attitude[..., series[0].first, :, :]]
+    for t in series:
+        found.append(carried(found[-1], C[..., t.turn, :, :], earth_rate, float(duration[t.turn])))
+    return found
+
+
+def horizontal_differences(
+    course: Sequence[Series], attitude: Array, force: Array, C: Array, duration: Array, earth_rate: Array
+) -> Array:
+    """y (..., 2T): change of the north and east specific force, in units of its modulus, over every turn that counts.
+    `attitude` (..., N, 3, 3) by TRIAD and `force` (..., N, 3) are those of the rests. §6.2."""
+    f = vertical(force)
+    rows = []
+    for series in course:
+        L = carried_attitudes(series, attitude, C, duration, earth_rate)
+        for j, t in enumerate(series):
+            if t.counts:
+                change = L[j + 1] @ f[..., t.last, :, None] - L[j] @ f[..., t.first, :, None]
+                rows.append((_LEVEL @ change)[..., 0])
+    return np.concatenate(rows, axis=-1)
+
+
+def logged_jacobian(
+    course: Sequence[Series], attitude: Array, force: Array, rate: Array, turns: Turns, earth_rate: Array
+) -> Array:
+    """Derivatives (..., 2T, 21) of y with respect to b (rad), k, γ of the accelerometers and δω, k, γ of the gyros,
+    from the logged rate, §6.6: the sensitivities M and B of the turns as they were, with what the errors do to
+    the start of the series by TRIAD. `turns` may have leading axes before the turns.
+
+    It uses measured quantities, so that one pass errs in second order of the sensor errors, whatever the table did."""
+    rows = []
+    u = vertical(force)
+    accel = accelerometer_errors(u)
+    for series in course:
+        L = carried_attitudes(series, attitude, turns.C, turns.duration, earth_rate)
+        start = series[0].first
+        Ψ = _start_errors(L[0], accel[..., start, :, :], rate[..., start, :], earth_rate)
+        for j, t in enumerate(series):
+            turned = L[j] @ _turn_errors(turns, t.turn)
+            Φ = rotation_matrix(-earth_rate * float(turns.duration[t.turn]))
+            after = Φ @ (Ψ + turned)
+            if t.counts:
+                change = _TILT @ (after - Ψ)
+                change[..., :9] += _LEVEL @ (L[j + 1] @ accel[..., t.last, :, :] - L[j] @ accel[..., t.first, :, :])
+                rows.append(change)
+            Ψ = after
+    return np.concatenate(rows, axis=-2)
+
+
+def _start_errors(L: Array, accel: Array, rate: Array, earth_rate: Array) -> Array:
+    """Ψ (..., 3, 21) of TRIAD: ψ_N = −α_E, ψ_E = α_N, ψ_U = (L δω)_E/Ω_N − α_E tan B."""
+    Ω_N, Ω_U, _ = earth_rate
+    bias = np.broadcast_to(np.eye(3), (*rate.shape[:-1], 3, 3))
+    α = L @ accel
+    ω = L @ np.concatenate([bias, gyro_errors(rate)], axis=-1)
+    by_accel = np.stack([-α[..., 2, :], -α[..., 2, :] * Ω_U / Ω_N, α[..., 0, :]], axis=-2)
+    by_gyro = np.stack([np.zeros_like(ω[..., 2, :]), ω[..., 2, :] / Ω_N, np.zeros_like(ω[..., 2, :])], axis=-2)
+    return np.concatenate([by_accel, by_gyro], axis=-1)
+
+
+def _turn_errors(turns: Turns, k: int) -> Array:
+    """∫ C (E ω + δω) dt (..., 3, 21) in the body at the start of turn k: none from the accelerometers, then B for the
+    bias, then columns of M."""
+    B, M = turns.B[..., k, :, :], turns.M[..., k, :, :, :]
+    by_matrix = np.stack([M[..., :, p, q] for p, q in GYRO_ENTRIES], axis=-1)
+    return np.concatenate([np.zeros_like(by_matrix), B, by_matrix], axis=-1)

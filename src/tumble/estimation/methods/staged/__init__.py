@@ -1,0 +1,1 @@
+"""The staged method: accelerometers first, then gyros."""

@@ -1,0 +1,179 @@
+"""Stage 1 of the staged method: accelerometers by the scalar method on all rests.
+
+Eqs. (12), (13) in norm form and with covariance. At rest y = S g u + b with the vertical u unknown, so a rest of n
+accelerometers says n − 2 things: the residual y − b − S g u with the two directions in which u may turn projected out.
+For a triad that is |S⁻¹(y − b)| = g. Iterated to convergence, so that the coefficients are those of the estimated
+orientation and the second-order errors of (15) do not remain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.estimation.estimate import (
+    SCATTER_PROBABILITY,
+    Fit,
+    Solution,
+    chance_of,
+    least_squares,
+    scatter_of,
+    sigmas,
+    spreads,
+)
+from tumble.reduction.observations import Observations
+from tumble.rotation import tangent_basis
+from tumble.sensors.model import SensorModel
+from tumble.units import Array
+
+MAX_ITERATIONS = 30
+CONVERGED = 1e-3  # of the standard uncertainty
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Accelerometers:
+    """Stage 1: values and their solution, the verticals found, and what the residuals say."""
+
+    values: Array
+    model: SensorModel
+    solution: Solution
+    null: Array
+    """(q, m): combinations the data do not determine, each as long as its spread."""
+    gain: Array
+    """(m, N, n): change of the values with the mean reading of each rest."""
+    by_gravity: Array
+    """(m,): change of the values with g, per m/s²."""
+    vertical: Array
+    covariance: Array
+    fit: Fit
+    sigmas: Array
+    increments: tuple[Array, ...]
+
+
+def estimate_accelerometers(observations: Observations) -> Accelerometers:
+    """The accelerometers from all rests, with scatter between rests where the residuals need it."""
+    values = observations.start_values(observations.accel_block)
+    scatter = 0.0
+    values, system, increments = _accelerometers_at(observations, values, scatter)
+    degrees = system.residual.size - (len(values) - len(system.solution().null))
+    if degrees > 0 and chance_of(_chi_square(system), degrees) < SCATTER_PROBABILITY:
+        start = float(np.sqrt(np.median(np.trace(observations.rests.accel_covariance, axis1=1, axis2=2))))
+        for _ in range(3):
+            linearised = values
+
+            def excess(trial: float, at: Array = linearised) -> float:
+                return _chi_square(_rest_rows(observations, at, trial)) - degrees
+
+            scatter = scatter_of(excess, start)
+            values, system, more = _accelerometers_at(observations, values, scatter)
+            increments += more
+    return _finished(observations, values, system, scatter, float(degrees), increments)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _RestRows:
+    """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
+    the readings (N, n − 2, n) and to g (N, n − 2)."""
+
+    values: Array
+    residual: Array
+    jacobian: Array
+    reading: Array
+    gravity: Array
+    spread: Array
+
+    def solution(self) -> Solution:
+        m = self.jacobian.shape[-1]
+        return least_squares(self.jacobian.reshape(-1, m), self.residual.ravel(), self.spread)
+
+
+def _rest_rows(observations: Observations, values: Array, scatter: float) -> _RestRows:
+    block, g = observations.accel_block, observations.site.gravity
+    model, derivative = block.model(values), block.jacobian(values)
+    readings = observations.rests.accel
+    force = model.apply(readings)
+    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    covariance = observations.rests.accel_covariance + scatter**2 * np.eye(block.size)
+    lower = np.linalg.cholesky(covariance)
+    turning = np.einsum("pk,ijk->ipj", model.matrix, tangent_basis(vertical)) * g
+    basis, _ = np.linalg.qr(np.linalg.solve(lower, turning), mode="complete")
+    free = np.swapaxes(basis[:, :, 2:], 1, 2)  # the n − 2 directions that no turn of the vertical reaches
+    whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), np.swapaxes(free, 1, 2)), 1, 2)
+    homogeneous = np.concatenate([g * vertical, np.ones((len(vertical), 1))], axis=1)
+    return _RestRows(
+        values=values,
+        residual=np.einsum("irp,ip->ir", whiten, readings - model.predict(g * vertical)),
+        jacobian=np.einsum("irp,pqm,iq->irm", whiten, derivative, homogeneous),
+        reading=whiten,
+        gravity=np.einsum("irp,pk,ik->ir", whiten, model.matrix, vertical),
+        spread=spreads(block),
+    )
+
+
+def _accelerometers_at(
+    observations: Observations, values: Array, scatter: float
+) -> tuple[Array, _RestRows, tuple[Array, ...]]:
+    """Gauss–Newton at a given scatter."""
+    increments: list[Array] = []
+    for _ in range(MAX_ITERATIONS):
+        solution = _rest_rows(observations, values, scatter).solution()
+        step = bounded(solution.step, spreads(observations.accel_block))
+        values = values + step
+        increments.append(step)
+        if negligible(solution):
+            break
+    return values, _rest_rows(observations, values, scatter), tuple(increments)
+
+
+def bounded(step: Array, spread: Array) -> Array:
+    """The step, shortened so that no parameter moves by more than its spread: far from any solution the
+    linearisation says nothing."""
+    return np.asarray(step / max(1.0, float(np.max(np.abs(step) / spread))))
+
+
+def negligible(solution: Solution) -> bool:
+    """Whether a step is negligible against the uncertainty."""
+    u = np.sqrt(np.diag(solution.covariance))
+    return bool(np.all(np.abs(solution.step) <= CONVERGED * u + 1e-15))
+
+
+def _chi_square(rows: _RestRows) -> float:
+    m = rows.jacobian.shape[-1]
+    after = rows.residual.ravel() - rows.jacobian.reshape(-1, m) @ rows.solution().step
+    return float(after @ after)
+
+
+def _finished(
+    observations: Observations,
+    values: Array,
+    rows: _RestRows,
+    scatter: float,
+    degrees: float,
+    increments: tuple[Array, ...],
+) -> Accelerometers:
+    block, site = observations.accel_block, observations.site
+    solution = rows.solution()
+    m = len(values)
+    by_rest = solution.gain.reshape(m, *rows.residual.shape)
+    by_gravity = -np.einsum("mir,ir->m", by_rest, rows.gravity)
+    model = block.model(values)
+    force = model.apply(observations.rests.accel)
+    left = np.eye(rows.residual.size) - rows.jacobian.reshape(-1, m) @ solution.gain
+    expected = np.maximum(np.diag(left @ left.T), 1e-12)
+    normalised = (rows.residual.ravel() / np.sqrt(expected)).reshape(rows.residual.shape)
+    normalised[(expected < 1e-6).reshape(normalised.shape)] = 0.0  # a residual the fit has no freedom to show
+    worst = np.sqrt((normalised**2).mean(axis=1))
+    return Accelerometers(
+        values=values,
+        model=model,
+        solution=solution,
+        null=solution.null * rows.spread,
+        gain=np.einsum("mir,irp->mip", by_rest, rows.reading),
+        by_gravity=by_gravity,
+        vertical=force / np.linalg.norm(force, axis=1, keepdims=True),
+        covariance=solution.covariance + site.gravity_u**2 * np.outer(by_gravity, by_gravity),
+        fit=Fit(chi_square=_chi_square(rows), degrees=degrees, scatter=scatter, scatter_unit="m/s^2"),
+        sigmas=sigmas(worst, degrees, scatter > 0.0),
+        increments=increments,
+    )

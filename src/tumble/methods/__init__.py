@@ -1,1 +1,0 @@
-"""Methods of calibration: one file, one method, one function from Observations to an Estimate."""

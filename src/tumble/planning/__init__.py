@@ -1,0 +1,1 @@
+"""Before measuring: bounds, best positions, budgets, requirements."""

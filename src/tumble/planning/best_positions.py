@@ -1,0 +1,334 @@
+"""Programmes by what they show: the best next position, and programmes optimised for a number of positions.
+
+How good a programme is (`Criterion`), smaller being better: by "A" the root mean square of u over the weights, which
+are the spreads of `tumble.estimation.estimate` or wanted accuracies; by "D" the geometric mean of the semi-axes of
+the ellipsoid of uncertainty, which does not depend on weights. A prior as wide as the spreads makes either finite
+while positions are too few; afterwards it counts for nothing.
+
+A position costs little to add or to exchange. Eliminating the attitudes of all rests before it leaves three rows on the
+attitude of the last of them and a triangle on the parameters (`tumble.estimation.elimination`), and those after it
+likewise. What a candidate shows is then an elimination of two to four rests, whatever the length of the programme:
+about 0.1 ms.
+
+A programme is begun with X, Y or Z up, grows by the best position to add, and is improved by exchange of one position
+at a time, or of neighbours where the table leaves no other way, until no exchange makes it better. By A it is sought
+once more from what is found by D, which is the better guide while positions are few. The best of what is found is
+taken. Nothing is random: of equally good candidates the first is taken, and turns come before other moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from tumble.errors import InputError
+from tumble.estimation.elimination import eliminate
+from tumble.estimation.estimate import DETERMINED, spreads
+from tumble.planning.bounds import Bound, blocks_of, bound, course_of, view
+from tumble.planning.budget import Setup
+from tumble.planning.reachable_attitudes import ANY, Places, Table, Ways, ways_through
+from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
+from tumble.programme.positions import programme as built_in
+from tumble.units import Array, IntArray
+
+Letter = Literal["A", "D"]
+
+SAME = 1e-9
+"""Criteria that differ by this part are equal."""
+
+ALIKE = 1e-6
+"""Next positions whose criteria differ by this part are as good as each other: symmetry makes them so."""
+
+UPRIGHT = 0.99
+"""Cosine from which an axis is up."""
+
+_FIRST: Mapping[Letter, tuple[Letter, ...]] = {"A": ("A", "D"), "D": ("D",)}
+"""By which criteria a programme is sought before it is improved by its own."""
+
+COMPARED = ("nine", "cube-14", "rough-table", "faces-edges-18")
+"""What an optimised programme is compared with: the nine, 14, 15 and 18 positions of the literature."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Aim:
+    """What a programme is for: the criterion's letter; wanted accuracies by group, SI, for A, none for the spreads;
+    and whether gyros are calibrated or accelerometers alone."""
+
+    letter: Letter = "A"
+    wanted: Mapping[str, float] | None = None
+    gyros: bool = True
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Criterion:
+    """How good a programme is: by A, with `weight` (m,), SI, of the parameters, infinite for those that do not count,
+    or by D. `prior` (m,) are the spreads, SI, and `known` the triangle of what is known before: measured gravity, and
+    the prior."""
+
+    letter: Letter
+    weight: Array
+    prior: Array
+    known: Array
+
+    @staticmethod
+    def of(aim: Aim, setup: Setup) -> Criterion:
+        """The criterion of an aim. Raises InputError if it is for no parameter."""
+        blocks = blocks_of(aim.gyros)
+        prior = np.concatenate([spreads(block) for block in blocks])
+        groups = [name.rpartition(".")[0] for block in blocks for name in block.names]
+        weight = np.array([aim.wanted.get(group, np.inf) for group in groups]) if aim.wanted else prior
+        if not np.any(np.isfinite(weight)):
+            raise InputError("wanted: expected an accuracy of parameters that are calibrated, found none")
+        gravity = 1.0 / setup.gravity_u if setup.gravity_u > 0.0 else 0.0
+        known = np.diag([gravity, *(1.0 / prior), 0.0])
+        return Criterion(letter=aim.letter, weight=weight, prior=prior, known=known)
+
+    def of_triangles(self, triangles: Array) -> Array:
+        """Its values (q,) for triangles (q, 1 + m + 1, 1 + m + 1) on gravity and the parameters."""
+        R = triangles[:, 1:-1, 1:-1]
+        if self.letter == "D":
+            diagonal = np.abs(np.diagonal(R, axis1=1, axis2=2)) * self.prior
+            return np.asarray(np.exp(-np.log(diagonal).mean(axis=1)))
+        u = np.linalg.inv(R) / self.weight[:, None]
+        return np.asarray(np.sqrt((u**2).sum(axis=(1, 2)) / np.isfinite(self.weight).sum()))
+
+
+# What a programme and its candidates show
+
+
+def _eliminated(rest: Array, turn: Array, link: IntArray, triangle: Array) -> tuple[Array, Array]:
+    """What rests (N, r, ·) with turns (K, t, ·) between them show when their attitudes are eliminated: rows (r, ·) on
+    the attitude of the last, in the form of a rest, and a triangle on the parameters, to which one is added."""
+    factor, triangle = np.empty((len(rest), 3, rest.shape[2] + 3)), triangle.copy()
+    eliminate(rest, turn, link, factor, triangle)
+    last = np.zeros(rest.shape[1:])
+    last[:3, :3], last[:3, 3:] = factor[-1, :, :3], factor[-1, :, 6:]
+    return last, triangle
+
+
+def _triangles(rest: Array, turn: Array, triangle: Array) -> Array:
+    """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·) and turns (q, n − 1, t, ·)."""
+    out = np.repeat(triangle[None], len(rest), axis=0)
+    factor, link = np.empty((rest.shape[1], 3, rest.shape[3] + 3)), _linked(rest.shape[1], turn)
+    for chain_rest, chain_turn, found in zip(rest, turn, out, strict=True):
+        eliminate(chain_rest, chain_turn, link, factor, found)
+    return out
+
+
+def _linked(rests: int, turn: Array) -> IntArray:
+    """Every rest linked to the next by turns (..., t, ·), if there are gyros."""
+    return np.append(np.arange(rests - 1), -1) if turn.shape[-2] else np.full(rests, -1)
+
+
+def _backwards(turn: Array) -> Array:
+    """Rows (K, t, ·) of turns in a chain that is gone through from its end."""
+    swapped = np.concatenate([turn[..., 3:6], turn[..., :3], turn[..., 6:]], axis=-1)
+    return np.ascontiguousarray(swapped[::-1])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Search:
+    """What a search needs."""
+
+    places: Places
+    criterion: Criterion
+
+    def exchanged(self, way: Ways, start: int, k: int) -> tuple[Ways, float]:
+        """A programme with the k places from `start` on exchanged for the best, or added at its end, and its value:
+        infinite where there is nothing to exchange them for."""
+        places, rest, stop = way.places[0], self.places.rest, start + k
+        before = int(places[start - 1]) if start > 0 else None
+        after = int(places[stop]) if stop < len(places) else None
+        ways = ways_through(self.places, before, after, k)
+        q, triangle, chain = len(ways.places), self.criterion.known, [rest[ways.places]]
+        if q == 0:
+            return way, np.inf
+        if before is not None:
+            turn = way.rows[0, : start - 1]
+            last, triangle = _eliminated(rest[places[:start]], turn, _linked(start, turn), triangle)
+            chain.insert(0, _repeated(last, q))
+        if after is not None:
+            turn, none = _backwards(way.rows[0, stop:]), np.zeros_like(triangle)
+            last, more = _eliminated(rest[places[stop:][::-1]], turn, _linked(len(places) - stop, turn), none)
+            triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, more]), mode="r"))
+            chain.append(_repeated(last, q))
+        values = self.criterion.of_triangles(_triangles(np.concatenate(chain, axis=1), ways.rows, triangle))
+        best = int(np.argmax(values <= values.min() * (1.0 + SAME)))
+        return way.spliced(start, stop, ways, best), float(values[best])
+
+    def grown(self, start: int, positions: int) -> Ways:
+        """So many positions from a place on, each the best to add; where not every place can be reached from every
+        other, two at a time."""
+        way, k = Ways.at(start, self.places), 1 if self.places.table.by_hand else 2
+        while (n := way.places.shape[1]) < positions:
+            way, _ = self.exchanged(way, n, min(k, positions - n))
+        return way
+
+    def improved(self, way: Ways) -> tuple[Ways, float]:
+        """A programme after exchanges, until none makes it better: of one position at a time or, where not every place
+        can be reached from every other, of up to two neighbours, and three while not all is determined."""
+        if self.places.table.by_hand:
+            return self._settled(way, (1,))
+        way, value = self._settled(way, (1, 2))
+        return (way, value) if self._determined(way) else self._settled(way, (1, 2, 3))
+
+    def _settled(self, way: Ways, widths: Sequence[int]) -> tuple[Ways, float]:
+        """A programme that no exchange of so many neighbours makes better."""
+        value = float(self.criterion.of_triangles(self._triangle(way))[0])
+        while True:
+            before = value
+            for k in widths:
+                for start in range(way.places.shape[1] - k + 1):
+                    other, found = self.exchanged(way, start, k)
+                    if found < value * (1.0 - SAME):
+                        way, value = other, found
+            if value == before:
+                return way, value
+
+    def _triangle(self, way: Ways) -> Array:
+        """The triangle (1, p + 1, p + 1) of a programme."""
+        return _triangles(self.places.rest[way.places], way.rows, self.criterion.known)
+
+    def _determined(self, way: Ways) -> bool:
+        """Whether a programme determines all parameters."""
+        R = self._triangle(way)[0, 1:-1, 1:-1]
+        return bool(np.linalg.svd(R * self.criterion.prior, compute_uv=False)[-1] > DETERMINED)
+
+
+def _repeated(last: Array, q: int) -> Array:
+    """One rest (r, ·) as the same in q chains (q, 1, r, ·)."""
+    return np.broadcast_to(last, (q, 1, *last.shape))
+
+
+# Optimised programmes
+
+
+def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: Table = ANY) -> Programme:
+    """A programme of so many positions that shows most by a criterion; the set-up's own does not count.
+
+    Raises InputError for fewer than two positions, for values that make no sense, and where there is no noise."""
+    if positions < 2:
+        raise InputError(f"positions: expected at least 2, found {positions}")
+    places = Places.of(table, setup, gyros=aim.gyros)
+    starts = [int(np.argmax(places.attitudes[:, 1, p] > UPRIGHT)) for p in range(3)]
+    found = [_from(start, positions, places, setup, aim, first) for start in starts for first in _FIRST[aim.letter]]
+    way, _ = min(found, key=lambda one: round(np.log(one[1]), 8))
+    return Programme(
+        name=f"{aim.letter}-optimal",
+        positions=tuple(places.positions[place] for place in way.places[0]),
+        moves=tuple(_move(*leg) for leg in zip(way.moves[0], way.turned[0], strict=True)),
+        ordered=True,
+    )
+
+
+def _from(start: int, positions: int, places: Places, setup: Setup, aim: Aim, first: Letter) -> tuple[Ways, float]:
+    """The programme that is found from a place on by one criterion first, and then by that of the aim."""
+    search = _Search(places=places, criterion=Criterion.of(aim, setup))
+    if first == aim.letter:
+        return search.improved(search.grown(start, positions))
+    other = _Search(places=places, criterion=Criterion.of(replace(aim, letter=first), setup))
+    way, _ = other.improved(other.grown(start, positions))
+    return search.improved(way)
+
+
+def _move(vector: Array, turned: bool) -> Move:
+    """A move by a rotation vector; turns of the table are about the positive axis."""
+    if not turned:
+        return ANY_MOVE
+    component = int(np.argmax(np.abs(vector)))
+    return Move(axis=np.eye(3)[component], angle=float(vector[component]))
+
+
+# One more position
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Next:
+    """A programme with one more position: what the position is, how it is reached, how many others are `as_good`, the
+    criterion over that of the programme before, and the bound with it."""
+
+    position: Position
+    move: Move
+    as_good: int
+    ratio: float
+    bound: Bound
+
+
+def next_positions(setup: Setup, aim: Aim = Aim(), table: Table = ANY, *, count: int = 5) -> tuple[Next, ...]:
+    """The positions that a set-up's programme gains most by, the best first; of equally good ones the first.
+
+    Raises InputError for values that make no sense, and where there is no noise."""
+    places = Places.of(table, setup, gyros=aim.gyros, last=setup.programme.positions[-1])
+    before, values, legs = candidates(setup, aim, places)
+    order = np.argsort(values, kind="stable")
+    steps = np.flatnonzero(np.diff(np.log(values[order])) > ALIKE)
+    found = []
+    for group in np.split(order, steps + 1)[:count]:
+        best = int(np.min(group))
+        position, move = places.positions[legs.places[best, 0]], _move(legs.moves[best, 0], bool(legs.turned[best, 0]))
+        found.append(
+            Next(
+                position=position,
+                move=move,
+                as_good=len(group) - 1,
+                ratio=float(values[best] / before),
+                bound=bound(replace(setup, programme=extended(setup.programme, position, move)), gyros=aim.gyros),
+            )
+        )
+    return tuple(found)
+
+
+def candidates(setup: Setup, aim: Aim, places: Places) -> tuple[float, Array, Ways]:
+    """The criterion of a set-up's programme, and its values (q,) with one more position, by each leg (q) from where it
+    ends."""
+    criterion = Criterion.of(aim, setup)
+    last, triangle = _shown(setup, aim, criterion)
+    legs = Ways.of(places.onward(places.index(setup.programme.positions[-1].matrix)))
+    rest = np.concatenate([_repeated(last, len(legs.places)), places.rest[legs.places]], axis=1)
+    values = criterion.of_triangles(_triangles(rest, legs.rows, triangle))
+    return float(criterion.of_triangles(triangle[None])[0]), values, legs
+
+
+def _shown(setup: Setup, aim: Aim, criterion: Criterion) -> tuple[Array, Array]:
+    """What a set-up's programme shows, see `_eliminated`."""
+    seen = view(course_of(setup), setup, gyros=aim.gyros)
+    return _eliminated(*seen.whitened(), seen.problem.link, criterion.known)
+
+
+def value_of(setup: Setup, aim: Aim = Aim()) -> float:
+    """The criterion of a set-up's programme."""
+    criterion = Criterion.of(aim, setup)
+    return float(criterion.of_triangles(_shown(setup, aim, criterion)[1][None])[0])
+
+
+def extended(programme: Programme, position: Position, move: Move) -> Programme:
+    """A programme with one more position at its end."""
+    return replace(programme, positions=(*programme.positions, position), moves=(*programme.moves, move))
+
+
+# Programmes beside each other
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Compared:
+    """A programme, its bound, and its criterion."""
+
+    programme: Programme
+    bound: Bound
+    value: float
+
+
+def compared(setup: Setup, programmes: Sequence[Programme], aim: Aim = Aim()) -> tuple[Compared, ...]:
+    """Programmes beside each other in the same set-up. Raises InputError."""
+    return tuple(
+        Compared(programme=listed, bound=bound(one, gyros=aim.gyros), value=value_of(one, aim))
+        for listed, one in ((listed, replace(setup, programme=listed)) for listed in programmes)
+    )
+
+
+def of_the_literature() -> tuple[Programme, ...]:
+    """The programmes that others are compared with."""
+    return tuple(built_in(name) for name in COMPARED)

@@ -1,0 +1,448 @@
+"""What accuracy a set-up gives: the paper's error formulas put together for a whole programme.
+
+How the budget is put together. Let X be the 21 parameters (the order of the calibration file). To first order in X
+one pass of a method is a matrix, so that it leaves
+
+    X − X̂ = T X − G n + q(X)         T = T₀ + Σ τ_k D_k
+
+of the parameters: τ_k are the deviations of the attitudes from the programme (table: three per position, about N, U,
+E; mounting: three, about X, Y, Z), T₀ what an exact programme leaves (Earth's rate × gyro errors), n the noise of
+rests and turns, q the error of second order in the parameters. The next pass sees what is left, so that it leaves
+T² X. With parameters and deviations independent of each other and of zero mean,
+
+    pass 1    E (T X)²_p = Σ_j σ_j² [ T₀² + Σ_k v_k D_k² ]_pj
+    pass 2    E (T² X)²_p = Σ_j σ_j² [ (c + tr A)² + Σ_k v_k l_k² + 2 Σ_kl v_k v_l S_kl² + Σ_k (μ_k − 3 v_k²) A_kk² ]_pj
+
+where T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl, S is the symmetric part of A, tr A = Σ v_k A_kk, and v_k, μ_k are the second
+and fourth moments of τ_k. Further passes gain as much as the second did: (κσ)^i, §7.
+
+T₀, D and q are those of `tumble.planning.error_propagation`, the symbols those of
+`tumble.estimation.methods.paper.accuracy_formulas`. `tumble.planning.requirements` is the inverse.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from tumble.earth import earth_rate
+from tumble.errors import InputError
+from tumble.estimation.methods.paper.accuracy_formulas import turn_bias_error
+from tumble.planning.error_propagation import (
+    METHODS,
+    NAME_UNITS,
+    NAMES,
+    Method,
+    Plan,
+    Seen,
+    estimates,
+    first_order,
+    plan_of,
+    second_order,
+)
+from tumble.programme.positions import Programme
+from tumble.programme.positions import programme as built_in
+from tumble.sensors.grades import DEGREE_PER_ROOT_HOUR, Grade, NoiseModel, Spread
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
+
+GROUPS = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
+"""The groups of parameters, in the order of the calibration file."""
+
+ESTIMATORS: Mapping[Method, Mapping[str, str]] = MappingProxyType(
+    {
+        "sequential": {
+            "accel.bias": "up and down, levelled, Eq. (4)",
+            "accel.scale": "up and down, levelled, Eq. (4)",
+            "accel.axis": "axes 45° up and down, Eq. (10)",
+            "gyro.bias": "vertical axes, Eq. (18)",
+            "gyro.scale": "indirect, programme matrix",
+            "gyro.axis": "indirect, programme matrix",
+        },
+        "scalar": {
+            "accel.bias": "scalar, estimated orientation, Eq. (13)",
+            "accel.scale": "scalar, estimated orientation, Eq. (13)",
+            "accel.axis": "scalar, estimated orientation, Eq. (13)",
+            "gyro.bias": "scalar, estimated orientation",
+            "gyro.scale": "indirect, programme matrix",
+            "gyro.axis": "indirect, programme matrix",
+        },
+        "staged": {
+            "accel.bias": "scalar, estimated orientation, Eq. (13)",
+            "accel.scale": "scalar, estimated orientation, Eq. (13)",
+            "accel.axis": "scalar, estimated orientation, Eq. (13)",
+            "gyro.bias": "dot product",
+            "gyro.scale": "indirect, logged Jacobian",
+            "gyro.axis": "indirect, logged Jacobian",
+        },
+    }
+)
+"""How each method finds each group of parameters."""
+
+_USUAL = Grade(
+    accel=Spread(bias=2e-3, scale=1e-4, axis=25.0 * ARCSEC),
+    gyro=Spread(bias=0.3 * DEGREE_PER_HOUR, scale=1e-4, axis=10.0 * ARCSEC),
+    noise=NoiseModel(accel_white=1e-4, gyro_white=0.003 * DEGREE_PER_ROOT_HOUR),
+)
+"""Navigation-grade instruments: what a set-up has unless it says otherwise."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Setup:
+    """What is known of a calibration before it is made.
+
+    `table_error`, `mounting_error`: every position, and the whole launch, off by up to so much, rad, uniform within ±
+    about each axis, as in `tumble simulate`. `rest`: duration of a rest, s; `turn_rate`, rad/s. `noise`,
+    and the spreads `accel` and `gyro` of the parameters before calibration, are those of a
+    `tumble.sensors.grades.Grade`. `latitude`, rad; `gravity`, m/s², with its standard uncertainty `gravity_u`
+    (`earth.NORMAL_GRAVITY_U` if it is not measured)."""
+
+    table_error: float = DEGREE
+    mounting_error: float = DEGREE
+    rest: float = 60.0
+    turn_rate: float = 10.0 * DEGREE
+    noise: NoiseModel = _USUAL.noise
+    accel: Spread = _USUAL.accel
+    gyro: Spread = _USUAL.gyro
+    latitude: float
+    gravity: float
+    gravity_u: float = 0.0
+    programme: Programme = field(default_factory=lambda: built_in("rough-table"))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Term:
+    """One cause of a group's error, and the rms error it makes alone, SI."""
+
+    name: str
+    error: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Row:
+    """Expected error of a group of parameters after `iteration` passes of a method.
+
+    `error`: rms over the group's parameters and over instruments and set-ups, in `unit` (SI); `relative`: the same
+    over the spread before calibration; `errors`: rms by parameter name; `terms`: what it is made of, largest first."""
+
+    group: str
+    method: Method
+    estimator: str
+    iteration: int
+    unit: str
+    error: float
+    relative: float
+    errors: Mapping[str, float]
+    terms: tuple[Term, ...]
+
+    @property
+    def dominating(self) -> str:
+        """The largest term's name; nothing where nothing is left, to the order of the formulas."""
+        return self.terms[0].name if self.terms else "nothing"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Budget:
+    """The rows of a set-up: by method, then by iteration, then by group; `remarks` say, in sentences, where the set-up
+    is outside what the formulas hold for."""
+
+    setup: Setup
+    rows: tuple[Row, ...]
+    remarks: tuple[str, ...]
+
+    def row(self, method: Method, group: str, iteration: int) -> Row:
+        """The row of this method, group and iteration. Raises KeyError if there is none."""
+        for row in self.rows:
+            if (row.method, row.group, row.iteration) == (method, group, iteration):
+                return row
+        raise KeyError((method, group, iteration))
+
+
+def budget(setup: Setup, methods: Sequence[Method] = METHODS, iterations: int = 2) -> Budget:
+    """Expected errors of every group of parameters after each of so many passes of these methods.
+
+    Groups that the programme cannot give (gyro scale factors without known turns) have no row. Raises InputError for
+    values that make no sense, ProgrammeError for a programme without the positions a method needs."""
+    check_setup(setup, iterations)
+    rows: list[Row] = []
+    for method in methods:
+        pipeline = pipeline_of(setup, method)
+        for iteration in range(1, iterations + 1):
+            rows += _rows(setup, pipeline, iteration)
+    return Budget(setup=setup, rows=tuple(rows), remarks=_remarks(setup, methods))
+
+
+def _remarks(setup: Setup, methods: Sequence[Method]) -> tuple[str, ...]:
+    """What a set-up has that the formulas do not hold for."""
+    out = []
+    if max(setup.table_error, setup.mounting_error) > LARGEST_DEVIATION:
+        out.append(
+            f"errors of table and mounting up to {max(setup.table_error, setup.mounting_error) / DEGREE:.3g}°: the "
+            f"formulas are of first order in them and hold up to {LARGEST_DEVIATION / DEGREE:g}°"
+        )
+    rate = math.hypot(setup.gyro.bias, setup.noise.gyro_white / math.sqrt(setup.rest), setup.noise.gyro_instability)
+    north = earth_rate(setup.latitude)[0]
+    if rate > LARGEST_AZIMUTH * north and set(methods) != {"staged"}:
+        out.append(
+            f"gyros off by {rate / DEGREE_PER_HOUR:.3g} °/h at rest, with {north / DEGREE_PER_HOUR:.3g} °/h of Earth's "
+            "rate to find north by: the methods sequential and scalar do worse in gyro parameters than predicted, "
+            "take staged"
+        )
+    return tuple(out)
+
+
+LARGEST_DEVIATION = 5.0 * DEGREE
+"""Largest table and mounting error, rad, for which formulas of first order in them are taken to hold."""
+
+LARGEST_AZIMUTH = 0.1
+"""Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
+
+
+def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[Row]:
+    """The rows of one method after so many passes."""
+    variances = pipeline.variances(iteration)
+    out = []
+    for group in pipeline.groups:
+        members, size, unit = members_of(group), size_of(setup, group), UNITS[group]
+        total = sum((v[members] for v in variances.values()), np.zeros(len(members)))
+        terms = [Term(name=n, error=size * _rms(v[members])) for n, v in variances.items() if v[members].any()]
+        error = size * math.sqrt(total.mean())
+        out.append(
+            Row(
+                group=group,
+                method=pipeline.method,
+                estimator=ESTIMATORS[pipeline.method][group],
+                iteration=iteration,
+                unit=unit,
+                error=error,
+                relative=error / _spread(setup, group),
+                errors={NAMES[p]: size * math.sqrt(v) for p, v in zip(members, total, strict=True)},
+                terms=tuple(sorted(terms, key=lambda term: -term.error)),
+            )
+        )
+    return out
+
+
+UNITS = {".".join(name.split(".")[:2]): unit for name, unit in zip(NAMES, NAME_UNITS, strict=True)}
+"""The SI unit of each group of parameters."""
+
+
+def members_of(group: str) -> IntArray:
+    """Indices of a group's parameters."""
+    return np.array([i for i, name in enumerate(NAMES) if name.startswith(group)])
+
+
+def size_of(setup: Setup, group: str) -> float:
+    """One internal unit of a group in SI: biases of accelerometers are angles inside."""
+    return setup.gravity if group == "accel.bias" else 1.0
+
+
+def _spread(setup: Setup, group: str) -> float:
+    """Spread of a group before calibration, SI."""
+    kind, what = group.split(".")
+    return float(getattr(setup.accel if kind == "accel" else setup.gyro, what))
+
+
+def _rms(variance: Array) -> float:
+    return math.sqrt(float(variance.mean()))
+
+
+def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
+    """c₁ (per rad) and c₂ (per rad²) of "gyro.scale" and "gyro.axis": relative errors c₁ σ after the first pass of the
+    indirect method with the programme's matrix and c₂ σ² after the second, when σ, rad, is the rms error per axis of
+    the mounting and of the positions each, and accelerometers and gyro biases are perfect. §7.
+
+    They depend on the ratio of scale-factor to axis errors in `setup.gyro`: axis angles suffer from scale factors."""
+    check_setup(setup, 1)
+    pipeline = pipeline_of(replace(setup, table_error=math.sqrt(3.0), mounting_error=math.sqrt(3.0)), "scalar")
+    once, twice = pipeline.by_table + pipeline.by_mounting, pipeline.twice[2]
+    out = {}
+    for group in ("gyro.scale", "gyro.axis"):
+        of = np.ix_(members_of(group), np.arange(12, len(NAMES)))
+        c1, c2 = (_rms(matrix[of] @ pipeline.spread[12:] ** 2) / _spread(setup, group) for matrix in (once, twice))
+        out[group] = (c1, c2)
+    return out
+
+
+# -------------------- what a method leaves of the parameters --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pipeline:
+    """What passes of a method leave of the parameters. Matrices (21, 21) are to be applied to the variances of the
+    parameters: `exact`, `by_table` and `by_mounting` for the first pass, and for the second the parts that grow with
+    the 0th, 2nd and 4th power of the deviations, `twice`. `second_order` (21,) and `noise` (21,) by cause are variances
+    themselves; `spread` (21,) the rms of the parameters."""
+
+    method: Method
+    groups: tuple[str, ...]
+    exact: Array
+    by_table: Array
+    by_mounting: Array
+    twice: tuple[Array, Array, Array]
+    second_order: Array
+    noise: Mapping[str, Array]
+    spread: Array
+
+    def variances(self, iteration: int) -> dict[str, Array]:
+        """Variances (21,) of the errors after so many passes, by the name of their cause."""
+        return self.methodical(iteration, 1.0) | dict(self.noise)
+
+    def methodical(self, iteration: int, scale: float) -> dict[str, Array]:
+        """The part of `variances` that is not noise, with table and mounting errors multiplied by `scale`."""
+        if iteration == 1:
+            return {
+                **self._by_group("{} × table error", scale**2 * self.by_table),
+                **self._by_group("{} × mounting error", scale**2 * self.by_mounting),
+                **self._by_group("{} × Earth's rate", self.exact),
+                "second order in the parameters": self.second_order,
+            }
+        fixed, linear, square = self.twice
+        second = self._by_group("{} left by the pass before", fixed + scale**2 * linear + scale**4 * square)
+        if iteration == 2:
+            return second
+        gain = _gain(total_of(self.methodical(1, scale)), total_of(second)) ** (iteration - 2)
+        return {name: gain * variance for name, variance in second.items()}
+
+    def _by_group(self, name: str, matrix: Array) -> dict[str, Array]:
+        """Variances (21,) that each group of parameters contributes through a matrix."""
+        out = {}
+        for group in GROUPS:
+            members = members_of(group)
+            out[name.format(group)] = matrix[:, members] @ self.spread[members] ** 2
+        return out
+
+
+def total_of(variances: Mapping[str, Array]) -> Array:
+    """The sum (21,) of variances by cause."""
+    return sum(variances.values(), np.zeros(len(NAMES)))
+
+
+def _gain(first: Array, second: Array) -> Array:
+    """By how much the second pass reduced the variance of each parameter's group (21,)."""
+    gain = np.zeros(len(NAMES))
+    for members in map(members_of, GROUPS):
+        before = float(first[members].mean())
+        gain[members] = second[members].mean() / before if before > 0.0 else 0.0
+    return gain
+
+
+def pipeline_of(setup: Setup, method: Method) -> Pipeline:
+    """A method on the programme of a set-up."""
+    plan = plan_of(setup.programme, method, turn_rate=setup.turn_rate, latitude=setup.latitude)
+    T0, D = first_order(plan, method)
+    table = 3 * len(plan.nominal)
+    width = np.repeat([setup.table_error, setup.mounting_error], [table, 3])
+    v = width**2 / 3.0  # uniform
+    spread = np.concatenate(
+        [
+            np.repeat([setup.accel.bias / setup.gravity, setup.accel.scale, setup.accel.axis], 3),
+            np.repeat([setup.gyro.bias, setup.gyro.scale, setup.gyro.axis], [3, 3, 6]),
+        ]
+    )
+    return Pipeline(
+        method=method,
+        groups=GROUPS if plan.turns is not None else GROUPS[:4],
+        exact=T0**2,
+        by_table=np.tensordot(v[:table], D[:table] ** 2, axes=1),
+        by_mounting=np.tensordot(v[table:], D[table:] ** 2, axes=1),
+        twice=_twice(T0, D, v, width**4 / 5.0),
+        second_order=_mean_square(lambda X: second_order(plan, method, X), spread),
+        noise=_noise(setup, plan, method),
+        spread=spread,
+    )
+
+
+def _twice(T0: Array, D: Array, v: Array, fourth: Array) -> tuple[Array, Array, Array]:
+    """Mean squares (21, 21) of T² with T = T₀ + Σ τ_k D_k, in parts that grow with the 0th, 2nd and 4th power of τ; `v`
+    and `fourth` are the second and fourth moments of the independent τ_k. See the module's docstring."""
+    fixed = T0 @ T0
+    linear = T0 @ D + D @ T0
+    A = np.einsum("kpj,ljq->klpq", D, D)
+    S = 0.5 * (A + A.swapaxes(0, 1))
+    own = np.einsum("kkpq->kpq", A)
+    trace = np.tensordot(v, own, axes=1)
+    square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
+    square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
+    return fixed**2, 2.0 * fixed * trace + np.tensordot(v, linear**2, axes=1), square
+
+
+def _mean_square(form: Callable[[Array], Array], spread: Array) -> Array:
+    """Mean squares (p,) of quadratic forms q(X) = Xᵀ Q X of independent Gaussian X with rms `spread` (m,):
+    (tr Q)² + 2 Σ Q_ij². `form` takes (..., m) to (..., p); Q is found by polarisation."""
+    m = len(spread)
+    single = np.diag(spread)
+    pair = single[:, None] + single[None, :]
+    diagonal = form(single)
+    Q = 0.5 * (form(pair) - diagonal[:, None] - diagonal[None, :])
+    Q[np.arange(m), np.arange(m)] = diagonal
+    return np.asarray(diagonal.sum(axis=0) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)))
+
+
+def _noise(setup: Setup, plan: Plan, method: Method) -> dict[str, Array]:
+    """Variances (21,) of the parameters from noise, by cause, on an exact programme: each noise as if alone."""
+    N, K = len(plan.nominal), len(plan.duration)
+    accel = np.eye(3 * N).reshape(3 * N, N, 3)
+    turn = np.eye(3 * K).reshape(3 * K, K, 3)
+    by_accel = _gains(plan, method, Seen(accel=accel, gyro=0.0 * accel, turn=np.zeros((3 * N, K, 3))))
+    by_gyro = _gains(plan, method, Seen(accel=0.0 * accel, gyro=accel, turn=np.zeros((3 * N, K, 3))))
+    by_turn = _gains(plan, method, Seen(accel=np.zeros((3 * K, N, 3)), gyro=np.zeros((3 * K, N, 3)), turn=turn))
+    by_change = _gains(plan, method, Seen(accel=0.0 * accel, gyro=accel, turn=_held(plan, accel)))
+    seconds = np.repeat(plan.duration, 3)
+    return {
+        REST_NOISE[0]: (by_accel**2).sum(axis=0) * (setup.noise.accel_white / setup.gravity) ** 2 / setup.rest,
+        REST_NOISE[1]: (by_gyro**2).sum(axis=0) * setup.noise.gyro_white**2 / setup.rest,
+        "gyro noise in turns": seconds @ by_turn**2 * setup.noise.gyro_white**2,
+        "accelerometer instability": (by_accel**2).sum(axis=0) * (setup.noise.accel_instability / setup.gravity) ** 2,
+        "gyro instability": (by_change**2).sum(axis=0) * setup.noise.gyro_instability**2,
+        "uncertainty of gravity": np.isin(np.arange(len(NAMES)), members_of("accel.scale"))
+        * (setup.gravity_u / setup.gravity) ** 2,
+    }
+
+
+REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
+"""The causes that longer rests reduce."""
+
+
+def _gains(plan: Plan, method: Method, seen: Seen) -> Array:
+    """Estimates (m, 21) that m unit errors of what is seen lead to."""
+    return estimates(plan, method, plan.nominal, seen)
+
+
+def _held(plan: Plan, gyro: Array) -> Array:
+    """Attitude errors (m, K, 3) that gyro errors (m, N, 3) make when they stay through the turn after a rest."""
+    if plan.turns is None:
+        return np.zeros((len(gyro), 0, 3))
+    turns = plan.turns
+    return turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, gyro[:, turns.first])
+
+
+# -------------------- checks --------------------
+
+
+def check_setup(setup: Setup, iterations: int) -> None:
+    """Raise InputError for values that make no sense."""
+    if iterations < 1:
+        raise InputError(f"iterations: expected at least 1, found {iterations}")
+    if not abs(setup.latitude) < 0.5 * math.pi - DEGREE:
+        found = setup.latitude / DEGREE
+        raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
+    for name in ("rest", "turn_rate", "gravity"):
+        expect(name, getattr(setup, name), least="more than 0")
+    for name in ("table_error", "mounting_error", "gravity_u"):
+        expect(name, getattr(setup, name), least="0 or more")
+    for noise in fields(setup.noise):
+        expect(f"noise.{noise.name}", getattr(setup.noise, noise.name), least="0 or more")
+    for kind in ("accel", "gyro"):
+        for what in ("bias", "scale", "axis"):
+            expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
+
+
+def expect(name: str, value: float, *, least: Literal["more than 0", "0 or more"]) -> None:
+    """Raise InputError unless a value is finite and as large as that."""
+    if not (0.0 < value < math.inf or (value == 0.0 and least == "0 or more")):
+        raise InputError(f"{name}: expected {least}, in SI, found {value:g}")

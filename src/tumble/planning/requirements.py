@@ -1,0 +1,259 @@
+"""What set-up an accuracy needs, the inverse of `tumble.planning.budget`: from wanted errors back to the tolerances
+of table and mounting and the duration of the rests.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal
+
+from tumble.earth import EARTH_RATE, earth_rate
+from tumble.errors import InputError
+from tumble.planning.budget import (
+    ESTIMATORS,
+    GROUPS,
+    LARGEST_DEVIATION,
+    REST_NOISE,
+    UNITS,
+    Pipeline,
+    Setup,
+    check_setup,
+    expect,
+    members_of,
+    pipeline_of,
+    size_of,
+    total_of,
+)
+from tumble.planning.error_propagation import Method
+from tumble.units import Array, quantity
+
+REST_SHARE = 0.25
+"""Part of the permitted variance that `require` gives to the noise of rests; table and mounting get the others."""
+
+BiasEstimator = Literal["programme", "vertical", "polar"]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Requirement:
+    """What one wanted accuracy asks of the set-up: largest `table_error` and `mounting_error`, rad (uniform within ±,
+    in the ratio of the set-up), their rms together per axis, `tilt`, rad, and the shortest `rest`, s. `limited` says
+    whether the table matters at all within 5°. If not `feasible` the tolerances are zero, `rest` is infinite, and
+    `reason` says what stands in the way of any table."""
+
+    group: str
+    estimator: str
+    wanted: float
+    unit: str
+    feasible: bool
+    limited: bool
+    table_error: float
+    mounting_error: float
+    tilt: float
+    rest: float
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Requirements:
+    """All requirements, and what meets those that can be met: the smallest tolerances and the longest rest."""
+
+    setup: Setup
+    method: Method
+    iteration: int
+    rows: tuple[Requirement, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether some set-up meets all of them."""
+        return all(row.feasible for row in self.rows)
+
+    @property
+    def table_error(self) -> float:
+        """Largest error of the table, rad, that meets every requirement that can be met."""
+        return min((row.table_error for row in self.rows if row.feasible), default=0.0)
+
+    @property
+    def mounting_error(self) -> float:
+        """Largest error of the mounting, rad, that meets every requirement that can be met."""
+        return min((row.mounting_error for row in self.rows if row.feasible), default=0.0)
+
+    @property
+    def rest(self) -> float:
+        """Shortest rest, s, that meets every requirement that can be met."""
+        return max((row.rest for row in self.rows if row.feasible), default=0.0)
+
+
+def require(
+    wanted: Mapping[str, float],
+    setup: Setup,
+    *,
+    method: Method = "sequential",
+    iteration: int = 1,
+    gyro_bias: BiasEstimator = "programme",
+) -> Requirements:
+    """Tolerances of table and mounting, and duration of the rests, for wanted rms errors by group of parameters, SI.
+
+    Of `setup` the programme, noises, spreads, turn rate and site are used, and the ratio of table to mounting error;
+    if both are zero they get equal tolerances. `gyro_bias`: instead of what the method does with the whole programme,
+    "vertical" is one rest per gyro with its axis vertical, Eq. (18), and "polar" one along the Earth's axis, Eq. (17).
+    Raises InputError for a group that does not exist or values that make no sense."""
+    check_setup(setup, iteration)
+    pipeline = pipeline_of(_unit_ratio(setup), method)
+    _check_wanted(wanted, pipeline)
+    rows = []
+    for group, value in wanted.items():
+        if group == "gyro.bias" and gyro_bias != "programme":
+            demand = _single_rest_demand(setup, pipeline, iteration, gyro_bias)
+        else:
+            demand = _demand(setup, pipeline, iteration, group)
+        rows.append(_requirement(_unit_ratio(setup), group, value, demand))
+    return Requirements(setup=setup, method=method, iteration=iteration, rows=tuple(rows))
+
+
+def wanted_of(texts: Sequence[str], relative_percent: float | None, setup: Setup) -> dict[str, float]:
+    """Wanted rms errors by group, SI, from texts such as "accel.scale=3.5ppm" and, for the groups these do not name,
+    from a percentage of the spreads. Raises InputError for a text it cannot read, and where nothing is wanted."""
+    spreads = {f"{kind}.{what}": getattr(getattr(setup, kind), what) for kind, what in (g.split(".") for g in GROUPS)}
+    wanted = {} if relative_percent is None else {g: 1e-2 * relative_percent * s for g, s in spreads.items()}
+    for text in texts:
+        group, _, value = text.partition("=")
+        if group not in UNITS:
+            raise InputError(f"--want {text}: expected one of {', '.join(GROUPS)} before '=', found {group!r}")
+        try:
+            wanted[group] = quantity(value, UNITS[group])
+        except ValueError as error:
+            raise InputError(f"--want {text}: {error}") from None
+    if not wanted:
+        raise InputError("expected --want GROUP=VALUE or --relative PERCENT, found neither")
+    return wanted
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Demand:
+    """What a group's variance is made of, SI: `fixed` by cause, whatever the table; `rest_noise` (variance × s); and
+    what `deviations` of so many times the unit ratio add."""
+
+    estimator: str
+    fixed: Mapping[str, float]
+    rest_noise: float
+    deviations: Callable[[float], float]
+
+
+def _demand(setup: Setup, pipeline: Pipeline, iteration: int, group: str) -> _Demand:
+    """Of the method with the whole programme."""
+    members, square = members_of(group), size_of(setup, group) ** 2
+
+    def variance(causes: Mapping[str, Array]) -> dict[str, float]:
+        return {name: square * float(v[members].mean()) for name, v in causes.items()}
+
+    still = variance(pipeline.methodical(iteration, 0.0))
+    noise = variance(pipeline.noise)
+    floor = sum(still.values())
+    return _Demand(
+        estimator=ESTIMATORS[pipeline.method][group],
+        fixed=still | {name: v for name, v in noise.items() if name not in REST_NOISE},
+        rest_noise=setup.rest * sum(noise[name] for name in REST_NOISE),
+        deviations=lambda scale: sum(variance(pipeline.methodical(iteration, scale)).values()) - floor,
+    )
+
+
+def _single_rest_demand(setup: Setup, pipeline: Pipeline, iteration: int, estimator: BiasEstimator) -> _Demand:
+    """Of one rest per gyro, vertical (18) or polar (17), with the accelerometers as each pass leaves them: the bias
+    that a pass has left is what the next one sees."""
+    accel = members_of("accel.bias")
+    ratio = _unit_ratio(setup)
+    tilt = math.sqrt((ratio.table_error**2 + ratio.mounting_error**2) / 3.0)
+    north, up, _ = earth_rate(setup.latitude)
+    level, steep = (north, up) if estimator == "vertical" else (0.0, EARTH_RATE)
+
+    def variance(scale: float) -> float:
+        left = setup.gyro.bias**2
+        for i in range(1, iteration + 1):
+            b2 = float(total_of(pipeline.methodical(i, scale))[accel].mean())
+            curved = 3.0 * (left / (2.0 * EARTH_RATE)) ** 2 if estimator == "polar" else 0.0
+            left = level**2 * b2 + (scale * tilt) ** 2 * (steep**2 * b2 + left) + curved
+        return left
+
+    floor = variance(0.0)
+    return _Demand(
+        estimator=_SINGLE_REST[estimator],
+        fixed={_FLOOR[estimator]: floor, "gyro instability": setup.noise.gyro_instability**2},
+        rest_noise=setup.noise.gyro_white**2,
+        deviations=lambda scale: variance(scale) - floor,
+    )
+
+
+_SINGLE_REST = {"vertical": "one rest, axis vertical, Eq. (18)", "polar": "one rest, axis along the Earth's, Eq. (17)"}
+
+_FLOOR = {
+    "vertical": "accelerometer error × horizontal Earth's rate",
+    "polar": "azimuth error of TRIAD, δω²/2Ω",
+}
+
+
+def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Requirement:
+    """The inverse: what of wanted² is left over what no table can help goes to deviations and to the noise of rests."""
+    free = wanted**2 - sum(demand.fixed.values())
+    estimator, gives = demand.estimator, UNITS[group]
+    if free <= 0.0:
+        cause = max(demand.fixed, key=lambda name: demand.fixed[name])
+        floor = math.sqrt(sum(demand.fixed.values()))
+        reason = (
+            f"{group}: expected an accuracy of at least {floor:.3g} {gives}, which an exact table and endless rests "
+            f"leave (mostly {cause}), found {wanted:.3g}; {_REMEDY.get(cause, 'take another pass or method')}"
+        )
+        return Requirement(
+            group=group, estimator=estimator, wanted=wanted, unit=gives, feasible=False, limited=True,
+            table_error=0.0, mounting_error=0.0, tilt=0.0, rest=math.inf, reason=reason,
+        )  # fmt: skip
+    noisy = demand.rest_noise > 0.0
+    rest = demand.rest_noise / (REST_SHARE * free) if noisy else 0.0
+    largest = LARGEST_DEVIATION / max(unit.table_error, unit.mounting_error)
+    scale = _largest(demand.deviations, (1.0 - REST_SHARE) * free if noisy else free, largest)
+    table, mounting = scale * unit.table_error, scale * unit.mounting_error
+    tilt = math.sqrt((table**2 + mounting**2) / 3.0)
+    return Requirement(
+        group=group, estimator=estimator, wanted=wanted, unit=gives, feasible=True, limited=scale < largest,
+        table_error=table, mounting_error=mounting, tilt=tilt, rest=rest, reason="",
+    )  # fmt: skip
+
+
+_REMEDY: Mapping[str, str] = MappingProxyType(
+    {
+        "gyro noise in turns": "turn faster, or average launches",
+        "accelerometer instability": "average launches",
+        "gyro instability": "average launches",
+        "uncertainty of gravity": "measure gravity",
+        "second order in the parameters": "take another pass",
+        "azimuth error of TRIAD, δω²/2Ω": "take vertical axes, Eq. (18), or another pass",
+    }
+)
+
+
+def _largest(function: Callable[[float], float], limit: float, most: float) -> float:
+    """The largest x up to `most` with function(x) ≤ limit, of a function that grows from zero."""
+    if function(most) <= limit:
+        return most
+    low, high = 0.0, most
+    while high - low > 1e-6 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(middle) <= limit else (low, middle)
+    return low
+
+
+def _unit_ratio(setup: Setup) -> Setup:
+    """The set-up with the larger of table and mounting error 1 rad, in its ratio, or both if they are zero."""
+    larger = max(setup.table_error, setup.mounting_error)
+    table, mounting = (setup.table_error / larger, setup.mounting_error / larger) if larger > 0.0 else (1.0, 1.0)
+    return replace(setup, table_error=table, mounting_error=mounting)
+
+
+def _check_wanted(wanted: Mapping[str, float], pipeline: Pipeline) -> None:
+    """Raise InputError for a group the programme does not give or an accuracy that is none."""
+    for group, value in wanted.items():
+        if group not in pipeline.groups:
+            raise InputError(f"wanted: expected some of {', '.join(pipeline.groups)}, found {group!r}")
+        expect(group, value, least="more than 0")

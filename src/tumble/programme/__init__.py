@@ -1,0 +1,1 @@
+"""Programmes: positions and turns, and the operator's sheet."""

@@ -1,0 +1,248 @@
+"""A picture of every position of a programme, in SVG.
+
+Pictures are orthographic, from a fixed viewpoint in front of the table: south, a little to the east, above. It is
+chosen so that in no position of a built-in programme two arrows fall together. Picture coordinates are x right,
+y up, z towards the viewer, in units of `SCALE` pixels; `VIEW` takes geographic (N, U, E) to them.
+
+A picture is drawn from back to front. That is exact here: the cube is convex and about the origin, and an arrow
+that starts on one of its faces is in front of it or behind it as that face is.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+
+import numpy as np
+
+from tumble.programme.positions import ANY_MOVE, Move, Position
+from tumble.programme.sheet_words import direction, move_text, points_of, short_code, signed_angle
+from tumble.rotation import tangent_basis
+from tumble.units import DEGREE, Array
+
+# -------------------- markup --------------------
+
+
+def element(tag: str, *content: str, **attributes: object) -> str:
+    """An element of HTML or SVG. Content is markup; values of attributes are escaped. `class_` is class and
+    `stroke_width` is stroke-width."""
+    named = {name.rstrip("_").replace("_", "-"): value for name, value in attributes.items()}
+    inside = "".join(f' {name}="{html.escape(str(value))}"' for name, value in named.items())
+    return f"<{tag}{inside}>{''.join(content)}</{tag}>" if content else f"<{tag}{inside}/>"
+
+
+def text_element(tag: str, text: str, **attributes: object) -> str:
+    """An element that holds text, escaped."""
+    return element(tag, html.escape(text), **attributes)
+
+
+def _number(value: float) -> str:
+    return f"{round(float(value), 1) + 0.0:.1f}"
+
+
+def _xy(point: Array) -> tuple[str, str]:
+    """Picture coordinates as SVG has them: pixels, y down."""
+    return _number(SCALE * point[0]), _number(-SCALE * point[1])
+
+
+def _polyline(tag: str, points: Array, **attributes: object) -> str:
+    return element(tag, points=" ".join(",".join(_xy(point)) for point in points), **attributes)
+
+
+def _line(start: Array, stop: Array, **attributes: object) -> str:
+    (x1, y1), (x2, y2) = _xy(start), _xy(stop)
+    return element("line", x1=x1, y1=y1, x2=x2, y2=y2, **attributes)
+
+
+def _label(at: Array, text: str, colour: str) -> str:
+    """A bold letter centred at a point."""
+    x, y = _xy(at)
+    centred = {"text_anchor": "middle", "dy": "0.36em", "font_weight": "bold"}
+    return text_element("text", text, x=x, y=y, fill=colour, font_size=17, **centred)
+
+
+def svg_picture(left: float, top: float, width: float, height: float, *content: str) -> str:
+    """An SVG image of this content."""
+    return element(
+        "svg",
+        *content,
+        xmlns="http://www.w3.org/2000/svg",
+        viewBox=f"{left:g} {top:g} {width:g} {height:g}",
+        font_family="Helvetica, Arial, sans-serif",
+    )
+
+
+# -------------------- pictures --------------------
+
+SCALE = 50.0
+"""Pixels of SVG in a unit of length."""
+
+AXIS = 1.4
+"""Length of the arrow of a body axis, from the middle of the cube to its tip."""
+
+CUBE = 0.43
+"""Half an edge of the cube."""
+
+
+def _view(east_of_south: float, above: float) -> Array:
+    """Geographic → picture for a viewer in this azimuth, rad from south to east, and this far above the horizon."""
+    s, c = math.sin(east_of_south), math.cos(east_of_south)
+    towards = np.array([-c * math.cos(above), math.sin(above), s * math.cos(above)])
+    right = np.array([s, 0.0, c])
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+VIEW = _view(22.0 * DEGREE, 42.0 * DEGREE)
+"""Geographic (N, U, E) → picture (right, up, towards the viewer), a rotation."""
+
+BODY_COLOURS = {"X": "#c0392b", "Y": "#2e8b57", "Z": "#2c5fa8"}
+_TURN_COLOUR = "#7d3c98"
+GREY = "#555555"
+_LIGHT = np.array([-0.35, 0.75, 0.56])
+_HEAD, _HEAD_RADIUS = 0.34, 0.115
+_RING, _RING_RADIUS, _RING_HEAD = 1.52, 0.3, 0.5
+HALF = 1.86 * SCALE
+_BEHIND = 1e-6  # an axis of a turn is drawn before the body axis along it
+_MOST_OF_A_RING = 300.0 * DEGREE
+
+
+def picture(position: Position, move: Move = ANY_MOVE) -> str:
+    """SVG of a position: a cube with the body axes as arrows, and the turn that leads to it as an arrow about its
+    axis."""
+    said = text_element("title", _described(position, move))
+    return svg_picture(-HALF, -HALF, 2 * HALF, 2 * HALF, said, scene_of(position, move))
+
+
+def _described(position: Position, move: Move) -> str:
+    x, y, z = points_of(position)
+    return f"{short_code(position.attitude)}: X → {x}, Y → {y}, Z → {z}; {move_text(move)}"
+
+
+def scene_of(position: Position, move: Move) -> str:
+    """What is in a picture, from back to front: (depth, markup) of the turn, the axes and the cube, sorted."""
+    axes = VIEW @ position.matrix
+    parts = _turn(move)
+    for name, axis in zip("XYZ", axes.T, strict=True):
+        parts.append((float(axis[2]), _arrow(name, AXIS * axis, BODY_COLOURS[name], start=CUBE / AXIS)))
+    parts.append((0.0, _cube(axes)))
+    drawn = [markup for _, markup in sorted(parts, key=lambda part: part[0])]
+    return "".join(drawn) + _turn_label(move)
+
+
+def _arrow(name: str, tip: Array, colour: str, *, start: float) -> str:
+    """An arrow with a cone for its head, from `start` (part of its length) to `tip`, with its letter beyond."""
+    length = float(np.linalg.norm(tip))
+    along = tip / length
+    base = tip - _HEAD * along
+    shaft = _line(start * tip, base, stroke=colour, stroke_width=3.5)
+    head = [_cone(tip, base, along, colour), _disc(base, along, colour if along[2] > 0.0 else _mix(colour, 0.0, 0.65))]
+    order = [shaft, *head[::-1]] if along[2] > 0.0 else [*head, shaft]
+    flat = tip[:2] / max(float(np.hypot(*tip[:2])), 1e-9)
+    return element("g", *order, _label(tip[:2] + 0.2 * flat, name, colour), class_=f"axis-{name}")
+
+
+def _cone(tip: Array, base: Array, along: Array, colour: str) -> str:
+    """Silhouette of a cone less its base; the first corner is the tip."""
+    across = np.array([-along[1], along[0]]) / max(float(np.hypot(along[0], along[1])), 1e-9)
+    corners = np.array([tip[:2], base[:2] + _HEAD_RADIUS * across, base[:2] - _HEAD_RADIUS * across])
+    return _polyline("polygon", corners, fill=colour)
+
+
+def _disc(centre: Array, along: Array, colour: str) -> str:
+    """A circle across `along`, which in the picture is an ellipse."""
+    turned = -math.atan2(float(along[1]), float(along[0])) / DEGREE + 90.0
+    x, y = _xy(centre)
+    radius = SCALE * _HEAD_RADIUS
+    return element(
+        "ellipse",
+        rx=_number(radius),
+        ry=_number(radius * abs(float(along[2]))),
+        fill=colour,
+        transform=f"translate({x} {y}) rotate({_number(turned)})",
+    )
+
+
+def _cube(axes: Array) -> str:
+    """The faces of the cube that are turned to the viewer, tinted by the body axis across them."""
+    faces = []
+    for i, name in enumerate("XYZ"):
+        for sign in (1.0, -1.0):
+            normal = sign * axes[:, i]
+            if normal[2] > 0.0:
+                shade = 0.78 + 0.22 * max(0.0, float(normal @ _LIGHT))
+                fill = _mix(BODY_COLOURS[name], 0.7, shade)
+                faces.append(_polyline("polygon", _face(axes, i, sign), fill=fill, stroke=GREY, stroke_width=0.8))
+    return element("g", *faces, class_="cube", stroke_linejoin="round")
+
+
+def _face(axes: Array, i: int, sign: float) -> Array:
+    """Corners (4, 3) of the face of the cube across body axis i."""
+    normal, first, second = sign * axes[:, i], axes[:, (i + 1) % 3], axes[:, (i + 2) % 3]
+    return CUBE * np.array([normal + a * first + b * second for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))])
+
+
+def _mix(colour: str, white: float, shade: float) -> str:
+    """A colour with this part of white, then darkened to `shade` of itself."""
+    channels = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return "#" + "".join(f"{round(shade * (white * 255 + (1.0 - white) * c)):02x}" for c in channels)
+
+
+def _turn(move: Move) -> list[tuple[float, str]]:
+    """(depth, markup) of the two halves of the axis of a turn and of the arrow about it."""
+    if move.axis is None or move.angle is None:
+        return []
+    axis = VIEW @ move.axis
+    reach = _RING / max(float(np.hypot(axis[0], axis[1])), 0.5)
+    style = {"stroke": _TURN_COLOUR, "stroke_width": 1.2, "stroke_dasharray": "7 3 2 3"}
+    depth = float(axis[2])
+    return [
+        (depth - _BEHIND, _line(CUBE * axis, 1.2 * reach * axis, **style)),
+        (-depth - _BEHIND, _line(-CUBE * axis, -0.6 * reach * axis, **style)),
+        (depth, _ring(reach * axis, axis, move.angle)),
+    ]
+
+
+def _ring(centre: Array, axis: Array, angle: float) -> str:
+    """An arrow about an axis by an angle (a full turn is left open), its middle towards the viewer."""
+    first, second = tangent_basis(axis)
+    shown = math.copysign(min(abs(angle), _MOST_OF_A_RING), angle)
+    middle = math.atan2(float(second[2]), float(first[2]))
+    end = middle + 0.5 * shown
+
+    def at(radius: float, phase: float) -> Array:
+        return np.asarray(centre + radius * (math.cos(phase) * first + math.sin(phase) * second))
+
+    arc = np.array([at(_RING_RADIUS, phase) for phase in np.linspace(middle - 0.5 * shown, end, 25)])
+    tip = at(_RING_RADIUS, end + math.copysign(_RING_HEAD, angle))
+    head = np.array([tip, at(_RING_RADIUS + 0.11, end), at(_RING_RADIUS - 0.11, end)])
+    return element(
+        "g",
+        _polyline("polyline", arc, fill="none", stroke=_TURN_COLOUR, stroke_width=3),
+        _polyline("polygon", head, fill=_TURN_COLOUR),
+        class_="turn",
+    )
+
+
+def _turn_label(move: Move) -> str:
+    """Angle and axis of a turn in the upper left corner."""
+    if move.axis is None or move.angle is None:
+        return ""
+    x, y = _xy(np.array([-1.8, 1.6]))
+    return text_element(
+        "text", f"{signed_angle(move.angle)} {direction(move.axis)}", x=x, y=y, fill=_TURN_COLOUR, font_size=14
+    )
+
+
+def legend() -> str:
+    """SVG of north, up and east as the pictures have them."""
+    return svg_picture(
+        -HALF, -HALF, 2 * HALF, 2 * HALF, text_element("title", "Directions in the pictures"), scene_of_directions()
+    )
+
+
+def scene_of_directions() -> str:
+    """North, up and east with the horizon."""
+    circle = np.array([VIEW @ [math.cos(t), 0.0, math.sin(t)] for t in np.linspace(0.0, 2.0 * math.pi, 49)])
+    ground = _polyline("polygon", circle, fill="#f0f0f0", stroke="#bbbbbb", stroke_width=0.8)
+    arrows = [_arrow(name, AXIS * axis, GREY, start=0.0) for name, axis in zip("NUE", VIEW.T, strict=True)]
+    return ground + "".join(arrows)

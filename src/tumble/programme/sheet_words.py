@@ -1,0 +1,158 @@
+"""Positions and moves of a programme in words, with their times, as the operator's sheet has them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.programme.positions import ANY_MOVE, Move, Position, Programme, timetable
+from tumble.units import DEGREE, Array
+
+REST = 60.0
+"""Duration of a rest, s, where nothing else is asked for."""
+
+RATE = 10.0 * DEGREE
+"""Rate of programmed turns, rad/s, where nothing else is asked for."""
+
+MOVE = 30.0
+"""What is allowed for a move that is not a programmed turn, s, where nothing else is asked for."""
+
+_COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Row:
+    """A position as the sheet says it. `points` is where body X, Y, Z point; start and stop of the rest in s."""
+
+    number: int
+    position: Position
+    move: Move
+    how: str
+    attitude: str
+    points: tuple[str, str, str]
+    start: float
+    stop: float
+
+    @property
+    def when(self) -> str:
+        """Start and stop of the rest: "1:18 – 2:18"."""
+        return f"{clock(self.start)} – {clock(self.stop)}"
+
+
+def sheet_rows(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> tuple[Row, ...]:
+    """Every position of a programme in words, with its time: rests of `rest` s, turns at `rate` rad/s, and `move` s
+    for each other move. Raises ProgrammeError as `programme.timetable`."""
+    times = timetable(programme, rest=rest, rate=rate, move=move)
+    moves = (ANY_MOVE, *programme.moves)
+    return tuple(
+        Row(
+            number=number,
+            position=position,
+            move=reached,
+            how=_how(programme, position, reached, number),
+            attitude=short_code(position.attitude),
+            points=points_of(position),
+            start=float(start),
+            stop=float(stop),
+        )
+        for number, (position, reached, (start, stop)) in enumerate(
+            zip(programme.positions, moves, times, strict=True), 1
+        )
+    )
+
+
+def _how(programme: Programme, position: Position, move: Move, number: int) -> str:
+    """How a position is reached; in a programme in any order, what the block is stood on: "on a corner"."""
+    if not programme.ordered:
+        upright = np.count_nonzero(np.abs(position.vertical_b) > _OFF_THE_HORIZON)
+        return ("on a face", "on an edge", "on a corner")[upright - 1]
+    return "start" if number == 1 else move_text(move)
+
+
+_OFF_THE_HORIZON = 0.1
+
+
+def move_text(move: Move) -> str:
+    """A move in words: "turn +180° about N" or "any move"."""
+    if move.axis is None or move.angle is None:
+        return "any move"
+    return f"turn {signed_angle(move.angle)} about {direction(move.axis)}"
+
+
+def direction(vector_n: Array) -> str:
+    """Where a unit vector (N, U, E) points: N S E W U D, "NE", "45° up to E", or by the bearing, clockwise from
+    north: "120°", "35° down to 120°". To the degree."""
+    elevation = round(math.asin(max(-1.0, min(1.0, float(vector_n[1])))) / DEGREE)
+    if abs(elevation) == 90:
+        return "U" if elevation > 0 else "D"
+    bearing = round(math.atan2(float(vector_n[2]), float(vector_n[0])) / DEGREE) % 360
+    course = f"{bearing:03d}°" if bearing % 45 else _COMPASS[bearing // 45]
+    if elevation == 0:
+        return course
+    return f"{abs(elevation)}° {'up' if elevation > 0 else 'down'} to {course}"
+
+
+def clock(seconds: float) -> str:
+    """A time as minutes and seconds, "20:12", or from an hour on "1:02:05"."""
+    minutes, second = divmod(round(seconds), 60)
+    hours, minute = divmod(minutes, 60)
+    return f"{hours}:{minute:02d}:{second:02d}" if hours else f"{minute}:{second:02d}"
+
+
+def points_of(position: Position) -> tuple[str, str, str]:
+    """Where body X, Y, Z point."""
+    x, y, z = (direction(axis) for axis in position.matrix.T)
+    return x, y, z
+
+
+def signed_angle(angle: float) -> str:
+    """An angle in degrees with its sign: "+180°", "−90.5°"."""
+    return f"{angle / DEGREE:+.6g}°".replace("-", "−")
+
+
+def short_code(code: str) -> str:
+    """An attitude code with angles to a ten-thousandth of a degree or six digits."""
+    return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.6g}", code)
+
+
+def pace_of(programme: Programme, rows: Sequence[Row], rate: float, move: float) -> str:
+    """ "15 positions, 20:12 in all: rests of 60 s, turns at 10 °/s, 30 s for any other move"."""
+    parts = [f"rests of {rows[0].stop - rows[0].start:g} s"]
+    if any(m.angle is not None for m in programme.moves):
+        parts.append(f"turns at {rate / DEGREE:g} °/s")
+    if any(m.angle is None for m in programme.moves):
+        parts.append(f"{move:g} s for any other move" if len(parts) > 1 else f"{move:g} s for a move")
+    count = f"{len(rows)} position" + ("s" if len(rows) > 1 else "")
+    return f"{count}, {clock(rows[-1].stop)} in all: {', '.join(parts)}"
+
+
+def _order(programme: Programme) -> str:
+    if programme.ordered:
+        return "In this order. Any move may be made between positions except where a turn is given."
+    return (
+        "In any order, and each turned about the vertical in any way: only what is up and down counts. The order and "
+        "the directions given make the turns between the positions varied, which is good for gyros."
+    )
+
+
+_CODES = (
+    "X, Y, Z point to north N, south S, east E, west W, up U or down D; 45° up to E is 45° above the horizon over "
+    "east; 120° is a bearing, clockwise from north."
+)
+_TURNS = (
+    "Turns are about north N, up U or east E by the right-hand rule: thumb along the axis, a positive turn goes the "
+    "way the fingers point."
+)
+_CARE = (
+    "Keep the log running from the first rest to the last, moves included. Attitudes may be a few degrees off; "
+    "nothing may move during a rest."
+)
+
+
+def notes_of(programme: Programme) -> list[str]:
+    """What the operator must know, in sentences."""
+    return [_order(programme), *([_TURNS] if any(m.angle is not None for m in programme.moves) else []), _CODES, _CARE]

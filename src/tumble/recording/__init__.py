@@ -1,0 +1,1 @@
+"""A recording read: the session file, the log it names, formats, gaps."""

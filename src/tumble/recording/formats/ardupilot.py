@@ -1,0 +1,87 @@
+"""ArduPilot flight logs (.bin): the messages IMU (accelerometers and gyros of an instance) and ACC and GYR (raw, at the
+sensors' own rate), an entry for each instance.
+
+ArduPilot subtracts its own offsets and divides by its own scales before it logs: they are to be reset before recording.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from pymavlink.DFReader import DFReader_binary
+
+from tumble.recording.formats.message import AXES, TIME, Message, triad
+
+NOTHING = "no messages IMU or ACC; set bit 'IMU' of LOG_BITMASK and record again"
+
+_STDERR = 2
+_SECOND = 1e-6  # times are in µs
+_REMARK = (
+    "ArduPilot has applied its own INS_ACCOFFS, INS_ACCSCAL and INS_GYROFFS to these readings: reset them to 0 and 1 "
+    "before recording"
+)
+_ACCEL = {f"accel_{a}": f"Acc{a.upper()}" for a in AXES}
+_GYRO = {f"gyro_{a}": f"Gyr{a.upper()}" for a in AXES}
+_FIELDS = {
+    "IMU": {
+        f"{kind}_{a}": f"{letters}{a.upper()}" for kind, letters in (("accel", "Acc"), ("gyro", "Gyr")) for a in "xyz"
+    },
+    "ACC": {f"accel_{a}": f"Acc{a.upper()}" for a in "xyz"},
+    "GYR": {f"gyro_{a}": f"Gyr{a.upper()}" for a in "xyz"},
+}
+
+
+def messages(path: Path) -> list[Message]:
+    """Messages with inertial sensors, an entry for each instance; read at one pass."""
+    kept: dict[tuple[str, int], list[list[float]]] = {}
+    with _silent():
+        log = DFReader_binary(str(path))
+        try:
+            while (message := log.recv_match(type=list(_FIELDS))) is not None:
+                kind = message.get_type()
+                kept.setdefault((kind, int(message.I)), []).append(_reading(kind, message))
+        finally:
+            log.close()
+    origin = min((rows[0][0] for rows in kept.values()), default=0.0)
+    return [_message(kind, instance, np.array(rows), origin) for (kind, instance), rows in sorted(kept.items())]
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """pymavlink prints a line for every byte that it skips, from Python and from C."""
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
+        kept = os.dup(_STDERR)
+        os.dup2(nowhere.fileno(), _STDERR)
+        try:
+            yield
+        finally:
+            os.dup2(kept, _STDERR)
+            os.close(kept)
+
+
+def _reading(kind: str, message: Any) -> list[float]:
+    taken = getattr(message, "SampleUS", message.TimeUS)
+    return [taken, *(getattr(message, field) for field in _FIELDS[kind].values())]
+
+
+def _message(kind: str, instance: int, rows: Any, origin: float) -> Message:
+    rows[:, 0] = (rows[:, 0] - origin) * _SECOND
+    return Message(
+        name=f"{kind}.{instance}",
+        count=len(rows),
+        accel=None if kind == "GYR" else triad("accel", "m/s^2"),
+        gyro=None if kind == "ACC" else triad("gyro", "rad/s"),
+        rows=partial(_tables, rows, [TIME, *_FIELDS[kind]]),
+        remark=_REMARK,
+    )
+
+
+def _tables(rows: Any, names: list[str]) -> Iterator[pl.DataFrame]:
+    yield pl.DataFrame(rows, schema=names, orient="row")

@@ -1,0 +1,127 @@
+"""MATLAB files and HDF5: arrays of numbers, found by their names.
+
+Every array is named by its path (`imu/gyro`); one of three columns (or rows) is a triad `imu/gyro[0]` … `imu/gyro[2]`.
+Arrays of one length make a table, of which the sensors are taken by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import polars as pl
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
+
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
+from tumble.recording.formats.message import TIME, Message
+from tumble.units import TIME_UNITS
+
+NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
+
+_ROWS = 1 << 15
+_SHORTEST = 10
+Columns = Mapping[str, tuple[str, int | None]]
+"""Columns of a table by name: the array, and which of its columns."""
+
+
+def messages(path: Path) -> list[Message]:
+    """Tables with inertial sensors, one for each length of arrays."""
+    shapes = _shapes(path)
+    found = []
+    for length in sorted({max(shape) for shape in shapes.values()}, reverse=True):
+        columns = dict(_columns({name: s for name, s in shapes.items() if max(s) == length}))
+        known = columns_by_name(columns)
+        if length < _SHORTEST or not known.triads:
+            continue
+        factor = TIME_UNITS[known.time_unit or "s"]
+        found.append(
+            Message(
+                name=f"{length} rows",
+                count=length,
+                accel=known.triads.get(ACCEL),
+                gyro=known.triads.get(GYRO),
+                magnetometer=known.triads.get(MAGNETOMETER),
+                temperature=known.temperature,
+                timed=known.time is not None,
+                rows=partial(_rows, path, columns, known.time, factor),
+            )
+        )
+    return found
+
+
+def _columns(shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, tuple[str, int | None]]]:
+    for name, shape in shapes.items():
+        if min((*shape, 1)) == 1 and np.prod(shape) == max(shape):
+            yield name, (name, None)
+        elif min(shape) == 3:
+            yield from ((f"{name}[{axis}]", (name, axis)) for axis in range(3))
+
+
+def _shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of numbers of one or two dimensions by their paths."""
+    return {name: shape for name, (shape, _) in _arrays(path).items() if len(shape) in (1, 2)}
+
+
+def _rows(path: Path, columns: Columns, time: str | None, factor: float) -> Iterator[pl.DataFrame]:
+    arrays = _arrays(path)
+    length = max(arrays[next(iter(columns.values()))[0]][0])
+    for start in range(0, length, _ROWS):
+        part = slice(start, min(start + _ROWS, length))
+        table = {name: _part(*arrays[array], part, axis) for name, (array, axis) in columns.items()}
+        if time is not None:
+            table = {TIME: table.pop(time) * factor} | table
+        yield pl.DataFrame(table)
+
+
+Read = Callable[[Any], Any]
+
+
+def _part(shape: tuple[int, ...], read: Read, part: slice, axis: int | None) -> Any:
+    """Some of a column of an array: of three columns or three rows, or of one of either."""
+    if len(shape) == 1:
+        return np.asarray(read(part), dtype=np.float64)
+    across = 0 if axis is None else axis
+    upright = shape[0] >= shape[1]
+    return np.asarray(read((part, across) if upright else (across, part)), dtype=np.float64)
+
+
+def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
+    """Arrays of numbers by their paths: shape, and how to read a part of them."""
+    if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
+        try:
+            return dict(_nested(loadmat(path, simplify_cells=True)))
+        except (MatReadError, ValueError) as error:
+            raise ValueError(f"not a MATLAB file: {error}") from None
+    return _datasets(path)
+
+
+def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, tuple[tuple[int, ...], Read]]]:
+    """The arrays of a MATLAB file, those in structures too."""
+    for name, value in content.items():
+        if isinstance(value, dict):
+            yield from _nested(value, f"{prefix}{name}/")
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and not name.startswith("__"):
+            yield prefix + name, (value.shape, value.__getitem__)
+
+
+def _datasets(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
+    """The arrays of an HDF5 file."""
+    found: dict[str, tuple[tuple[int, ...], Read]] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
+            found[name] = (item.shape, partial(_read, path, name))
+
+    with h5py.File(path) as file:
+        file.visititems(visit)
+    return found
+
+
+def _read(path: Path, name: str, part: Any) -> Any:
+    with h5py.File(path) as file:
+        return file[name][part]

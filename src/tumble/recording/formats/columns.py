@@ -1,0 +1,139 @@
+"""What columns are, by their names: times, accelerometers, gyros, magnetometers, temperatures, and their units.
+
+A name such as `imu.acc_x [g]`, `linear_acceleration.y` or `gyrz_dps` falls into words and a unit; a single letter or
+number among the words, or at the end of one, is the axis, and the rest says which sensor it is.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from tumble.recording.formats.message import Sensors
+
+ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "magnetometer", "time"
+
+_KINDS: Mapping[str, re.Pattern[str]] = {
+    ACCEL: re.compile(r"^(?!.*(angular|gravity)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)$"),
+    GYRO: re.compile(r"gyr|angular_?vel|ang_?vel|angular_?rate|omega|delta_?ang|dtheta|(^|_)(w|g|rate|w_rs_s)$"),
+    MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
+}
+_TIME = re.compile(r"(^|_)(t|times?|time_?stamps?|stamp|seconds?|sec|time_boot|header_stamp)$")
+_TEMPERATURE = re.compile(r"(^|_)(t|temp|temperature)(_(deg)?c)?$")
+
+_LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
+_COUNTED = {"1": "x", "2": "y", "3": "z"}
+
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    ACCEL: {
+        "m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m s^-2": "m/s^2", "mps2": "m/s^2", "ms2": "m/s^2",
+        "m_s2": "m/s^2", "g": "g", "mg": "mg", "m/s": "m/s", "count": "count", "counts": "count", "lsb": "count",
+        "raw": "count", "v": "V",
+    },
+    GYRO: {
+        "rad/s": "rad/s", "rad s^-1": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "radps": "rad/s", "deg/s": "deg/s",
+        "°/s": "deg/s", "deg s^-1": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "degps": "deg/s", "deg/h": "deg/h",
+        "°/h": "deg/h", "dph": "deg/h", "rad": "rad", "deg": "deg", "arcsec": "arcsec", "count": "count",
+        "counts": "count", "lsb": "count", "raw": "count", "v": "V",
+    },
+    MAGNETOMETER: {"nt": "nT", "ut": "uT", "µt": "uT", "gauss": "gauss", "ga": "gauss"},
+    TIME_KIND: {"s": "s", "sec": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"},
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Columns:
+    """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
+    and the temperature. `others` are the names of triads of the same kinds that were not taken."""
+
+    time: str | None
+    time_unit: str | None
+    triads: Mapping[str, Sensors]
+    temperature: str | None
+    others: tuple[str, ...]
+
+
+def columns_by_name(names: Iterable[str]) -> Columns:
+    """What the columns of a table are."""
+    names = list(names)
+    triads: dict[str, Sensors] = {}
+    others: list[str] = []
+    for (kind, stem), axes in _stems(names).items():
+        if set(axes) != set("xyz"):
+            continue
+        if kind in triads:
+            others.append(stem)
+        else:
+            three = axes["x"], axes["y"], axes["z"]
+            triads[kind] = Sensors(columns=three, unit=_UNITS[kind].get(_split(three[0])[1]))
+    time = next((name for name in names if name != "T" and _TIME.search("_".join(_split(name)[0]))), None)
+    return Columns(
+        time=time,
+        time_unit=None if time is None else _UNITS[TIME_KIND].get(_split(time)[1]),
+        triads=triads,
+        temperature=next((n for n in names if n != time and _TEMPERATURE.search("_".join(_split(n)[0]))), None),
+        others=tuple(others),
+    )
+
+
+def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
+    """Columns by kind and name without the axis, and then by axis."""
+    found: dict[tuple[str, str], dict[str, str]] = {}
+    for name in names:
+        for axis, stem in _axes(_split(name)[0]):
+            kind = next((kind for kind, pattern in _KINDS.items() if pattern.search(stem)), None)
+            if kind is not None:
+                found.setdefault((kind, stem), {}).setdefault(axis, name)
+                break
+    return found
+
+
+def _axes(words: list[str]) -> list[tuple[str, str]]:
+    """Readings of a name's words as (axis, the rest), the likeliest first; none where it has no axis."""
+    readings = []
+    for at in reversed(range(len(words))):
+        word, before, after = words[at], words[:at], words[at + 1 :]
+        if word in _LETTERS and before + after:
+            readings.append((_LETTERS[word], "_".join(before + after)))
+        elif len(word) > 1 and word[-1] in "xyz":
+            readings.append((word[-1], "_".join([*before, word[:-1], *after])))
+        elif len(word) > 1 and word[0] in "xyz":
+            readings.append((word[0], "_".join([*before, word[1:], *after])))
+        elif len(word) > 1 and word[-1] in _COUNTED:
+            readings.append((_COUNTED[word[-1]], "_".join([*before, word[:-1], *after])))
+    return readings
+
+
+def _split(name: str) -> tuple[list[str], str]:
+    """The words of a name in small letters and its unit, if it has one: `AccX (m/s²)` is acc, x and m/s²; `gyr_x_dps`
+    gyr, x and dps; `TimeUS` time and us; `gyro[0]` gyro and 0."""
+    bracketed = re.search(r"[\[(]\s*([^\])]*[^\])\d\s][^\])]*?)\s*[\])]", name)
+    if bracketed:
+        return _words(name.replace(bracketed[0], "")), bracketed[1].lower()
+    words = _words(name)
+    for count in (2, 1):
+        unit = "_".join(words[-count:])
+        if len(words) > count and unit in _ALL_UNITS and _stands_for_itself(words[:-count]):
+            return words[:-count], unit
+        inner = "_".join(words[-count - 1 : -1])
+        if len(words) > count + 1 and inner in _ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
+            return [*words[: -count - 1], words[-1]], inner
+    return words, ""
+
+
+_ALL_UNITS = frozenset(text for units in _UNITS.values() for text in units)
+
+
+def _stands_for_itself(words: list[str]) -> bool:
+    """Whether these words have all that a name needs, an axis or the time, so that the next one can be a unit."""
+    return bool(_axes(words)) or bool(_TIME.search("_".join(words)))
+
+
+def _words(name: str) -> list[str]:
+    """`AccX`: acc, x; `TimeUS`: time, us; `mag_uT`: mag, ut."""
+    words = []
+    for token in re.split(r"[^A-Za-z0-9µ°²]+", name):
+        whole = token.lower() in _ALL_UNITS
+        words += [token] if whole else re.split(r"(?<=[a-z])(?=[A-Z])", token)
+    return [word.lower() for word in words if word]

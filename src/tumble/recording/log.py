@@ -1,0 +1,167 @@
+"""Logs: columns of files become SI arrays, in chunks.
+
+A file is read as a stream of tables of a bounded size (`log_files`), which become rows: times in s, numbers as the file
+has them, and the number of their first data row (counted from 1), so that a message can name the row. Runs of lost
+samples are bridged (`bridging`). Only then come intervals, units and SI.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+
+import numpy as np
+
+from tumble.errors import LogError
+from tumble.recording.gaps import Bridge, Gap, check_time, rows_of
+from tumble.recording.readers import LINE_BYTES, Source, readable, source_of
+from tumble.recording.session import LogSpec, Session
+from tumble.units import Array
+
+_HEAD_ROWS = 1000
+"""Rows from which the interval of a file is taken, their median."""
+
+_SHORTEST_ROWS = 50
+_RATE_TOLERANCE = 0.1
+_SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # beyond, nothing can be computed
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Chunk:
+    """Consecutive samples of one file, `file` being its index in session.log.files: end time and interval of
+    each sample, s; accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperature, K; magnetometer (m, 3) in its
+    unit."""
+
+    file: int
+    time: Array
+    dt: Array
+    accel: Array
+    gyro: Array | None
+    temperature: Array | None
+    magnetometer: Array | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Log:
+    """The log of a session, open for reading. `rate`: nominal sample rate, Hz, of the first file."""
+
+    session: Session
+    rate: float
+    _sources: tuple[Source, ...] = field(repr=False)
+    _intervals: tuple[float, ...] = field(repr=False)
+    _gaps: list[Gap] = field(default_factory=list, repr=False)
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """What was bridged in the chunks read so far by the latest `chunks()`."""
+        return tuple(self._gaps)
+
+    def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
+        """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any
+        `rows`. Memory does not grow with the log (of a Parquet file one row group is held).
+
+        Raises LogError, one line that names the file, the row and the column, what was expected and found."""
+        if rows < 1:
+            raise ValueError(f"rows: expected at least 1, found {rows}")
+        self._gaps.clear()
+        for file in range(len(self._sources)):
+            for chunk in self._samples(file):
+                for start in range(0, len(chunk.time), rows):
+                    yield _part(chunk, slice(start, start + rows))
+
+    def sha256(self) -> str:
+        """SHA-256 of the bytes of all files in order, hexadecimal: for one file that of `sha256sum`."""
+        digest = hashlib.sha256()
+        for source in self._sources:
+            with readable(source.path), source.path.open("rb") as stream:
+                while piece := stream.read(LINE_BYTES):
+                    digest.update(piece)
+        return digest.hexdigest()
+
+    def _samples(self, file: int) -> Iterator[Chunk]:
+        """The samples of one file as they come from its reader, repaired and in SI."""
+        spec = self.session.log
+        source, interval = self._sources[file], self._intervals[file]
+        bridge = Bridge(source=source, file=file, spec=spec, interval=interval, gaps=self._gaps)
+        for time, dt, values in bridge.samples(rows_of(source, spec)):
+            yield Chunk(
+                file=file,
+                time=time,
+                dt=dt,
+                accel=spec.accel.to_si(values[0], dt),
+                gyro=spec.gyro.to_si(values[1], dt) if spec.gyro else None,
+                temperature=values[-1][:, 0] + _ZERO_CELSIUS if spec.temperature else None,
+                magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
+            )
+
+
+_ZERO_CELSIUS = 273.15
+"""0 °C in K, exact (ITS-90)."""
+
+
+def open_log(session: Session) -> Log:
+    """The log of a session: every file is there, has the columns the session names and a plausible time.
+
+    Raises LogError for a format that cannot be read, a damaged or empty file, missing or repeated columns."""
+    sources = tuple(source_of(path) for path in session.log.files)
+    for source in sources:
+        _check_columns(source, session.log)
+    intervals = tuple(_interval(source, session.log) for source in sources)
+    for source, interval in zip(sources, intervals, strict=True):
+        if abs(interval / intervals[0] - 1.0) > _RATE_TOLERANCE:
+            raise LogError(
+                f"{source.path}: expected the sample rate of {sources[0].path.name}, "
+                f"{1 / intervals[0]:.6g} Hz, found {1 / interval:.6g} Hz; give a log of another rate its own "
+                "session"
+            )
+    if not _SHORTEST_INTERVAL <= intervals[0] <= _LONGEST_INTERVAL:
+        raise LogError(
+            f"{sources[0].path}: expected samples from {_SHORTEST_INTERVAL:g} to {_LONGEST_INTERVAL:g} s apart, found "
+            f"{intervals[0]:.3g} s; check log.time, log.time_unit or log.rate_hz"
+        )
+    rate = 1.0 / intervals[0] if session.log.rate is None else session.log.rate
+    return Log(session=session, rate=rate, _sources=sources, _intervals=intervals)
+
+
+def _part(chunk: Chunk, rows: slice) -> Chunk:
+    return Chunk(
+        file=chunk.file,
+        time=chunk.time[rows],
+        dt=chunk.dt[rows],
+        accel=chunk.accel[rows],
+        gyro=None if chunk.gyro is None else chunk.gyro[rows],
+        temperature=None if chunk.temperature is None else chunk.temperature[rows],
+        magnetometer=None if chunk.magnetometer is None else chunk.magnetometer[rows],
+    )
+
+
+# -------------------- what is checked when a log is opened --------------------
+
+
+def _check_columns(source: Source, spec: LogSpec) -> None:
+    names = source.names
+    for column in spec.columns:
+        if column not in names:
+            near = get_close_matches(column, names, n=1, cutoff=0.5)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
+            raise LogError(f"{source.path}: expected a column '{column}', found {shown}{hint}")
+        if Counter(names)[column] > 1:
+            raise LogError(f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one")
+
+
+def _interval(source: Source, spec: LogSpec) -> float:
+    """The interval of a file's samples, s: the median over its first rows, or that of the nominal rate."""
+    head = source.head(spec.time or spec.accel.columns[0], _HEAD_ROWS)
+    if not len(head):
+        raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
+    if len(head) < _SHORTEST_ROWS:
+        raise LogError(f"{source.path}: expected at least {_SHORTEST_ROWS} samples, found {len(head)}")
+    if spec.rate is not None:
+        return 1.0 / spec.rate
+    time = head * spec.time_factor
+    check_time(source, spec, 1, time)
+    return float(np.median(np.diff(time)))

@@ -1,0 +1,393 @@
+"""The tables of session.toml, and what is said where one of them is not as it should be.
+
+Each key's `description` says what is expected of it, and every message is made from it: "session.toml:
+site.latitude_deg: expected a number from -90 to 90, found 145.5". What concerns several keys at once is checked by the
+validators of the tables.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from tumble.errors import ProgrammeError
+from tumble.programme import positions as programme
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TIME_UNITS, Array, Unit
+
+_TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4}
+_FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
+_UNIT_NORM_TOLERANCE = 1e-6
+_LEAST_SINGULAR_VALUE = 1e-3
+_LEAST_SINE = 1e-3
+
+
+# -------------------- the tables of the file --------------------
+
+
+class Table(BaseModel):
+    """A table of the file: no other keys, no other types."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class DeviceTable(Table):
+    """[device]"""
+
+    serial: str = Field(min_length=1, description="the serial number, a string that is not empty")
+    model: str | None = Field(default=None, description="a string")
+    systematic: str | None = Field(default=None, min_length=1, description="the path of a calibration file")
+
+
+class SiteTable(Table):
+    """[site]"""
+
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="a number from -90 to 90")
+    height_m: float = Field(default=0.0, ge=-1000, le=10000, description="a number from -1000 to 10000 (m)")
+    gravity: float | None = Field(
+        default=None, ge=9.7, le=9.9, description="a number from 9.7 to 9.9 (m/s^2, on Earth)"
+    )
+    gravity_u: float | None = Field(default=None, ge=0, le=0.1, description="a number from 0 to 0.1 (m/s^2)")
+    field: float | None = Field(default=None, gt=0, description="a positive number, in the unit of [log.magnetometer]")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.gravity_u is not None and self.gravity is None and self.latitude_deg is None:
+            raise ValueError("gravity_u: expected site.gravity or site.latitude_deg with it, found neither")
+        return self
+
+
+class SensorsTable(Table):
+    """The common keys of [log.accel] and [log.gyro]."""
+
+    UNITS: ClassVar[Mapping[str, Unit]]
+    SCALE_PER: ClassVar[tuple[str, ...]]  # the first is the default
+
+    columns: list[str] = Field(min_length=3, description="a list of at least three column names")
+    unit: str = Field(description="the name of a unit, a string")
+    scale: float | list[float] | None = Field(default=None, description="a number or a list of numbers")
+    scale_per: str | None = Field(default=None, description="the name of a unit, a string")
+    offset: float | list[float] | None = Field(default=None, description="a number or a list of numbers")
+    axes: list[list[float]] | None = Field(default=None, description="a list of unit vectors [x, y, z]")
+    range: float | None = Field(default=None, gt=0, description="a positive number")
+
+    @property
+    def raw(self) -> bool:
+        """Whether the columns need a scale."""
+        return self.UNITS[self.unit].kind == "raw"
+
+    def worth(self) -> Unit:
+        """The unit of (raw − offset) / scale."""
+        return self.UNITS[(self.scale_per or self.SCALE_PER[0]) if self.raw else self.unit]
+
+    def per_sensor(self, value: float | Sequence[float] | None, default: float) -> Array:
+        """A number or a list as an array (n,)."""
+        return np.broadcast_to(np.asarray(default if value is None else value, float), len(self.columns)).copy()
+
+    def directions(self) -> Array:
+        """The axes (n, 3), exactly of unit length."""
+        axes = np.eye(3) if self.axes is None else np.array(self.axes, dtype=float)
+        return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_known("unit", self.unit, self.UNITS)
+        self._check_scale()
+        self._check_axes()
+        return self
+
+    def _check_scale(self) -> None:
+        if not self.raw:
+            for key in ("scale", "scale_per", "offset"):
+                if getattr(self, key) is not None:
+                    raise ValueError(f'{key}: expected only with unit "count" or "V", found unit "{self.unit}"')
+            return
+        if self.scale is None:
+            raise ValueError(f'scale: expected the nominal output per unit for unit "{self.unit}", found none')
+        _check_known("scale_per", self.scale_per or self.SCALE_PER[0], self.SCALE_PER)
+        for key in ("scale", "offset"):
+            given = getattr(self, key)
+            if isinstance(given, list) and len(given) != len(self.columns):
+                raise ValueError(
+                    f"{key}: expected a number or {len(self.columns)} numbers, one per column, found {len(given)}"
+                )
+        if not self.per_sensor(self.scale, 1.0).all():
+            raise ValueError(f"scale: expected numbers other than zero, found {_shown(self.scale)}")
+
+    def _check_axes(self) -> None:
+        if self.axes is None:
+            if len(self.columns) > 3:
+                raise ValueError(f"axes: expected {len(self.columns)} unit vectors for a redundant block, found none")
+            return
+        if len(self.axes) != len(self.columns):
+            raise ValueError(f"axes: expected {len(self.columns)} vectors, one per column, found {len(self.axes)}")
+        for number, axis in enumerate(self.axes, 1):
+            if len(axis) != 3:
+                raise ValueError(f"axes: expected vectors [x, y, z], found {len(axis)} numbers in vector {number}")
+            if abs(math.hypot(*axis) - 1.0) > _UNIT_NORM_TOLERANCE:
+                raise ValueError(
+                    f"axes: expected unit vectors within {_UNIT_NORM_TOLERANCE:g}, "
+                    f"found norm {math.hypot(*axis):.7g} of vector {number}, {_shown(axis)}"
+                )
+        if np.linalg.svd(self.directions(), compute_uv=False)[2] < _LEAST_SINGULAR_VALUE:
+            raise ValueError("axes: expected directions that span three dimensions, found them in one plane")
+
+
+class AccelTable(SensorsTable):
+    """[log.accel]"""
+
+    UNITS = ACCEL_UNITS
+    SCALE_PER = ("m/s^2", "g", "m/s")
+
+    def _check_axes(self) -> None:
+        super()._check_axes()
+        first, second = self.directions()[:2]
+        if np.linalg.norm(np.cross(first, second)) < _LEAST_SINE:
+            raise ValueError(
+                "axes: expected the first two accelerometers, which fix the body frame, in different "
+                "directions, found them parallel; list the sensors in another order"
+            )
+
+
+class GyroTable(SensorsTable):
+    """[log.gyro]"""
+
+    UNITS = GYRO_UNITS
+    SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
+
+
+class TemperatureTable(Table):
+    """[log.temperature]"""
+
+    columns: list[str] = Field(min_length=1, max_length=1, description="a list of one column name")
+    unit: Literal["degC"] = Field(default="degC", description='"degC"')
+
+
+class MagnetometerTable(Table):
+    """[log.magnetometer]"""
+
+    columns: list[str] = Field(min_length=3, max_length=3, description="a list of three column names")
+    unit: str = Field(description="the name of a unit, a string")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_known("unit", self.unit, MAGNETIC_UNITS)
+        return self
+
+
+class LogTable(Table):
+    """[log]"""
+
+    file: str | list[str] = Field(min_length=1, description="a file name or a list of file names")
+    time: str | None = Field(default=None, min_length=1, description="a column name")
+    time_unit: str | None = Field(default=None, description=f"one of {', '.join(TIME_UNITS)}")
+    rate_hz: float | None = Field(default=None, gt=0, description="a positive number")
+    accel: AccelTable = Field(description="the table [log.accel]")
+    gyro: GyroTable | None = Field(default=None, description="the table [log.gyro]")
+    magnetometer: MagnetometerTable | None = Field(default=None, description="the table [log.magnetometer]")
+    temperature: TemperatureTable | None = Field(default=None, description="the table [log.temperature]")
+
+    @property
+    def files(self) -> list[str]:
+        """The file names, one or more."""
+        return [self.file] if isinstance(self.file, str) else self.file
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.time is None) == (self.rate_hz is None):
+            found = "neither" if self.time is None else "both"
+            raise ValueError(f"time: expected either log.time, a column, or log.rate_hz, found {found}")
+        if self.time_unit is not None:
+            if self.time is None:
+                raise ValueError("time_unit: expected only with log.time, found log.rate_hz")
+            _check_known("time_unit", self.time_unit, TIME_UNITS)
+        for file in _repeated(self.files):
+            raise ValueError(f'file: expected different files, found "{file}" twice')
+        self._check_columns()
+        self._check_ranges()
+        return self
+
+    def _check_columns(self) -> None:
+        keys = {
+            "time": [self.time] if self.time is not None else [],
+            "accel.columns": self.accel.columns,
+            "gyro.columns": self.gyro.columns if self.gyro else [],
+            "magnetometer.columns": self.magnetometer.columns if self.magnetometer else [],
+            "temperature.columns": self.temperature.columns if self.temperature else [],
+        }
+        for column in _repeated(c for columns in keys.values() for c in columns):
+            using = [key for key, columns in keys.items() for c in columns if c == column]
+            also = "twice" if using[0] == using[1] else f"in log.{using[0]} too"
+            raise ValueError(f'{using[1]}: expected every column once, found "{column}" {also}')
+
+    def _check_ranges(self) -> None:
+        for key, sensors in (("accel", self.accel), ("gyro", self.gyro)):
+            if sensors is None or sensors.range is None or self.rate_hz is not None:
+                continue
+            if sensors.worth().kind == "increment":
+                raise ValueError(
+                    f"{key}.range: expected log.rate_hz with the full scale of an increment per sample, "
+                    "found log.time; leave range out"
+                )
+
+
+class PositionTable(Table):
+    """[[programme.position]]"""
+
+    attitude: str = Field(description="an attitude code, a string")
+    start: float | None = Field(default=None, description="a number (s)")
+    stop: float | None = Field(default=None, description="a number (s)")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        try:
+            programme.attitude(self.attitude)
+        except ProgrammeError as error:
+            raise ValueError(str(error)) from None
+        if (self.start is None) != (self.stop is None):
+            given = "start" if self.stop is None else "stop"
+            raise ValueError(f"{given}: expected start and stop together, found {given} alone")
+        if self.start is not None and self.stop is not None and self.start >= self.stop:
+            raise ValueError(f"start: expected a start before the stop {self.stop:g} s, found {self.start:g} s")
+        return self
+
+
+class ProgrammeTable(Table):
+    """[programme]"""
+
+    name: str | None = Field(default=None, description="the name of a built-in programme")
+    position: list[PositionTable] | None = Field(
+        default=None, min_length=1, description="one or more tables [[programme.position]]"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.name is None) == (self.position is None):
+            found = "neither" if self.name is None else "both"
+            raise ValueError(f"name: expected either programme.name or [[programme.position]], found {found}")
+        if self.name is not None:
+            _check_known("name", self.name, programme.BUILT_IN)
+        return self
+
+
+class Document(Table):
+    """The whole file."""
+
+    format: int = Field(ge=1, le=1, description="1, the format of this file")
+    device: DeviceTable = Field(description="the table [device]")
+    site: SiteTable = Field(default_factory=SiteTable, description="the table [site]")
+    log: LogTable = Field(description="the table [log]")
+    programme: ProgrammeTable | None = Field(default=None, description="the table [programme]")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        magnetometer = self.log.magnetometer
+        if self.site.field is None:
+            return self
+        if magnetometer is None:
+            raise ValueError("site.field: expected only with [log.magnetometer], found no magnetometer")
+        low, high = (limit / _TESLA[magnetometer.unit] for limit in _FIELD_ON_EARTH)
+        if not low <= self.site.field <= high:
+            raise ValueError(
+                f"site.field: expected the field on Earth, from {low:g} to {high:g} {magnetometer.unit}, the unit of "
+                f"[log.magnetometer], found {self.site.field:g}"
+            )
+        return self
+
+
+TABLES: Mapping[str, type[Table]] = {
+    "device": DeviceTable,
+    "site": SiteTable,
+    "log": LogTable,
+    "accel": AccelTable,
+    "gyro": GyroTable,
+    "magnetometer": MagnetometerTable,
+    "temperature": TemperatureTable,
+    "programme": ProgrammeTable,
+    "position": PositionTable,
+}
+"""The table behind every key that is one."""
+
+
+def _check_known(key: str, value: str, known: Iterable[str]) -> None:
+    names = list(known)
+    if value not in names:
+        raise ValueError(f'{key}: expected one of {", ".join(names)}, found "{value}"{_nearest(value, names)}')
+
+
+def _repeated(values: Iterable[str]) -> list[str]:
+    return [value for value, count in Counter(values).items() if count > 1]
+
+
+# -------------------- messages --------------------
+
+
+def faults_of(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
+    """Every fault once, as "key: expected …, found …"."""
+    faults: dict[tuple[int | str, ...], str] = {}
+    for fault in error.errors(include_url=False):
+        key, table, expected = _located(fault["loc"])
+        if fault["type"] == "extra_forbidden":
+            unknown = str(fault["loc"][-1])
+            said = f"unknown key '{unknown}' {_in_table(key)}{_nearest(unknown, table.model_fields)}"
+            faults[(*key, unknown)] = said
+        elif fault["type"] == "value_error":
+            dot = "." if key else ""
+            faults[key] = f"{_dotted(key)}{dot}{fault['ctx']['error']}"
+        else:
+            found = "none" if fault["type"] == "missing" else _shown(_value_at(key, content))
+            faults.setdefault(key, f"{_dotted(key)}: expected {expected}, found {found}")
+    return list(faults.values())
+
+
+def _located(loc: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], type[Table], str]:
+    """The key a fault belongs to, the innermost table on the way, and what the key expects."""
+    table: type[Table] = Document
+    expected = ""
+    key: list[int | str] = []
+    for part in loc:
+        if isinstance(part, int) and key == ["programme", "position"]:
+            key.append(part)
+            continue
+        if part not in table.model_fields:
+            break
+        key.append(part)
+        expected = table.model_fields[str(part)].description or ""
+        if part not in TABLES:
+            break
+        table = TABLES[str(part)]
+    return tuple(key), table, expected
+
+
+def _value_at(key: tuple[int | str, ...], content: Any) -> Any:
+    for part in key:
+        content = content[part]
+    return content
+
+
+def _dotted(key: tuple[int | str, ...]) -> str:
+    """A key as log.accel.unit; positions are counted from 1: programme.position[2]."""
+    return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
+
+
+def _in_table(key: tuple[int | str, ...]) -> str:
+    return f"in [{_dotted(key)}]" if key else "at the top level"
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    near = get_close_matches(name, list(known), n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def _shown(value: Any, width: int = 60) -> str:
+    """A value as TOML has it, on one line, shortened."""
+    if isinstance(value, Mapping):
+        return "a table"
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= width else f"{text[: width - 1]}…"

@@ -1,0 +1,41 @@
+"""Tables written to a CSV or Parquet file as a stream, whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import polars as pl
+from polars.io.plugins import register_io_source
+
+from tumble.errors import InputError
+from tumble.files import whole_file
+
+FORMATS = (".csv", ".parquet")
+
+
+def write_tables(path: Path, tables: Iterator[pl.DataFrame]) -> None:
+    """Write tables of the same columns one below the other. Memory does not grow with their number, and an error on
+    the way, of the tables too, leaves what was there before.
+
+    Raises InputError for a name that ends otherwise than in .csv or .parquet."""
+    ending = path.suffix.lower()
+    if ending not in FORMATS:
+        raise InputError(f"{path}: expected a file name that ends in {' or '.join(FORMATS)}, found another")
+    failed: list[Exception] = []
+    first = next(tables)
+
+    def source(*_: object) -> Iterator[pl.DataFrame]:
+        yield first
+        try:
+            yield from tables
+        except Exception as error:  # polars would make it one of its own
+            failed.append(error)
+            raise
+
+    stream = register_io_source(source, schema=first.schema, validate_schema=True)
+    with whole_file(path) as temporary:
+        try:
+            (stream.sink_csv if ending == ".csv" else stream.sink_parquet)(temporary, maintain_order=True)
+        except Exception as error:
+            raise (*failed, error)[0] from None

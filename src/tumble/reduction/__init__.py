@@ -1,0 +1,1 @@
+"""A log reduced to rests and turns: blocks, segmentation, matching, observations, noise."""

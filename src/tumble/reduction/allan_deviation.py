@@ -1,0 +1,342 @@
+"""Allan deviation of a recording at rest, and the noise of the sensors that it shows.
+
+The Allan variance at τ is half the mean square of the difference of neighbouring means over τ. Noise terms that
+are independent add in it, each with its own slope:
+
+    σ²(τ) = 3 Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3                                                    (1)
+
+    Q  quantisation of the angle or velocity             rad, m/s
+    N  white noise: angle or velocity random walk        rad/√s = rad/s/√Hz, m/s/√s = m/s²/√Hz
+    B  bias instability (flicker noise, S = B²/2πf)      rad/s, m/s²; the flat part is 0.664 B
+    K  random walk of the rate (S = K²/(2πf)²)           rad/s/√s, m/s²/√s
+
+Source: IEEE Std 952-1997, annex C; IEEE Std 1554-2005, annex D. S are two-sided spectral densities.
+
+Estimates of σ² at neighbouring τ come from the same samples and are strongly correlated. The fit of (1) is
+weighted by their variances 2σ⁴/ν, with ν the equivalent degrees of freedom; its uncertainties follow from their
+full covariance, with the correlations ∫ S² W_i W_j df of the fitted spectrum S, where W is the transfer function
+of the Allan variance.
+
+A steady drift (warm-up) is not a noise. It makes σ grow with τ and passes for a random walk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import nnls
+from scipy.special import ndtr
+from scipy.stats import chi2
+
+from tumble.errors import InputError
+from tumble.reduction import kernels as _kernels
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, rounded
+
+if TYPE_CHECKING:
+    pass
+
+SIZES_PER_OCTAVE = 4
+MIN_SAMPLES = 32
+MIN_CLUSTERS = 4
+"""The longest τ is this part of the record."""
+MIN_SIZE = 4
+"""Shorter clusters, in samples, are shown but not fitted: filters and the way samples are taken bend (1)."""
+SLOPE_ERROR = 0.03
+"""How far real sensors follow (1), as a part of σ²: filters and vibration bend it at short τ, where the
+statistical error is far smaller."""
+SIGNIFICANCE = 4.0
+"""A term is reported when its square is so many of the standard uncertainties it would have if it were absent."""
+
+FLICKER = 2.0 * np.log(2.0) / np.pi
+
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AllanDeviation:
+    """Overlapping Allan deviation of c channels at k averaging times.
+
+    tau (k,) s; deviation (k, c) in the unit of the samples, with its 68 % confidence interval low … high (k, c)
+    from χ² with `degrees` (k, c) equivalent degrees of freedom."""
+
+    tau: Array
+    deviation: Array
+    degrees: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Coefficient:
+    """A noise coefficient in SI and its standard uncertainty."""
+
+    value: float
+    u: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoiseParameters:
+    """The terms of (1) that one channel shows, in SI; None: the record does not show it."""
+
+    quantisation: Coefficient | None
+    white_noise: Coefficient | None
+    bias_instability: Coefficient | None
+    rate_random_walk: Coefficient | None
+
+    def variances(self, tau: Array) -> dict[str, Array]:
+        """The terms of (1), (k,) each, by name: what each noise contributes to σ²(τ)."""
+        found = {name: getattr(self, name) for name in _TERMS}
+        slopes = _slopes(tau).T
+        return {
+            name: column * coefficient.value**2
+            for (name, coefficient), column in zip(found.items(), slopes, strict=True)
+            if coefficient is not None
+        }
+
+
+_TERMS = ("quantisation", "white_noise", "bias_instability", "rate_random_walk")
+
+
+def _slopes(tau: Array) -> Array:
+    """Columns (k, 4) of (1): what unit Q, N, B and K contribute to σ²(τ)."""
+    return np.column_stack([3.0 / tau**2, 1.0 / tau, np.full_like(tau, FLICKER), tau / 3.0])
+
+
+def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
+    """Overlapping Allan deviation of samples (m,) or (m, c) taken at a constant `rate` (Hz), at four averaging
+    times an octave up to a quarter of the record. One channel is worked on at a time.
+
+    Raises InputError for fewer than 32 samples or a value that is not a number."""
+    columns = samples if samples.ndim == 2 else samples[:, None]
+    count = len(columns)
+    if count < MIN_SAMPLES:
+        raise InputError(
+            f"Allan deviation: expected at least {MIN_SAMPLES} samples at rest, found {count}; record longer"
+        )
+    sizes = _cluster_sizes(count)
+    sums = np.column_stack([_kernels.allan_sums(_integral(c), sizes) for c in columns.T])
+    terms = count + 1 - 2 * sizes
+    deviation = np.sqrt(sums / (2.0 * terms * sizes.astype(float) ** 2)[:, None])
+    tau = sizes / rate
+    degrees = np.column_stack([_degrees(count + 1, sizes, _exponents(tau, d)) for d in deviation.T])
+    low, high = (deviation * np.sqrt(degrees / chi2.ppf(ndtr(z), degrees)) for z in (1.0, -1.0))
+    return AllanDeviation(tau=tau, deviation=deviation, degrees=degrees, low=low, high=high)
+
+
+def _cluster_sizes(count: int) -> IntArray:
+    """Cluster sizes in samples: 1 … count/4, four an octave."""
+    octaves = np.log2(count // MIN_CLUSTERS)
+    steps = np.arange(int(SIZES_PER_OCTAVE * octaves) + 1)
+    return np.unique(np.round(2.0 ** (steps / SIZES_PER_OCTAVE))).astype(np.int64)
+
+
+def _integral(column: Array) -> Array:
+    """Running sum (m + 1,) of the samples less their mean, from 0."""
+    out = np.zeros(len(column) + 1)
+    np.subtract(column, column[0], out=out[1:])  # a constant becomes exactly zero
+    out[1:] -= out[1:].mean()
+    np.cumsum(out[1:], out=out[1:])
+    if not np.isfinite(out[-1]):
+        raise InputError("Allan deviation: expected finite samples, found NaN or infinity; repair or cut the log")
+    return out
+
+
+def _exponents(tau: Array, deviation: Array) -> IntArray:
+    """Exponent α (0, −1, −2: white noise, flicker, random walk) of the power law S ∝ f^α around each τ, from the
+    slope −α − 1 of σ² over an octave to either side. Steeper slopes at short τ (quantisation) count as white,
+    which understates their degrees of freedom where there are plenty."""
+    if not deviation.all():
+        return np.zeros(len(tau), dtype=np.int64)
+    x, y = np.log2(tau), 2.0 * np.log2(deviation)
+    slope = np.empty(len(tau))
+    for i, centre in enumerate(x):
+        near = np.abs(x - centre) < 1.01
+        slope[i] = np.polyfit(x[near] - centre, y[near], 1)[0]
+    return -np.searchsorted([-0.5, 0.5], slope)
+
+
+def _degrees(points: int, sizes: IntArray, exponents: IntArray) -> Array:
+    """Equivalent degrees of freedom (k,) of overlapping estimates from so many points of the integral.
+
+    Source: Riley, Handbook of Frequency Stability Analysis (NIST SP 1065), table 5."""
+    n, m = float(points), sizes.astype(float)
+    white = (1.5 * (n - 1.0) / m - 2.0 * (n - 2.0) / n) * 4.0 * m**2 / (4.0 * m**2 + 5.0)
+    flicker = np.where(m == 1.0, 2.0 * (n - 2.0) ** 2 / (2.3 * n - 4.9), 5.0 * n**2 / (4.0 * m * (n + 3.0 * m)))
+    walk = (n - 2.0) / m * ((n - 1.0) ** 2 - 3.0 * m * (n - 1.0) + 4.0 * m**2) / (n - 3.0) ** 2
+    return np.asarray(np.select([exponents == 0, exponents == -1], [white, flicker], walk))
+
+
+def identify(adev: AllanDeviation) -> tuple[NoiseParameters, ...]:
+    """The noise terms of each channel: non-negative weighted least squares of (1), in which every term has to
+    prove itself significant. Uncertainties come from the full covariance of the estimates of σ², and are
+    enlarged where (1) does not fit."""
+    used = adev.tau > (MIN_SIZE - 0.5) * adev.tau[0]
+    transfer = _Transfer.of(adev.tau[0], adev.tau[used])
+    return tuple(
+        _identify(_Fit(variance=variance, degrees=degrees, transfer=transfer))
+        for variance, degrees in zip(adev.deviation[used].T ** 2, adev.degrees[used].T, strict=True)
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Transfer:
+    """Transfer functions W (k, f) of the Allan variance at averaging times tau (k,), with the spectra (f, 4) of
+    the terms of (1) at unit coefficients and the widths (f,) of the frequency bins, Hz."""
+
+    tau: Array
+    W: Array
+    spectra: Array
+    widths: Array
+
+    @classmethod
+    def of(cls, interval: float, tau: Array) -> _Transfer:
+        """For averaging times `tau` that are multiples of the interval of the samples."""
+        lowest, highest = 0.01 / tau[-1], 0.5 / interval
+        edges = np.geomspace(lowest, highest, int(64 * np.log2(highest / lowest)))
+        f = np.sqrt(edges[1:] * edges[:-1])
+        sine = np.sin(np.pi * f * interval)
+        W = np.sin(np.pi * np.outer(tau, f)) ** 4 / np.outer(tau / interval, sine) ** 2
+        omega = 2.0 * np.pi * f
+        spectra = [4.0 * sine**2 / interval, np.ones_like(f), 1.0 / omega, 1.0 / omega**2]
+        return cls(tau=tau, W=W, spectra=np.column_stack(spectra), widths=np.diff(edges))
+
+    def correlation(self, squares: Array) -> Array:
+        """Correlation matrix (k, k) of the estimates of σ² for the squares (4,) of the coefficients."""
+        power = (self.spectra @ squares) ** 2 * self.widths
+        covariance = np.einsum("if,jf->ij", self.W * power, self.W)
+        scale = np.sqrt(np.diag(covariance))
+        return np.asarray(covariance / np.outer(scale, scale)) if scale.all() else np.eye(len(scale))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Fit:
+    """Estimates of σ² of one channel and their degrees of freedom (k,), to be fitted by (1)."""
+
+    variance: Array
+    degrees: Array
+    transfer: _Transfer
+
+    def squares(self, active: Sequence[int]) -> Array:
+        """Squares (4,) of the coefficients, zero where not active: non-negative least squares, weighted by the
+        fitted σ² and not by the data, where an estimate that is low by chance would gain weight by it."""
+        columns = _slopes(self.transfer.tau)[:, active]
+        model, out = self.variance, np.zeros(len(_TERMS))
+        for _ in range(8):
+            weight = 1.0 / (self._relative() * model)
+            design = columns * weight[:, None]
+            size = np.linalg.norm(design, axis=0)
+            scaled, _ = nnls(design / size, self.variance * weight)
+            out[active] = scaled / size
+            model = np.maximum(columns @ out[active], 1e-300)
+        return out
+
+    def about(self, squares: Array, active: Sequence[int]) -> tuple[Array, Array, float]:
+        """Least squares with weights and covariance as the noise `squares` (4,) would have them: estimates of the
+        active squares, their standard uncertainties, and χ² over what it should be."""
+        model = _slopes(self.transfer.tau) @ squares
+        weight = 1.0 / (self._relative() * model)
+        design = _slopes(self.transfer.tau)[:, active] * weight[:, None]
+        size = np.linalg.norm(design, axis=0)
+        solver = np.linalg.pinv(design / size)
+        statistical = np.sqrt(2.0 / self.degrees) / self._relative()
+        covariance = self.transfer.correlation(squares) * np.outer(statistical, statistical)
+        covariance += np.diag((SLOPE_ERROR / self._relative()) ** 2)
+        residual_of = np.eye(len(model)) - design / size @ solver
+        misfit = np.sum((residual_of @ (self.variance * weight)) ** 2) / np.trace(residual_of @ covariance)
+        u = np.sqrt(np.diag(solver @ covariance @ solver.T))
+        return solver @ (self.variance * weight) / size, u / size, float(misfit)
+
+    def _relative(self) -> Array:
+        """Relative standard uncertainty (k,) of the estimates of σ²."""
+        return np.asarray(np.sqrt(2.0 / self.degrees + SLOPE_ERROR**2))
+
+
+def _identify(fit: _Fit) -> NoiseParameters:
+    """The terms of one channel: the least significant are left out one by one."""
+    active = list(range(len(_TERMS))) if fit.variance.all() else []
+    while True:
+        squares, u, excess = _estimates(fit, active)
+        significance = [
+            _significance(fit, active, j) / excess if squares[j] > w else 0.0 for j, w in zip(active, u, strict=True)
+        ]
+        if min(significance, default=np.inf) >= SIGNIFICANCE:
+            break
+        del active[int(np.argmin(significance))]
+    values = np.sqrt(squares[active])
+    found = {
+        _TERMS[j]: Coefficient(value=float(value), u=float(0.5 * w / value))
+        for j, value, w in zip(active, values, u, strict=True)
+    }
+    return NoiseParameters(**{name: found.get(name) for name in _TERMS})
+
+
+def _estimates(fit: _Fit, active: Sequence[int]) -> tuple[Array, Array, float]:
+    """Squares (4,) of the coefficients, standard uncertainties of the active ones, and by how much these were
+    enlarged: √χ² where it is larger than it should be."""
+    if not active:
+        return np.zeros(len(_TERMS)), np.zeros(0), 1.0
+    squares = fit.squares(active)
+    _, u, misfit = fit.about(squares, active)
+    excess = np.sqrt(max(1.0, misfit))
+    return squares, u * excess, float(excess)
+
+
+def _significance(fit: _Fit, active: Sequence[int], term: int) -> float:
+    """The square of a coefficient over what its standard uncertainty would be without the term: few degrees of
+    freedom say little of how large a noise is, but may well say that it is there."""
+    others = [j for j in active if j != term]
+    if not others:
+        return np.inf
+    squares, u, _ = fit.about(fit.squares(others), active)
+    at = list(active).index(term)
+    return float(squares[at] / u[at])
+
+
+# Figures and a picture --------------------------------------------------------------------------------------
+
+_SHOWN = {
+    # name: symbol, then for "rad/s" and for "m/s^2" one of the shown unit in SI, and its name
+    "quantisation": ("Q", (ARCSEC, '"'), (1e-3, "mm/s")),
+    "white_noise": ("N", (DEGREE / 60.0, "°/√h"), (1e-6 * G_STANDARD, "µg/√Hz")),
+    "bias_instability": ("B", (DEGREE_PER_HOUR, "°/h"), (1e-6 * G_STANDARD, "µg")),
+    "rate_random_walk": ("K", (DEGREE_PER_HOUR / 60.0, "°/h/√h"), (1e-6 * G_STANDARD / 60.0, "µg/√h")),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Shown:
+    """A noise coefficient as it is shown: "N", "white noise", "0.0030", "0.0002", "°/√h"."""
+
+    symbol: str
+    name: str
+    value: str
+    u: str
+    unit: str
+
+
+def shown(parameters: NoiseParameters, unit: str) -> tuple[Shown, ...]:
+    """The coefficients a channel shows, rounded by their uncertainties, in the units of data sheets; `unit` is
+    that of the samples, "rad/s" or "m/s^2"."""
+    out = []
+    for name, (symbol, gyro, accel) in _SHOWN.items():
+        coefficient = getattr(parameters, name)
+        if coefficient is not None:
+            size, unit_name = gyro if unit == "rad/s" else accel
+            value, u = rounded(coefficient.value / size, coefficient.u / size)
+            out.append(Shown(symbol=symbol, name=name.replace("_", " "), value=value, u=u, unit=unit_name))
+    return tuple(out)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Panel:
+    """What one panel of the picture shows: the sensors `channels` (c,) of one kind, in "rad/s" or "m/s^2"."""
+
+    title: str
+    unit: str
+    channels: tuple[str, ...]
+    deviation: AllanDeviation
+    parameters: tuple[NoiseParameters, ...]

@@ -1,0 +1,303 @@
+"""Rests and turns in a log.
+
+`find_rests` works on the blocks of a `Reduction` and sets its thresholds from the whole log:
+
+1. The level of the gyros at rest is the densest point of the one-second means of the angular rate where the
+   accelerometers are quiet, their scatter within QUIET_FACTOR of its floor: turns go many ways, rests all read the
+   bias (and the Earth's rate, within 2Ω), and slow turns that take most of the log are not quiet.
+2. The noise floor of the distance from that level is a clipped median, started from the tenth percentile. A
+   block belongs to a rest where the distance is below FLOOR_FACTOR floors (and 2Ω for the Earth's rate), and
+   the scatter of the accelerometers in the same second below SCATTER_FACTOR of its own floor. Vibration that
+   averages out over a second raises both floors and their quantities alike, so nothing has to be set by hand.
+   The level follows slow drift: it is interpolated between the rests found, and the search repeated.
+3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
+   shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two
+   rests of a file is a turn.
+4. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
+   are those of the movement.
+
+Without gyros only the accelerometers decide: their scatter, and the step between the means of two neighbouring
+seconds, which shows a turn about a nearly vertical axis by the little it tilts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.earth import EARTH_RATE
+from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
+from tumble.sensors.model import Block
+from tumble.units import DEGREE, Array, BoolArray, IntArray
+
+WINDOW_SECONDS = 1.0
+FLOOR_FACTOR = 5.0
+SCATTER_FACTOR = 10.0
+QUIET_FACTOR = 2.0
+EDGE_SIGMAS = 4.0
+MIN_REST_SECONDS = 2.0
+DENSITY_POINTS = 1000
+MARGIN_FRACTION = 0.05
+MARGIN_SECONDS = (0.2, 1.0)
+TILT_LIMIT = 2.0 * DEGREE
+ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
+GYRO_ROUNDING = 1e-7  # rad/s
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RestSpan:
+    """A rest found: blocks [first, last) of a file, start and stop in s."""
+
+    file: int
+    first: int
+    last: int
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rejected:
+    """A quiet stretch that is not a rest, and the number that decided."""
+
+    file: int
+    start: float
+    stop: float
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Segmentation:
+    """Rests of a log in the order of time, what was rejected, and the thresholds that were found:
+    rate_limit (rad/s; None without gyros) and scatter_limit (m/s²)."""
+
+    rests: tuple[RestSpan, ...]
+    rejected: tuple[Rejected, ...]
+    rate_limit: float | None
+    scatter_limit: float
+
+
+def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
+    """The rests of a reduced log (module docstring)."""
+    coarse = _resolution(reduction.accel_channels, ACCEL_ROUNDING), _resolution(reduction.gyro_channels, GYRO_ROUNDING)
+    size = reduction.files[0].size
+    window = max(2, round(WINDOW_SECONDS * reduction.rate / size))
+    to_body = np.linalg.pinv(accel.axes).T
+    specific_force = [f.accel @ to_body for f in reduction.files]
+    scatter = [_moving_scatter(a, window) for a in specific_force]
+    floor = _floor(np.concatenate(scatter))
+    scatter_limit = (SCATTER_FACTOR if gyro else FLOOR_FACTOR) * floor + coarse[0]
+    calm = [s < scatter_limit for s in scatter]
+    if gyro is None:
+        step = [_moving_step(a, window) for a in specific_force]
+        step_limit = FLOOR_FACTOR * _floor(np.concatenate(step)) + coarse[0]
+        spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
+        return _assemble(reduction, specific_force, None, spans, coarse, window, scatter_limit, None, [])
+    gyro_to_body = np.linalg.pinv(gyro.axes).T
+    rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
+    quiet = [s < QUIET_FACTOR * floor + coarse[0] for s in scatter]
+    spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
+    restless = [
+        Rejected(
+            file=f.file,
+            start=float(f.edges[i]),
+            stop=float(f.edges[j]),
+            reason=f"accelerometer scatter {s[i:j].max():.2g} m/s^2 within a second is above {scatter_limit:.2g} m/s^2",
+        )
+        for f, s, still, c in zip(reduction.files, scatter, unmoved, calm, strict=True)
+        for i, j in still
+        if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
+    ]
+    return _assemble(reduction, specific_force, rates, spans, coarse, window, scatter_limit, rate_limit, restless)
+
+
+def _resolution(channels: tuple[ChannelState, ...], rounding: float) -> float:
+    """What the steps of coarse channels may do to a block mean without anything moving."""
+    steps = [channel.step for channel in channels if np.isfinite(channel.step)]
+    return rounding + float(np.linalg.norm(steps))
+
+
+def _still_spans(
+    rates: list[Array], calm: list[BoolArray], quiet: list[BoolArray], coarse: float, window: int
+) -> tuple[list[list[tuple[int, int]]], list[list[tuple[int, int]]], float]:
+    """Stretches of blocks, per file, in which the body is calm and does not turn, those in which it only does not turn,
+    and the limit of the rate, rad/s."""
+    smooth = [_moving_mean(w, window) for w in rates]
+    in_quiet = np.concatenate(quiet)
+    densest = _densest(np.concatenate([s[::window][q[::window]] for s, q in zip(smooth, quiet, strict=True)]))
+    level = [np.broadcast_to(densest, s.shape) for s in smooth]
+    spans: list[list[tuple[int, int]]] = [[] for _ in rates]
+    still, limit = calm, 0.0
+    for _ in range(5):  # the level follows slow drift from rest to rest
+        distance = [np.linalg.norm(s - at, axis=1) for s, at in zip(smooth, level, strict=True)]
+        limit = FLOOR_FACTOR * _floor(np.concatenate(distance)[in_quiet]) + 2.0 * EARTH_RATE + coarse
+        still = [d < limit for d in distance]
+        found = [_runs(s & c) for s, c in zip(still, calm, strict=True)]
+        if found == spans:
+            break
+        spans = found
+        level = [_interpolated_level(w, f, at) for w, f, at in zip(rates, spans, level, strict=True)]
+    return spans, [_runs(s) for s in still], limit
+
+
+def _interpolated_level(rate: Array, spans: list[tuple[int, int]], default: Array) -> Array:
+    """The gyro level of every block, interpolated between the means of the stretches found."""
+    long = [(i, j) for i, j in spans if j - i >= 10]
+    if not long:
+        return default
+    centres = np.array([0.5 * (i + j) for i, j in long])
+    means = np.array([rate[i:j].mean(axis=0) for i, j in long])
+    blocks = np.arange(len(rate))
+    return np.column_stack([np.interp(blocks, centres, means[:, c]) for c in range(rate.shape[1])])
+
+
+def _assemble(
+    reduction: Reduction,
+    specific_force: list[Array],
+    rates: list[Array] | None,
+    spans: list[list[tuple[int, int]]],
+    coarse: tuple[float, float],
+    window: int,
+    scatter_limit: float,
+    rate_limit: float | None,
+    rejected: list[Rejected],
+) -> Segmentation:
+    """Extend the stretches found, take the margins off, and keep those that are long enough."""
+    rests: list[RestSpan] = []
+    for k, (f, force, found) in enumerate(zip(reduction.files, specific_force, spans, strict=True)):
+        signals = [(force, coarse[0])] if rates is None else [(force, coarse[0]), (rates[k], coarse[1])]
+        for first, last in _merged([_extended(signals, i, j, window) for i, j in found]):
+            duration = float(f.edges[last] - f.edges[first])
+            margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
+            before = margin if first > 0 else 0.0
+            after = margin if last < len(f.edges) - 1 else 0.0
+            if duration - before - after < MIN_REST_SECONDS:
+                if duration > 0.5:
+                    reason = f"{duration:.1f} s is too short for a rest of {MIN_REST_SECONDS:g} s and its margins"
+                    rejected.append(
+                        Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), reason=reason)
+                    )
+                continue
+            tilt = _tilt(force[first:last], window)
+            if tilt > TILT_LIMIT:
+                reason = f"the vertical moves by {tilt / DEGREE:.0f}°, in a rest at most {TILT_LIMIT / DEGREE:g}°"
+                rejected.append(
+                    Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), reason=reason)
+                )
+                continue
+            rests.append(_span(f, f.edges[first] + before, f.edges[last] - after))
+    return Segmentation(
+        rests=tuple(rests),
+        rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),
+        rate_limit=rate_limit,
+        scatter_limit=scatter_limit,
+    )
+
+
+def stated_rest(reduction: Reduction, start: float, stop: float) -> RestSpan:
+    """A rest at stated times (s) of the first file, to whole blocks inside them."""
+    return _span(reduction.files[0], start, stop)
+
+
+def _span(f: FileBlocks, start: float, stop: float) -> RestSpan:
+    """The whole blocks between two times of a file."""
+    first = int(np.searchsorted(f.edges, start - 1e-9))
+    last = int(np.searchsorted(f.edges, stop + 1e-9, side="right")) - 1
+    return RestSpan(file=f.file, first=first, last=last, start=float(f.edges[first]), stop=float(f.edges[last]))
+
+
+def _extended(signals: list[tuple[Array, float]], first: int, last: int, window: int) -> tuple[int, int]:
+    """A stretch of blocks with its ends set where single blocks leave EDGE_SIGMAS of its own scatter: the moving
+    window has blurred them by half its length."""
+    tenth = (last - first) // 10
+    inside = np.ones(len(signals[0][0]), dtype=bool)
+    for values, rounding in signals:
+        core = values[first + tenth : last - tenth]
+        mean, sigma = core.mean(axis=0), np.sqrt(core.var(axis=0).sum())
+        inside &= np.linalg.norm(values - mean, axis=1) <= EDGE_SIGMAS * sigma + rounding
+    half = min(window, last - first) // 2
+    before, after = inside[: first + half][::-1], inside[last - half :]
+    start = first + half - (len(before) if before.all() else int(np.argmin(before)))
+    stop = last - half + (len(after) if after.all() else int(np.argmin(after)))
+    return start, stop
+
+
+def _tilt(force: Array, window: int) -> float:
+    """How far (rad) the one-second means of the specific force (K, 3) go from the mean of all."""
+    mean = force.mean(axis=0)
+    return float(np.linalg.norm(_moving_mean(force, window) - mean, axis=1).max() / np.linalg.norm(mean))
+
+
+def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Stretches in order, overlapping ones joined."""
+    out: list[tuple[int, int]] = []
+    for first, last in sorted(spans):
+        if out and first < out[-1][1]:
+            out[-1] = (out[-1][0], max(last, out[-1][1]))
+        elif last > first:
+            out.append((first, last))
+    return out
+
+
+def _moving_mean(values: Array, window: int) -> Array:
+    """Mean over the `window` rows about each row, at the ends over the first and the last `window` rows."""
+    window = min(window, len(values))
+    return _inner_mean(values, window)[_window_of(len(values), window)]
+
+
+def _moving_scatter(values: Array, window: int) -> Array:
+    """Root of the summed variances of the columns in the same windows."""
+    window = min(window, len(values))
+    inside = len(values) - window + 1
+    mean, variance = _inner_mean(values, window), np.zeros(inside)
+    for i in range(window):
+        variance += ((values[i : inside + i] - mean) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(variance / window)[_window_of(len(values), window)])
+
+
+def _moving_step(values: Array, window: int) -> Array:
+    """Distance between the means of the `window` rows before and behind each row, at the ends that of the nearest."""
+    window = min(window, len(values) // 2)
+    mean = _inner_mean(values, window)
+    step = np.linalg.norm(mean[window:] - mean[:-window], axis=1)
+    return np.asarray(step[np.clip(np.arange(len(values)) - window, 0, len(step) - 1)])
+
+
+def _inner_mean(values: Array, window: int) -> Array:
+    """Mean of every `window` consecutive rows."""
+    out = np.zeros((len(values) - window + 1, values.shape[1]))
+    for i in range(window):
+        out += values[i : len(out) + i]
+    return out / window
+
+
+def _window_of(rows: int, window: int) -> IntArray:
+    """First row of the window that belongs to each row."""
+    return np.clip(np.arange(rows) - window // 2, 0, rows - window)
+
+
+def _densest(points: Array) -> Array:
+    """The point of a cloud with the nearest neighbours, from at most DENSITY_POINTS of them evenly spread."""
+    points = points[:: -(-len(points) // DENSITY_POINTS)]
+    squares = sum((column[:, None] - column) ** 2 for column in points.T)
+    neighbour = min(len(points) - 1, max(3, len(points) // 20))
+    return np.asarray(points[np.argmin(np.partition(squares, neighbour, axis=1)[:, neighbour])])
+
+
+def _floor(values: Array) -> float:
+    """The level of the quiet part of a positive quantity: a median clipped at FLOOR_FACTOR times itself, started
+    from the tenth percentile."""
+    floor = float(np.quantile(values, 0.1))
+    for _ in range(50):
+        inside = values[values <= FLOOR_FACTOR * floor]
+        median = float(np.median(inside))
+        if abs(median - floor) <= 1e-6 * floor:
+            break
+        floor = median
+    return floor
+
+
+def _runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """[first, last) of every row of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
+    return [(int(i), int(j)) for i, j in edges.reshape(-1, 2)]

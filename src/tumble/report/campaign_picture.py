@@ -1,0 +1,76 @@
+"""What a campaign found, as a picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tumble.errors import InputError, needs_extra
+from tumble.files import whole_file
+from tumble.planning.budget import GROUPS
+from tumble.units import engineering
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+from tumble.campaigns.summary import Line, _plain, varying
+
+WIDE = 5.0
+"""Ratio of the errors in a panel from which its scale is logarithmic."""
+
+
+def plot(lines: Sequence[Line], path: Path) -> None:
+    """Draw the rms errors, a panel for each group, over the first axis of numbers that varies (over the methods if none
+    does), with one line for each method and value of the other axes; where it is known, the bound dotted. As svg, png
+    or pdf by the ending of the file.
+
+    Raises MissingExtraError without matplotlib, InputError where no trial was accepted."""
+    with needs_extra("a plot of a campaign", "report", "matplotlib"):
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+    lines = [line for line in lines if line.rms is not None]
+    if not lines:
+        raise InputError(f"{path}: expected an accepted trial to draw, found none")
+    axes = varying(lines)
+    along = next((a for a in axes if isinstance(lines[0].point[a], int | float)), None)
+    groups = [group for group in GROUPS if any(line.group == group for line in lines)]
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 9.0}):
+        figure = Figure(figsize=(10.5, 3.2 * math.ceil(len(groups) / 3) + 0.4), layout="constrained")
+        panels = figure.subplots(math.ceil(len(groups) / 3), min(3, len(groups)), squeeze=False).ravel()
+        for panel, group in zip(panels, groups, strict=True):
+            _draw(panel, [line for line in lines if line.group == group], axes, along)
+        handles, names = panels[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8.0)
+        undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+        with whole_file(path) as temporary:
+            figure.savefig(temporary, dpi=150, metadata=undated.get(path.suffix.lower()))
+
+
+def _draw(panel: Axes, lines: Sequence[Line], axes: Sequence[str], along: str | None) -> None:
+    """One group: rms errors against the axis `along`."""
+    size, unit = engineering(lines[0].unit, max(line.rms or 0.0 for line in lines))
+    series: dict[str, list[Line]] = {}
+    for line in lines:
+        others = [f"{axis} {_plain(line.point[axis])}" for axis in axes if axis != along]
+        series.setdefault(", ".join([line.method, *others]), []).append(line)
+    for i, (name, members) in enumerate(series.items()):
+        x = [i if along is None else line.point[along] for line in members]
+        rms = np.array([line.rms for line in members]) / size
+        panel.plot(x, rms, "o-", color=f"C{i}", markersize=3.5, linewidth=1.3, label=name)
+        if all(line.to_bound for line in members):
+            bound = rms / np.array([line.to_bound for line in members])
+            panel.plot(x, bound, "_:" if along is None else ":", color=f"C{i}", linewidth=1.0)
+    panel.set(title=lines[0].group, ylabel=f"rms error, {unit}", xlabel="method" if along is None else along)
+    largest, least = (of(line.rms or 0.0 for line in lines) for of in (max, min))
+    if largest > WIDE * least:
+        panel.set(yscale="log")
+    else:
+        panel.set_ylim(0.0, 1.1 * largest / size)
+    if along is None:
+        panel.set_xticks([])
+    panel.grid(which="major", alpha=0.5, linewidth=0.6)
+    for formatter in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
+        formatter("{x:g}")

@@ -1,0 +1,1 @@
+"""The instrument: model of the sensors, frames, grades."""

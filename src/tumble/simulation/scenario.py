@@ -1,0 +1,235 @@
+"""Scenarios: an IMU with given errors goes through a programme, or through a hand.
+
+Every move is a rotation about an axis fixed in the geographic frame, with the smooth angle θ(t) of `Profile`;
+between moves the table stands still.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.errors import InputError
+from tumble.programme.positions import ANY_MOVE, Move, Programme
+from tumble.recording.session import Site
+from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.sensors.grades import NoiseModel
+from tumble.sensors.grades import grade as typical
+from tumble.sensors.model import Block
+from tumble.units import DEGREE, Array
+
+UP = np.array([0.0, 1.0, 0.0])
+_MAX_CYCLES_PER_SAMPLE = 10.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Profile:
+    """Duration of the first and of the other rests, s; rate of the moves, rad/s, reached and left in `ramp` s
+    along a raised cosine (a short move keeps the ramps and is slower); sample rate, Hz."""
+
+    first_rest: float
+    rest: float
+    rate: float
+    ramp: float
+    sample_rate: float
+
+    def duration(self, angle: float) -> float:
+        """How long a move through this angle (rad) takes, s."""
+        return max(abs(angle) / self.rate, self.ramp) + self.ramp
+
+    def angle(self, t: Array, total: float) -> Array:
+        """Angle, rad, at times t, s, after the start of a move through `total`: zero before, total after."""
+        T = self.duration(total)
+        t = np.clip(t, 0.0, T)
+        late = t > 0.5 * T
+        s = np.where(late, T - t, t)  # the second half mirrors the first
+        into = np.minimum(s, self.ramp)
+        ramp = 0.5 * into - self.ramp / (2.0 * np.pi) * np.sin(np.pi * into / self.ramp)
+        gone = total / (T - self.ramp) * (ramp + (s - into))
+        return np.asarray(np.where(late, total - gone, gone))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Vibration:
+    """A vertical vibration throughout the log: amplitude of the specific force, m/s², and frequency, Hz."""
+
+    amplitude: float = 0.0
+    frequency: float = 0.0
+
+
+NO_VIBRATION = Vibration()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OnTable:
+    """A programme on a rough table. Errors are rotations, rad, uniform within ± about each axis: one of the
+    mounting for the launch (body axes), and one of the table for every position (geographic axes)."""
+
+    programme: Programme
+    table_error: float
+    mounting_error: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HandHeld:
+    """So many random positions, each with any orientation."""
+
+    positions: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Scenario:
+    """Everything a simulated session is made of, apart from chance. `truth`: values by parameter name of both
+    blocks; it goes into truth.json. The site has a latitude."""
+
+    course: OnTable | HandHeld
+    accel: Block
+    gyro: Block
+    truth: Mapping[str, float]
+    noise: NoiseModel
+    profile: Profile
+    site: Site
+    vibration: Vibration
+    serial: str
+
+    @property
+    def latitude(self) -> float:
+        """Latitude of the site, rad."""
+        if self.site.latitude is None:
+            raise InputError("site: expected a latitude, found none")
+        return self.site.latitude
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters of both blocks."""
+        return self.accel.names + self.gyro.names
+
+
+ON_TABLE = Profile(first_rest=60.0, rest=60.0, rate=10 * DEGREE, ramp=1.0, sample_rate=100.0)
+IN_HAND = Profile(first_rest=40.0, rest=5.0, rate=80 * DEGREE, ramp=0.5, sample_rate=100.0)
+
+
+def draw_parameters(grade: str, blocks: Sequence[Block], rng: np.random.Generator) -> dict[str, float]:
+    """True values by parameter name for blocks of a grade, Gaussian with the grade's spreads.
+
+    Raises InputError for a grade that does not exist."""
+    values: dict[str, float] = {}
+    for block in blocks:
+        spread = getattr(typical(grade), block.kind)
+        for name in block.names:
+            values[name] = float(getattr(spread, name.split(".")[1]) * rng.standard_normal())
+    return values
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Itinerary:
+    """Where a simulated device rests and how it gets there: `attitudes`, `rests`, `moves` and `positions` as in a
+    `Recording`; `programmed` (R − 1,): whether the programme prescribes the turn."""
+
+    attitudes: Array
+    rests: Array
+    moves: Array
+    positions: tuple[int, ...]
+    programmed: tuple[bool, ...]
+
+
+def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
+    """Attitudes, moves and times of a scenario. Raises InputError, one line, if the scenario is impossible."""
+    _check(scenario)
+    positions, attitudes, nominal = _attitudes(scenario.course, rng)
+    moves = np.array([_move(a, b, m) for a, b, m in zip(attitudes[:-1], attitudes[1:], nominal, strict=True)])
+    moves = moves.reshape(-1, 3)
+    return Itinerary(
+        attitudes=attitudes,
+        rests=_timetable(scenario.profile, moves),
+        moves=moves,
+        positions=positions,
+        programmed=tuple(move.axis is not None for move in nominal),
+    )
+
+
+def _attitudes(course: OnTable | HandHeld, rng: np.random.Generator) -> tuple[tuple[int, ...], Array, tuple[Move, ...]]:
+    """Which position comes when, the true attitudes (R, 3, 3), and the nominal moves between them."""
+    if isinstance(course, HandHeld):
+        n = course.positions
+        return tuple(range(n)), _random_rotations(n, rng), (ANY_MOVE,) * (n - 1)
+    n = len(course.programme.positions)
+    order = np.arange(n) if course.programme.ordered else rng.permutation(n)
+    nominal = np.array([course.programme.positions[i].matrix for i in order])
+    if not course.programme.ordered:
+        nominal = rotation_matrix(rng.uniform(-np.pi, np.pi, (n, 1)) * UP) @ nominal
+    mounting = rotation_matrix(course.mounting_error * rng.uniform(-1.0, 1.0, 3))
+    table = rotation_matrix(course.table_error * rng.uniform(-1.0, 1.0, (n, 3)))
+    return tuple(order.tolist()), table @ nominal @ mounting, course.programme.moves
+
+
+def _random_rotations(n: int, rng: np.random.Generator) -> Array:
+    """n rotation matrices, uniform over all orientations."""
+    q = rng.standard_normal((n, 4))
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    angle = 2.0 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), q[:, 0])
+    axis = q[:, 1:] / np.linalg.norm(q[:, 1:], axis=1)[:, None]
+    return rotation_matrix(angle[:, None] * axis)
+
+
+def _move(start: Array, end: Array, nominal: Move) -> Array:
+    """Rotation vector, geographic frame, rad, of the rotation from one true attitude to the next: of the two
+    ways round, the one nearer to the nominal move, or the shorter one if any movement will do."""
+    vector = rotation_vector(end @ start.T)
+    angle = float(np.linalg.norm(vector))
+    if nominal.axis is None or nominal.angle is None or angle == 0.0:
+        return vector
+    other = vector * (1.0 - 2.0 * np.pi / angle)
+    wanted = nominal.angle * nominal.axis
+    return min(vector, other, key=lambda way: float(np.linalg.norm(way - wanted)))
+
+
+def _timetable(profile: Profile, moves: Array) -> Array:
+    """Start and stop of every rest, s, shape (R, 2)."""
+    rests = np.full(len(moves) + 1, profile.rest)
+    rests[0] = profile.first_rest
+    durations = [profile.duration(float(np.linalg.norm(move))) for move in moves]
+    stops = np.cumsum(rests + np.concatenate([[0.0], durations]))
+    return np.column_stack([stops - rests, stops])
+
+
+# -------------------- checks --------------------
+
+
+def _check(scenario: Scenario) -> None:
+    """Raise InputError if a scenario is one nothing can be recorded of."""
+    profile, vibration = scenario.profile, scenario.vibration
+    _expect("sample rate", profile.sample_rate, "Hz")
+    _expect("rate", profile.rate / DEGREE, "deg/s")
+    _expect("ramp", profile.ramp, "s")
+    shortest = 2.0 / profile.sample_rate
+    for what, rest in (("first rest", profile.first_rest), ("rest", profile.rest)):
+        if not shortest <= rest < math.inf:
+            raise InputError(f"{what}: expected at least two samples, {shortest:g} s, found {rest:g} s")
+    highest = _MAX_CYCLES_PER_SAMPLE * profile.sample_rate
+    if vibration.amplitude > 0.0 and not 0.0 < vibration.frequency <= highest:
+        raise InputError(
+            f"vibration: expected more than 0 and at most {highest:g} Hz (ten cycles a sample), "
+            f"found {vibration.frequency:g} Hz"
+        )
+    if isinstance(scenario.course, HandHeld):
+        if scenario.course.positions < 1:
+            raise InputError(f"positions: expected at least 1, found {scenario.course.positions}")
+    else:
+        _expect("table error", scenario.course.table_error / DEGREE, "deg", zero=True)
+        _expect("mounting error", scenario.course.mounting_error / DEGREE, "deg", zero=True)
+    missing = sorted(set(scenario.names) ^ set(scenario.truth))
+    if missing:
+        raise InputError(
+            f"truth: expected a value for every parameter and no other, found a difference in {missing[0]}"
+        )
+
+
+def _expect(what: str, value: float, unit: str, *, zero: bool = False) -> None:
+    """Raise InputError unless a value is finite and positive, or zero where that is allowed."""
+    if not (0.0 < value < math.inf or (zero and value == 0.0)):
+        least = "0 or more" if zero else "more than 0"
+        raise InputError(f"{what}: expected {least}, in {unit}, found {value:g}")

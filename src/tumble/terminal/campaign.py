@@ -1,0 +1,56 @@
+"""What a campaign found, as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from tumble.units import engineering
+
+if TYPE_CHECKING:
+    pass
+from tumble.campaigns.summary import Line, _plain, varying
+
+
+def summary_report(lines: Sequence[Line]) -> RenderableType:
+    """The lines as tables: first how the trials ended, then the errors."""
+    axes = varying(lines)
+    ended, errors = Table(box=None, pad_edge=False), Table(box=None, pad_edge=False)
+    for table, headings in (
+        (ended, ("trials", "accepted", "not accepted", "failed")),
+        (errors, ("bias", "scatter", "rms", "unit", "rms/bound", "coverage")),
+    ):
+        for axis in axes:
+            table.add_column(axis, justify="right")
+        table.add_column("method")
+        if table is errors:
+            table.add_column("parameters")
+        for heading in headings:
+            table.add_column(heading, justify="left" if heading == "unit" else "right")
+    before: list[str] = []
+    for line in lines:
+        where = [_plain(line.point[axis]) for axis in axes] + [line.method]
+        if where != before:
+            refused = line.trials - line.accepted - line.failed
+            ended.add_row(*where, str(line.trials), str(line.accepted), str(refused), str(line.failed))
+        if line.rms is not None:
+            errors.add_row(*(where if where != before else [""] * len(where)), line.group, *_figures(line))
+        before = where
+    return Group(ended, Text(""), errors)
+
+
+def _figures(line: Line) -> list[str]:
+    assert line.bias is not None
+    assert line.scatter is not None
+    assert line.rms is not None
+    size, unit = engineering(line.unit, line.rms)
+    return [
+        *(f"{value / size:.3g}" for value in (line.bias, line.scatter, line.rms)),
+        unit,
+        "" if line.to_bound is None else f"{line.to_bound:.3f}",
+        "" if line.coverage is None else f"{line.coverage:.1%}",
+    ]

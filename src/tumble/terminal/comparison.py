@@ -1,0 +1,43 @@
+"""Two calibrations side by side, as text."""
+
+from __future__ import annotations
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from tumble.calibration.compare import Comparison
+from tumble.calibration.coverage import COVERAGE
+from tumble.terminal.table import add_numbers, plain_table
+from tumble.units import engineering, rounded
+
+
+def comparison_report(comparison: Comparison) -> RenderableType:
+    """All that `tumble compare` prints."""
+    parts: list[RenderableType] = [Text(f"frame {comparison.frame}"), Text(""), _table(comparison), Text("")]
+    beyond = [d for d in comparison.differences if d.e_n is not None and abs(d.e_n) > 1.0]
+    judged = sum(d.e_n is not None for d in comparison.differences)
+    parts.append(Text(f"{len(beyond)} of {judged} |E_n| beyond 1"))
+    if comparison.chi_square is not None:
+        parts.append(
+            Text(
+                f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with "
+                f"probability {comparison.probability:.2g}"
+            )
+        )
+    return Group(*parts)
+
+
+def _table(comparison: Comparison) -> Table:
+    """Values, difference, its uncertainty and E_n of every common parameter, in engineering units."""
+    table = plain_table("parameter")
+    add_numbers(table, "first", "second", "difference", "u (k=1)")
+    table.add_column("unit")
+    add_numbers(table, "d/u", "E_n")
+    for d in comparison.differences:
+        size, unit = engineering(d.unit, max(abs(d.first), abs(d.second), d.u or 0.0))
+        u = (d.u or 0.0) / size
+        numbers = [rounded(value / size, u)[0] for value in (d.first, d.second, d.value)]
+        judged = ["", ""] if d.e_n is None else [f"{COVERAGE * d.e_n:+.2f}", f"{d.e_n:+.2f}"]
+        table.add_row(d.name, *numbers, rounded(0.0, u)[1] if d.u else "", unit, *judged)
+    return table

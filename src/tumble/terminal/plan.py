@@ -1,0 +1,148 @@
+"""Bounds and plans as text on a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from tumble.estimation.observability import in_words, sum_in_words
+from tumble.planning.best_positions import Aim, Compared, Next
+from tumble.planning.bounds import Bound
+from tumble.planning.budget import Setup
+from tumble.programme.positions import Programme, duration
+from tumble.programme.sheet_words import MOVE, clock, move_text
+from tumble.units import DEGREE, engineering
+
+LARGEST = 4
+"""So many parameters of a combination are named."""
+
+
+def bound_report(setup: Setup, bound: Bound) -> RenderableType:
+    """What a set-up's programme can show at best: rank, condition, the worst combination, every parameter."""
+    programme = setup.programme
+    lines = [
+        f"{programme.name}: {len(programme.positions)} positions in {_time(programme, setup)}, "
+        f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s",
+        f"rank {bound.rank} of {len(bound.names)}, condition {_condition(bound)}",
+        *_not_determined(bound),
+    ]
+    if not len(bound.null):
+        lines.append(f"worst determined: {_worst(bound)} (of gravity, of the rate of turns, rad)")
+    table = Table(box=None, pad_edge=False)
+    table.add_column("parameter")
+    for heading in ("bound of u", "of the spread"):
+        table.add_column(heading, justify="right")
+    for name, u in zip(bound.names, bound.u, strict=True):
+        kind, what, _ = name.split(".")
+        share = f"{u / getattr(getattr(setup, kind), what):.2%}" if math.isfinite(u) else ""
+        table.add_row(name, _shown(bound, f"{kind}.{what}", u), share)
+    return Group(*map(Text, lines), Text(""), table)
+
+
+def next_report(before: Bound, found: Sequence[Next], aim: Aim) -> RenderableType:
+    """What one more position would buy, the best first."""
+    table = Table(box=None, pad_edge=False)
+    for heading in ("one more position", "up and down", "how to get there"):
+        table.add_column(heading)
+    for heading in ("as good", "rank", aim.letter, *before.groups):
+        table.add_column(heading, justify="right")
+    table.add_row("none", "", "", "", str(before.rank), "", *_groups(before))
+    for one in found:
+        table.add_row(
+            one.position.attitude,
+            one.position.label,
+            move_text(one.move),
+            f"+{one.as_good}" if one.as_good else "",
+            str(one.bound.rank),
+            "" if len(before.null) else f"{one.ratio - 1.0:+.1%}".replace("-", "−"),
+            *_groups(one.bound),
+        )
+    return table
+
+
+def positions_report(programme: Programme) -> RenderableType:
+    """The positions of a programme and how they are reached."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("", justify="right")
+    for heading in ("how to get there", "attitude", "up and down"):
+        table.add_column(heading)
+    moves = ("start", *map(move_text, programme.moves))
+    for i, (position, how) in enumerate(zip(programme.positions, moves, strict=True)):
+        table.add_row(str(i + 1), how, position.attitude, position.label)
+    return table
+
+
+def comparison_report(setup: Setup, rows: Sequence[Compared], aim: Aim) -> RenderableType:
+    """Programmes beside each other; the criterion over that of the first."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("programme")
+    for heading in ("positions", "time", "rank", "condition", *rows[0].bound.groups, aim.letter):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(
+            row.programme.name,
+            str(len(row.programme.positions)),
+            _time(row.programme, setup),
+            str(row.bound.rank),
+            _condition(row.bound),
+            *_groups(row.bound),
+            f"{row.value / rows[0].value:.2f}" if not len(row.bound.null) else "",
+        )
+    return table
+
+
+def short_of(bound: Bound, aim: Aim, setup: Setup) -> list[str]:
+    """What a programme does not determine, and wanted accuracies that it cannot give, in sentences."""
+    out = _not_determined(bound)
+    for group, value in (aim.wanted or {}).items():
+        if group in bound.groups and bound.rms(group) > value:
+            size, unit = engineering(_unit(bound, group), value)
+            out.append(
+                f"{group}: expected {value / size:.3g} {unit} (rms), found at best "
+                f"{_shown(bound, group, bound.rms(group))}; take more positions, or longer rests than {setup.rest:g} s"
+            )
+    return out
+
+
+def _worst(bound: Bound) -> str:
+    """The combination determined worst, by its largest coefficients, and how well it is."""
+    worst = bound.worst / np.abs(bound.worst).max()
+    small = np.argsort(-np.abs(worst), kind="stable")[LARGEST:]
+    words = sum_in_words(np.where(np.isin(np.arange(len(worst)), small), 0.0, worst), bound.names)
+    mostly = "mostly " if np.any(np.abs(worst[small]) > 0.3) else ""
+    return f"{mostly}{words}, to {bound.worst_u / np.abs(bound.worst).max():.2g}"
+
+
+def _not_determined(bound: Bound) -> list[str]:
+    """What a programme does not determine, in words: a line, or none."""
+    return [f"not determined: {', '.join(in_words(bound.null, bound.names))}"] if len(bound.null) else []
+
+
+def _groups(bound: Bound) -> list[str]:
+    """The rms of every kind of parameter."""
+    return [_shown(bound, group, bound.rms(group)) for group in bound.groups]
+
+
+def _shown(bound: Bound, group: str, u: float) -> str:
+    """An uncertainty in its engineering unit."""
+    if not math.isfinite(u):
+        return "–"
+    size, unit = engineering(_unit(bound, group), u)
+    return f"{u / size:.3g} {unit}"
+
+
+def _unit(bound: Bound, group: str) -> str:
+    return next(unit for name, unit in zip(bound.names, bound.units, strict=True) if name.startswith(f"{group}."))
+
+
+def _condition(bound: Bound) -> str:
+    return f"{bound.condition:.3g}" if math.isfinite(bound.condition) else "–"
+
+
+def _time(programme: Programme, setup: Setup) -> str:
+    return clock(duration(programme, rest=setup.rest, rate=setup.turn_rate, move=MOVE))

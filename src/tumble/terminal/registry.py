@@ -1,0 +1,320 @@
+"""The registry on a terminal: devices, records, limits, trends, what is due."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import date
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from tumble.calibration.coverage import COVERAGE
+from tumble.calibration.results import Parameter
+from tumble.registry.due import Due
+from tumble.registry.limits import RULE, Judgement, Verdict
+from tumble.registry.monitor import Monitored
+from tumble.registry.records import LaunchRow, ParameterRow, Record
+from tumble.registry.series import Point
+from tumble.registry.store import LimitsRecord
+from tumble.registry.trend import Change, Trend
+from tumble.terminal.text import shown_units
+from tumble.units import rounded
+
+_BARS = "▁▂▃▄▅▆▇█"
+_LONG = 24  # points of a sparkline
+
+
+def devices_table(latest: Iterable[Due], counts: Mapping[str, int], verdicts: Mapping[int, str]) -> Table:
+    """Every device with its latest record."""
+    table = _table("device", "type", "calibrations", "latest", "record", "check", "verdict", "due")
+    for item in latest:
+        record = item.record
+        table.add_row(
+            Text(record.serial),
+            Text(record.model or ""),
+            str(counts[record.serial]),
+            _day(record.performed),
+            str(record.number),
+            record.occasion,
+            verdicts[record.number],
+            str(item.day or ""),
+        )
+    return table
+
+
+def records_table(records: Iterable[Record], verdicts: Mapping[int, str]) -> Table:
+    """The records of a device."""
+    table = _table("record", "performed", "check", "state", "method", "frame", "verdict", "")
+    for record in records:
+        table.add_row(
+            str(record.number),
+            _day(record.performed),
+            record.occasion,
+            record.state,
+            Text(record.method),
+            Text(record.frame),
+            verdicts[record.number],
+            f"superseded by {record.superseded_by}" if record.superseded_by else "",
+        )
+    return table
+
+
+def record_report(
+    record: Record, launches: Sequence[LaunchRow], rows: Sequence[ParameterRow], verdict: Verdict | None
+) -> RenderableType:
+    """A record with its parameters and the verdict on each."""
+    lines = [
+        f"record {record.number} · device {_device(record)} · {record.occasion} check · {record.state}",
+        f"performed {_day(record.performed)} · method {record.method} · frame {record.frame}",
+        *(f"launch {launch.session or 1} · log {launch.log_sha256}" for launch in launches if launch.log_sha256),
+        f"content {record.sha256}",
+    ]
+    if record.supersedes is not None:
+        lines.append(f"supersedes record {record.supersedes}: {record.reason}")
+    if record.superseded_by is not None:
+        lines.append(f"superseded by record {record.superseded_by}")
+    judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
+    results = [row for row in rows if row.launch == 0]
+    return Group(
+        Text("\n".join(lines)), Text(""), _verdict_table(results, judged), Text(""), Text(_verdict_line(verdict))
+    )
+
+
+def _verdict_table(rows: Sequence[ParameterRow], judged: Mapping[str, Judgement]) -> Table:
+    table = _table("parameter")
+    for heading in ("value", "U (k=2)", *(("lowest", "highest") if judged else ())):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for heading in ("unit", *(("verdict",) if judged else ())):
+        table.add_column(heading)
+    units = _units((row.name, row.unit, row.value) for row in rows)
+    for row in rows:
+        size, unit = units[row.name]
+        own = judged.get(row.name)
+        table.add_row(
+            Text(row.name),
+            *with_expanded(row.value, expanded_of(row), size),
+            *_limits_cells(own, size, bool(judged)),
+            unit,
+            *([own.result if own else ""] if judged else []),
+        )
+    return table
+
+
+def _limits_cells(judgement: Judgement | None, size: float, shown: bool) -> list[str]:
+    if not shown:
+        return []
+    return ["", ""] if judgement is None else [limit_cell(judgement.low, size), limit_cell(judgement.high, size)]
+
+
+def _verdict_line(verdict: Verdict | None) -> str:
+    if verdict is None:
+        return "no verdict: no limits were in force for this type and check when the record was added"
+    return "\n".join([RULE, *verdict.reasons(), f"verdict: {verdict.result}"])
+
+
+def limits_report(limits: LimitsRecord) -> RenderableType:
+    """Limits as they were given."""
+    named = "" if limits.systematic is None else " · systematic values kept with them"
+    return Group(
+        Text(f"limits {limits.number} · type {limits.model} · in force from {_day(limits.added)}{named}"),
+        Text(""),
+        Text(limits.file.rstrip()),
+        Text(""),
+        Text(RULE),
+    )
+
+
+def limits_table(found: Iterable[LimitsRecord], in_force: Mapping[str, LimitsRecord]) -> Table:
+    """The limits of all types."""
+    table = _table("limits", "type", "added", "")
+    for own in found:
+        said = "in force" if in_force[own.model] == own else "replaced"
+        table.add_row(str(own.number), Text(own.model), _day(own.added), said)
+    return table
+
+
+def due_table(found: Iterable[Due], today: date) -> Table:
+    """What is due when."""
+    table = _table("device", "type", "latest", "record", "every", "due", "")
+    for item in found:
+        left = None if item.day is None else (item.day - today).days
+        said = "no interval" if left is None else f"in {left} d" if left >= 0 else f"overdue by {-left} d"
+        table.add_row(
+            Text(item.record.serial),
+            Text(item.record.model or ""),
+            _day(item.record.performed),
+            str(item.record.number),
+            "" if item.months is None else f"{item.months} months",
+            str(item.day or ""),
+            said,
+        )
+    return table
+
+
+# -------------------- trend --------------------
+
+
+def trend_report(found: Monitored) -> RenderableType:
+    """Every parameter of a device over its calibrations, a line each, with verdicts on the latest values."""
+    trends, limits, verdicts = found.trends, found.limits, found.latest_verdicts()
+    launches = any(trend.run_to_run is not None for trend in trends)
+    table = _table("parameter", "history")
+    headings = ["latest", "U (k=2)", *(["lowest", "highest"] if limits else []), *(["run to run"] if launches else [])]
+    for heading in (*headings, "drift/year", "U (95 %)", "change", "E_n"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for heading in ("unit", *(["verdict"] if limits else [])):
+        table.add_column(heading)
+    units = _units((t.series.name, t.series.unit, p.value) for t in trends for p in t.series.points)
+    for trend in trends:
+        name = trend.series.name
+        size, unit = units[name]
+        table.add_row(
+            Text(name),
+            sparkline([p.value for p in trend.series.points]),
+            *with_expanded(trend.series.points[-1].value, expanded_of(trend.series.points[-1]), size),
+            *(limit_cell(v, size) for v in (limits.get(name, (math.nan, math.nan)) if limits else ())),
+            *([significant(trend.run_to_run, size)] if launches else []),
+            *drift_cells(trend, size),
+            *change_cells(trend.last_change, size),
+            unit,
+            *([verdicts.get(name, "")] if limits else []),
+        )
+    return Group(Text(_trend_line(found)), Text(""), table)
+
+
+def history_report(found: Monitored) -> RenderableType:
+    """The one parameter of `found` in every calibration, with verdicts by the limits that are in force."""
+    trend, verdicts = found.trends[0], found.verdicts()
+    name, points = trend.series.name, trend.series.points
+    limits = found.limits.get(name)
+    size, unit = _units((name, trend.series.unit, p.value) for p in points)[name]
+    table = _table("record", "performed", "state")
+    for heading in ("value", "U (k=2)", "launches", "change", "E_n"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for heading in ("unit", "", *(["verdict"] if limits else [])):
+        table.add_column(heading)
+    changes = {change.later: change for change in trend.changes}
+    for point in points:
+        change = changes.get(point.number)
+        table.add_row(
+            str(point.number),
+            _day(point.performed),
+            point.state,
+            *with_expanded(point.value, expanded_of(point), size),
+            str(len(point.launches) or 1),
+            *change_cells(change, size),
+            unit,
+            "adjusted" if change is not None and change.adjustment else "",
+            *([verdicts.get(point.number, "")] if limits else []),
+        )
+    history = sparkline([p.value for p in points])
+    said = f"{name} of device {_device(found.latest)} · frame {found.frame} · {history}"
+    return Group(Text(said), Text(""), table, Text(""), Text("\n".join(_conclusions(trend, limits, size, unit))))
+
+
+def _conclusions(trend: Trend, limits: tuple[float, float] | None, size: float, unit: str) -> list[str]:
+    lines = []
+    if limits is not None:
+        lines += [f"limits: {limit_cell(limits[0], size)} to {limit_cell(limits[1], size)} {unit}", RULE]
+    if trend.run_to_run is not None:
+        lines.append(
+            f"run to run: {significant(trend.run_to_run, size)} {unit}, the standard deviation of launches "
+            f"({trend.run_to_run_degrees} degrees of freedom)"
+        )
+    if trend.instability is not None:
+        lines.append(f"instability beyond the stated u, per power-on: {significant(trend.instability, size)} {unit}")
+    drift = trend.drift
+    if drift is None:
+        lines.append(
+            "drift: not known; it takes two calibrations at different times without an adjustment between them"
+        )
+    elif drift.expanded is None:
+        value, u = rounded(drift.per_year / size, drift.u / size)
+        lines.append(f"drift: {value} {unit} a year, u = {u} of the measurement alone: nothing shows the instability")
+    else:
+        value, expanded = rounded(drift.per_year / size, drift.expanded / size)
+        lines.append(
+            f"drift: {value} ± {expanded} {unit} a year (95 %, Student's t with {drift.degrees} degrees of freedom)"
+        )
+    return lines
+
+
+def sparkline(values: Sequence[float]) -> str:
+    """Values as bars between the lowest and the highest; the last ones, where there are many."""
+    shown = values[-_LONG:]
+    low, high = min(shown), max(shown)
+    if high == low:
+        return _BARS[3] * len(shown)
+    return "".join(_BARS[min(int((v - low) / (high - low) * len(_BARS)), len(_BARS) - 1)] for v in shown)
+
+
+def _trend_line(found: Monitored) -> str:
+    numbers = {p.number: p.performed for t in found.trends for p in t.series.points}
+    first, last = min(numbers.values()), max(numbers.values())
+    return (
+        f"device {_device(found.latest)} · {len(numbers)} calibrations from {_day(first)} to {_day(last)} · "
+        f"frame {found.frame}"
+    )
+
+
+def drift_cells(trend: Trend, size: float) -> list[str]:
+    """The drift a year and its U, where there is one."""
+    if trend.drift is None:
+        return ["", ""]
+    expanded = trend.drift.expanded
+    return with_expanded(trend.drift.per_year, expanded, size) if expanded is not None else ["", ""]
+
+
+def change_cells(change: Change | None, size: float) -> list[str]:
+    """A change and its E_n number."""
+    if change is None:
+        return ["", ""]
+    value = with_expanded(change.value, change.expanded, size)[0]
+    return [value, "" if change.e_n is None else f"{change.e_n:+.2f}"]
+
+
+# -------------------- cells --------------------
+
+
+def _table(*headings: str) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, no_wrap=True)
+    return table
+
+
+def _device(record: Record) -> str:
+    return record.serial if record.model is None else f"{record.serial} ({record.model})"
+
+
+def _day(moment: date) -> str:
+    return f"{moment:%Y-%m-%d}"
+
+
+def _units(values: Iterable[tuple[str, str, float]]) -> Mapping[str, tuple[float, str]]:
+    """The units in which parameters are shown, by name; from names, SI units and values."""
+    return shown_units([Parameter(name=name, value=value, u=None, unit=unit) for name, unit, value in values])
+
+
+def expanded_of(result: Point | ParameterRow) -> float | None:
+    """U (k = 2), SI."""
+    return None if result.u is None else COVERAGE * result.u
+
+
+def with_expanded(value: float, expanded: float | None, size: float) -> list[str]:
+    """A value to the digits of its U, and U."""
+    if expanded is None:
+        return [f"{value / size:.6g}", ""]
+    return list(rounded(value / size, expanded / size))
+
+
+def limit_cell(value: float, size: float) -> str:
+    """A limit, where there is one."""
+    return f"{value / size:.6g}" if math.isfinite(value) else ""
+
+
+def significant(value: float | None, size: float) -> str:
+    """A standard deviation to two digits."""
+    return "" if value is None else f"{float(f'{value / size:.2g}'):g}"

@@ -1,0 +1,45 @@
+"""Results as text on a terminal: rests and turns found, noise, budgets. `calibration_text` has the calibrations."""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rich.console import Console, RenderableType
+
+from tumble.calibration.results import Parameter
+from tumble.units import engineering
+
+if TYPE_CHECKING:
+    pass
+
+
+def _group(parameter: Parameter) -> str:
+    return ".".join(parameter.name.split(".")[:2])
+
+
+def shown_units(parameters: Sequence[Parameter]) -> dict[str, tuple[float, str]]:
+    """The unit in which each parameter is shown, by its name, as (size in SI, unit): one for all of a kind, by their
+    root mean square."""
+    kinds: dict[str, list[Parameter]] = {}
+    for p in parameters:
+        kinds.setdefault(_group(p), []).append(p)
+    of_kind = {
+        kind: engineering(alike[0].unit, math.sqrt(sum(p.value**2 for p in alike) / len(alike)))
+        for kind, alike in kinds.items()
+    }
+    return {p.name: of_kind[_group(p)] for p in parameters}
+
+
+def print_report(report: RenderableType) -> None:
+    """Print to standard output, as wide as the terminal, or as needed where there is none; characters that it cannot
+    show become question marks."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+    console = Console(highlight=False, soft_wrap=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=160)
+    console.print(report)
