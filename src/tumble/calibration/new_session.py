@@ -27,7 +27,7 @@ from tumble.recording.formats import Sensors
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import open_log
-from tumble.recording.readers import log_columns, log_head
+from tumble.recording.readers import source_of
 from tumble.recording.session import SESSION_FILE, read_session, write_session
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TIME_UNITS
 

@@ -12,11 +12,12 @@ import weakref
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import IO
 
 import numpy as np
 
+from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log
 from tumble.reduction import kernels as _kernels
 from tumble.sensors.model import Block
@@ -24,6 +25,8 @@ from tumble.units import Array
 
 BLOCK_SECONDS = 0.1
 IN_MEMORY_BYTES = 16 * 2**20
+_UNRECORDED = 2.0
+"""Samples: what is left between two samples beyond their interval is a gap, not jitter."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -164,6 +167,8 @@ class Reduction:
     gyro_channels: tuple[ChannelState, ...]
     samples: GyroSamples | None
     magnetometer_channels: tuple[ChannelState, ...] = ()
+    gaps: tuple[Gap, ...] = ()
+    """Lost samples of the log."""
 
 
 class _Channels:
@@ -184,10 +189,11 @@ class _Channels:
         count = _kernels.block_sums(values, time, weight, self.size, self.sums, self.filled, self.state, out)
         self.blocks.append(out[:count])
 
-    def end_file(self, edges: Array) -> tuple[Array, Tail]:
-        """Means of the blocks of the file, and what was left; `edges` (K + 2,) of the blocks and the file's end."""
-        count = len(edges) - 2
-        weight = np.diff(edges) if self.increments else np.append(np.full(count, float(self.size)), self.filled)
+    def end_file(self, covered: Array) -> tuple[Array, Tail]:
+        """Means of the blocks of the file, and what was left; `covered` (K + 1,): the time, s, that the samples of the
+        blocks and of what was left cover."""
+        count = len(covered) - 1
+        weight = covered if self.increments else np.append(np.full(count, float(self.size)), self.filled)
         means = np.concatenate(self.blocks) / weight[:count, None]
         tail = Tail(total=self.sums, weight=weight)
         self.blocks, self.filled[0], self.sums = [], 0, np.zeros_like(self.sums)
@@ -237,6 +243,7 @@ class Reducer:
         self._along_body = np.array_equal(self._to_body, np.eye(3))
         self._temperature: list[Array] = []
         self._times: list[Array] = []
+        self._skipped: list[tuple[int, float]] = []
         self._files: list[FileBlocks] = []
         self._file = -1
         self._first = 0
@@ -257,6 +264,7 @@ class Reducer:
             self._stored.append(body, chunk.dt)
         if self._magnetometer and chunk.magnetometer is not None:
             self._magnetometer.feed(chunk.magnetometer, chunk.time, chunk.dt)
+        self._skipped += self._unrecorded(chunk)
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
         self._times.append(chunk.time[ends])
         if chunk.temperature is not None:
@@ -264,13 +272,23 @@ class Reducer:
         self._count += len(chunk.time)
         self._stop = float(chunk.time[-1])
 
+    def _unrecorded(self, chunk: Chunk) -> list[tuple[int, float]]:
+        """Blocks in which time passed between two samples that no sample covers, and how much, s."""
+        before = self._stop if self._count else self._start
+        left = chunk.time - chunk.dt - np.concatenate([[before], chunk.time[:-1]])
+        at = np.flatnonzero(left > _UNRECORDED / self.rate)
+        return [(int((self._count + i) // self.size), float(left[i])) for i in at]
+
     def _end_file(self) -> None:
         if self._file < 0:
             return
         edges = np.concatenate([[self._start], *self._times, [self._stop]])
-        accel, accel_tail = self._accel.end_file(edges)
-        gyro, gyro_tail = self._gyro.end_file(edges) if self._gyro else (None, None)
-        field, field_tail = self._magnetometer.end_file(edges) if self._magnetometer else (None, None)
+        covered = np.diff(edges)
+        for block, left in self._skipped:
+            covered[block] -= left
+        accel, accel_tail = self._accel.end_file(covered)
+        gyro, gyro_tail = self._gyro.end_file(covered) if self._gyro else (None, None)
+        field, field_tail = self._magnetometer.end_file(covered) if self._magnetometer else (None, None)
         self._files.append(
             FileBlocks(
                 file=self._file,
@@ -286,7 +304,7 @@ class Reducer:
                 magnetometer_tail=field_tail,
             )
         )
-        self._times, self._temperature = [], []
+        self._times, self._temperature, self._skipped = [], [], []
 
     def finish(self) -> Reduction:
         """The reduction of all that was fed."""
@@ -315,7 +333,7 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
     )
     for chunk in _one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
-    return reducer.finish()
+    return replace(reducer.finish(), gaps=log.gaps)
 
 
 def _one_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:

@@ -23,6 +23,7 @@ from itertools import accumulate
 import numpy as np
 
 from tumble.programme.positions import Programme
+from tumble.recording.gaps import Gap
 from tumble.recording.session import Site
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.blocks import ChannelState, FileBlocks, GyroSamples, Reduction
@@ -237,7 +238,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
     )
     turns, samples, readings = None, None, None
     if gyro is not None and gyro_fit is not None and reduction.samples is not None:
-        turns, samples = _turns(reduction.samples, by_file, spans, gyro, gyro_fit, block_seconds)
+        turns, samples = _turns(reduction, reduction.samples, by_file, spans, gyro, gyro_fit, block_seconds)
         readings = _turn_readings(by_file, spans, turns, gyro_fit, block_seconds) if gyro.size > 3 else None
     return Observations(
         accel_block=accel,
@@ -334,7 +335,17 @@ def _drift(series: list[Array]) -> Array:
     return np.array(out)
 
 
+def _whole(gaps: tuple[Gap, ...], before: RestSpan, after: RestSpan) -> bool:
+    """Whether the turn between two rests was recorded as a whole."""
+    return not any(
+        gap.file == before.file and gap.time < after.start and gap.stop > before.stop
+        for gap in gaps
+        if not gap.integrable
+    )
+
+
 def _turns(
+    reduction: Reduction,
     stored: GyroSamples,
     by_file: dict[int, FileBlocks],
     spans: tuple[RestSpan, ...],
@@ -342,8 +353,12 @@ def _turns(
     noise: ColouredNoise,
     block_seconds: float,
 ) -> tuple[Turns, TurnSamples]:
-    """The turns between consecutive rests of a file, integrated with nominal gyros."""
-    pairs = [(i, i + 1) for i in range(len(spans) - 1) if spans[i].file == spans[i + 1].file]
+    """The turns between consecutive rests of a file that were recorded as a whole, integrated with nominal gyros."""
+    pairs = [
+        (i, i + 1)
+        for i in range(len(spans) - 1)
+        if spans[i].file == spans[i + 1].file and _whole(reduction.gaps, spans[i], spans[i + 1])
+    ]
     first, last = np.array(pairs, dtype=int).reshape(-1, 2).T
     sample = {f: (by_file[f].first_sample, by_file[f].size) for f in by_file}
     start = np.array([sample[spans[i].file][0] + sample[spans[i].file][1] * spans[i].last for i in first], dtype=int)
