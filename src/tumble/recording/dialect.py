@@ -220,7 +220,8 @@ def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
     best: tuple[int, Dialect] | None = None
     for delimiter in DELIMITERS:
         for decimal in (".", ","):
-            trial = Dialect(delimiter=delimiter, decimal=decimal, comment=comment, encoding=encoding)
+            mark = comment if comment != delimiter else None
+            trial = Dialect(delimiter=delimiter, decimal=decimal, comment=mark, encoding=encoding)
             rows = Counter(len(c) for line in lines if trial.is_row(c := trial.cells(line)))
             count = max(rows.values(), default=0)
             if count and (best is None or count > best[0]):

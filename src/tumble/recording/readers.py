@@ -418,8 +418,9 @@ def _in_column(column: str | None) -> str:
 
 
 def text_tables(source: Source, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-    """The rows of a text log with all columns, these as numbers and the others as the text they are. What cannot be
-    read is NaN; lines that are no rows are left out."""
+    """The rows of a text log with all columns, these as numbers and the others as the text they are. Of a log of a
+    stated dialect, what cannot be read is NaN, and lines that are no rows are left out; else polars' errors are
+    raised."""
     assert isinstance(source, _Csv)
     schema = {name: pl.Float64 if name in numbers else pl.String for name in _distinct(source.names)}
     comma = source.dialect.decimal == ","
@@ -429,6 +430,8 @@ def text_tables(source: Source, numbers: Sequence[str]) -> Iterator[pl.DataFrame
                 piece, has_header=False, schema=schema, separator=source.separator, decimal_comma=comma
             )
         except pl.exceptions.PolarsError:
+            if source.dialect == Dialect():
+                raise
             yield _text_table(source, piece, schema)
 
 
