@@ -723,11 +723,12 @@ def test_lost_row_without_a_time_is_no_bridge_for_a_turn_if_it_may_have_been_non
 
 def test_regular_rows_have_the_times_of_their_number(tmp_path: Path) -> None:
     coarse = [lines()[0], *([f"{0.05 * (i // 5):.2f}", *line[1:]] for i, line in enumerate(lines()[1:]))]
-    coarse[-1][0] = "2.99"
     log = csv_log(tmp_path, coarse, regular=True)
     samples = whole(log)
-    np.testing.assert_allclose(samples["time"], INTERVAL * np.arange(ROWS), rtol=0, atol=1e-12)
-    assert log.rate == pytest.approx(100.0)
+    assert log.rate == pytest.approx(100.0, rel=1e-4)
+    np.testing.assert_allclose(np.diff(samples["time"]), 1.0 / log.rate, rtol=0, atol=1e-12)
+    assert samples["time"][0] == pytest.approx(-0.02, abs=1e-3)  # the stamps are 20 ms early at the mean
+    assert set(samples["dt"]) == {1.0 / log.rate}
 
 
 # -------------------- the cut of the stream does not matter --------------------

@@ -21,7 +21,7 @@ from tumble.calibration.raw_scale import unwrapped, wrapped
 from tumble.errors import InputError
 from tumble.recording import formats
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
-from tumble.recording.formats.columns import ACCEL, GYRO, Columns, columns_by_name
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, columns_by_name
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
 from tumble.recording.readers import ENDINGS, Source, opened, readable, source_of, text_tables
@@ -81,6 +81,8 @@ class FoundLog:
         clock = self.is_clock(column)
         first = replace(self, files=self.files[:1])
         values = first.read([column], clock=column if clock else None)[:, 0]
+        if clock:  # past midnight
+            values = values + 86400.0 * np.cumsum(np.diff(values, prepend=values[:1]) < -43200.0)
         return Stamps(column=column, values=values, unit=self.columns.time_unit, clock=clock)
 
 
@@ -115,8 +117,9 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
     logs = [_found(file) for file in files]
-    if len(logs) > 1 and all(ACCEL not in log.columns.triads for log in logs):
+    if len(logs) > 1 and not any(log.columns.triads for log in logs):
         return _of_sensors_apart(logs, folder)
+    logs = [_by_data(log) if ACCEL not in log.columns.triads else log for log in logs]
     first = logs[0]
     for log in logs[1:]:
         if log.keys != first.keys or log.columns.triads != first.columns.triads or log.columns.time != first.columns.time:
@@ -131,10 +134,7 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
 
 def _found(file: Path) -> FoundLog:
     if file.suffix.lower() == ".parquet":
-        source = source_of(file)
-        columns = _numeric_parquet(file)
-        log = FoundLog(files=(file,), keys={}, columns=columns_by_name(source.names))
-        return log if ACCEL in log.columns.triads else _by_data(log, columns)
+        return FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
@@ -163,9 +163,6 @@ def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog
         said=() if plain else (_described(dialect, top),),
         dialect=None if plain else dialect,
     )
-    if ACCEL not in log.columns.triads:
-        numeric = [n for n, c in cells.items() if sum(map(dialect.is_number, c)) > len(c) // 2 and top.names.count(n) == 1]
-        log = _by_data(log, numeric)
     if log.columns.time is None:
         clock = next((name for name in cells if log.is_clock(name)), None)
         log = replace(log, columns=replace(log.columns, time=clock))
@@ -193,13 +190,19 @@ def _described(dialect: Dialect, top: Top) -> str:
     return f"text: {', '.join(parts)}"
 
 
-def _numeric_parquet(file: Path) -> list[str]:
-    schema = pl.scan_parquet(file, glob=False).collect_schema()
-    return [name for name, kind in schema.items() if kind.is_numeric()]
+def _numeric(log: FoundLog) -> list[str]:
+    """Columns of numbers."""
+    if not log.cells:
+        schema = pl.scan_parquet(log.files[0], glob=False).collect_schema()
+        return [name for name, kind in schema.items() if kind.is_numeric()]
+    is_number = (log.dialect or Dialect()).is_number
+    return [name for name, cells in log.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
 
 
-def _by_data(log: FoundLog, numeric: Sequence[str]) -> FoundLog:
+def _by_data(log: FoundLog) -> FoundLog:
     """A log whose sensors are told by their numbers, if they can be."""
+    names = list(next(iter(log.sources())).names)
+    numeric = [name for name in _numeric(log) if names.count(name) == 1]
     if len(numeric) < 3:
         return log
     found = columns_by_data(numeric, log.read(numeric, rows=LONGEST // 10))
@@ -242,6 +245,9 @@ def times_of(log: FoundLog, rate: float | None) -> Times:
 
 def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
     """A log, or the copy of one of which a session file cannot say what it needs."""
+    for kind, sensors in log.columns.triads.items():
+        if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=_SAMPLE_ROWS)).any():
+            raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
     wraps = [k for k in (ACCEL, GYRO) if k in log.columns.triads and wrapped(log.read(log.columns.triads[k].columns))]
     steps: list[str] = []
     if wraps:

@@ -82,11 +82,9 @@ def times_of_column(stamps: Stamps) -> Times | None:
     if not _even(values):
         more = f"time: {uneven}, and the rows are not equally spaced either: look at the log"
         return Times(keys=keys, said=(f"{said}, {1.0 / interval:.6g} samples per second", more, *sure), rate=1.0 / interval)
-    mean = (values[-1] - values[0]) / (len(values) - 1) * (1.0 if stamps.clock else TIME_UNITS[taken])
-    more = (
-        f"time: {uneven}, but the rows are equally spaced: regular = true, {1.0 / mean:.6g} samples per second (rows over "
-        "duration)"
-    )
+    slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
+    mean = float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken])
+    more = f"time: {uneven}, but the rows are equally spaced: regular = true, {1.0 / mean:.6g} samples per second"
     return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean)
 
 

@@ -42,6 +42,8 @@ _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # wi
 _USUAL_RATES = (10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208, 238,
                 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000)  # fmt: skip
 _RATE_NEAR = 0.04
+_SLOW_RATE = 25.0  # Hz
+_LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,6 +92,7 @@ def draft_session(
     with _nothing_left(folder):
         draft = _of_files(files, folder, given)
         draft, faults = _checked(_scaled(draft, progress), progress)
+        draft, faults = _with_rate(draft, faults, progress)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         folder.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:
@@ -286,8 +289,7 @@ def _scaled(draft: Draft, progress: Progress) -> Draft:
     gyro = log.get("gyro")
     raw_gyro = gyro is not None and draft.gyro_unknown and gyro["unit"] == "count"
     raw_accel = log["accel"]["unit"] == "count"
-    rate_open = draft.rate_guessed and gyro is not None and not draft.gyro_unknown
-    if not (raw_accel or raw_gyro or rate_open):
+    if not (raw_accel or raw_gyro):
         return draft
     observations = _observed(draft.content, progress)
     said: list[str] = []
@@ -296,10 +298,8 @@ def _scaled(draft: Draft, progress: Progress) -> Draft:
         said += more
     if raw_gyro:
         content = {**draft.content, "log": log}
-        log, more = _gyro_scaled(log, _observed(content, progress) if raw_accel else observations)
-        said += more
-    if rate_open:
-        log, more = _rated(log, observations)
+        observations = _observed(content, progress) if raw_accel else observations
+        log, more = _gyro_scaled(content, observations, progress)
         said += more
     return replace(draft, content={**draft.content, "log": log}, said=(*draft.said, *said))
 
@@ -334,34 +334,46 @@ def _accel_scaled(
     return {**log, "accel": made}, [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
 
 
-def _gyro_scaled(log: Mapping[str, Any], observations: Observations | None) -> tuple[dict[str, Any], list[str]]:
+def _gyro_scaled(
+    content: Mapping[str, Any], observations: Observations | None, progress: Progress
+) -> tuple[dict[str, Any], list[str]]:
     """[log] with the scale of gyros in counts, from the turns; the offset is none or the mean at rest."""
+    log = content["log"]
     gyro, named = log["gyro"], ", ".join(log["gyro"]["columns"])
     bias = np.zeros(3) if observations is None else np.median(observations.rests.gyro, axis=0) / DEGREE
+    centred = {**gyro, "offset": [float(f"{b:.6g}") for b in bias]}
+    observations = _observed({**content, "log": {**log, "gyro": centred}}, progress)
     factor = None if observations is None else gyro_factor(observations)
     if factor is None:
-        offset = [float(f"{b:.5g}") for b in bias]
         said = (
             f"gyros: {named} in counts; the offset is their reading at rest, the scale is unknown, for no turns show it: "
             "put that of the data sheet there"
         )
-        return {**log, "gyro": {**gyro, "offset": offset}}, [said]
+        return {**log, "gyro": centred}, [said]
     scale = counts_per_deg_s(factor / DEGREE)
-    high = float(np.abs(bias).max()) > 20.0 * scale.value
-    made = {**gyro, "scale": scale.value, "offset": [float(f"{b:.5g}") for b in bias] if high else 0.0}
+    high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
+    made = {**(centred if high else gyro), "scale": scale.value}
     return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)"]
 
 
-def _rated(log: Mapping[str, Any], observations: Observations | None) -> tuple[dict[str, Any], list[str]]:
-    """[log] with the rate at which gyros in a known unit carry the vertical from rest to rest."""
-    factor = None if observations is None else gyro_factor(observations)
-    if factor is None:
-        return dict(log), []
-    found = log["rate_hz"] * factor
+def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft whose rate, if it is a guess, is that at which gyros in a known unit carry the vertical from rest to
+    rest."""
+    log = draft.content["log"]
+    if not draft.rate_guessed or "gyro" not in log or log["gyro"]["unit"] == "count":
+        return draft, faults
+    found = None
+    for trial in (log["rate_hz"], _SLOW_RATE):  # at too high a rate rests would be too short to be any
+        observations = _observed({**draft.content, "log": {**log, "rate_hz": trial}}, progress)
+        factor = None if observations is None else gyro_factor(observations)
+        found = trial * factor if found is None and factor is not None else found
+    if found is None:
+        return draft, faults
     near = min(_USUAL_RATES, key=lambda rate: abs(np.log(rate / found)))
     rate = float(near) if abs(near / found - 1.0) < _RATE_NEAR else float(f"{found:.4g}")
     said = f"time: rate_hz = {rate:g} from the turns ({found:.4g} found): a guess to some percent; put the log's rate there"
-    return {**log, "rate_hz": rate}, [said]
+    content = {**draft.content, "log": {**log, "rate_hz": rate}}
+    return replace(draft, content=content, said=(*draft.said, said)), _looked_at(content, progress)[1]
 
 
 # -------------------- what the recording says of the guesses --------------------

@@ -18,15 +18,14 @@ from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
 
 ACCEL_STEPS: tuple[float, ...] = tuple(
-    sorted([*(float(2**k) for k in range(5, 18)), *(1e3 / s for s in (0.061, 0.122, 0.244, 0.488, 0.732)), 1e3, 1e6])
+    sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6])
 )
-"""Counts per g: powers of two, and the mg per count of other makers."""
+"""Counts per g: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
 
 GYRO_STEPS: tuple[float, ...] = tuple(
     sorted(
         [
-            *(32768.0 / full for full in (125.0, 250.0, 500.0, 1000.0, 2000.0)),
-            *(131.0, 65.5, 32.8, 16.4),
+            *(262.1, 131.0, 65.5, 32.8, 16.4),
             *(1e3 / s for s in (4.375, 8.75, 17.5, 35.0, 70.0)),
             14.375, 10.0, 100.0, 1e3, 1e6,
         ]
@@ -39,11 +38,13 @@ MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
 
 _NEAR = 0.06
 _NO_OFFSET = 0.3
+_LEAST_SINGULAR = 0.05
 _TURNS = 3
 _MISS = 0.15
 _MOST_MISSED = 0.5
 _SMALLEST, _LARGEST = 0.05, 30.0  # rad, of a turn
 _GRID = 160
+_SLOW = 1e12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,23 +68,29 @@ def matched(found: float, steps: Sequence[float], unit: str) -> Scale:
 
 
 def accel_scale(means: Array) -> tuple[float, list[float]] | None:
-    """Counts per g and zeros (3,) of accelerometers from mean readings (N, 3) at rest: the sphere through them,
-    |a|² = 2 a·c + r² − |c|² by least squares; about no or a converter's middle zero where that is what the centre is
-    near to. None where the readings do not tell."""
-    if len(means) < 4:
+    """Counts per g and zeros (3,) of accelerometers from mean readings (N, 3) at rest; about no or a converter's middle
+    zero where that is what the centre of their sphere is near to. None where the readings do not tell."""
+    found = _sphere(means)
+    if found is None:
         return None
-    about = means.mean(axis=0)
-    size = float(np.linalg.norm(means - about, axis=1).max())
-    rows = np.column_stack([2.0 * (means - about) / size, np.ones(len(means))])
-    (*centre, rest), _, rank, singular = np.linalg.lstsq(rows, (((means - about) / size) ** 2).sum(axis=1), rcond=None)
-    if rank < 4 or singular[-1] < 0.05:
-        return None
-    radius = size * float(np.sqrt(rest + np.dot(centre, centre)))
-    zero = about + size * np.array(centre)
+    radius, zero = found
     known = next((m for m in (0.0, *MIDDLES) if np.abs(zero - m).max() < _NO_OFFSET * radius), None)
-    if known is not None:
-        return radius, [known] * 3
-    return radius, [float(f"{z:.5g}") for z in zero]
+    return radius, [known] * 3 if known is not None else [float(f"{z:.5g}") for z in zero]
+
+
+def _sphere(points: Array) -> tuple[float, Array] | None:
+    """Radius and centre (3,) of the sphere through points (N, 3), |a|² = 2 a·c + r² − |c|² by least squares; None where
+    they do not tell."""
+    about = points.mean(axis=0) if len(points) else np.zeros(3)
+    size = float(np.linalg.norm(points - about, axis=1).max(initial=0.0))
+    if len(points) < 4 or not size > 0.0:
+        return None
+    unit = (points - about) / size
+    rows = np.column_stack([2.0 * unit, np.ones(len(unit))])
+    (*centre, rest), _, rank, singular = np.linalg.lstsq(rows, (unit**2).sum(axis=1), rcond=None)
+    if rank < 4 or singular[-1] < _LEAST_SINGULAR:
+        return None
+    return size * float(np.sqrt(rest + np.dot(centre, centre))), about + size * np.array(centre)
 
 
 def gyro_factor(observations: Observations) -> float | None:
@@ -94,6 +101,8 @@ def gyro_factor(observations: Observations) -> float | None:
         return None
     bias, matrix = np.median(observations.rests.gyro, axis=0), block.nominal().matrix
     force = observations.accel_block.nominal().apply(observations.rests.accel)
+    sphere = _sphere(force)  # its centre is the bias
+    force = force if sphere is None else force - sphere[1]
     vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
 
     def misses(log_factor: float) -> Array:
@@ -107,7 +116,8 @@ def gyro_factor(observations: Observations) -> float | None:
     def cost(log_factor: float) -> float:
         return float(np.minimum(misses(log_factor), _MOST_MISSED).mean())
 
-    size = float(np.median(np.sqrt((turns.M**2).sum(axis=(1, 2, 3)))))
+    slow = SensorModel(matrix=matrix * _SLOW, bias=bias)  # so that next to nothing turns while it is integrated
+    size = _SLOW * float(np.median(np.sqrt((observations.turns_about(slow).M ** 2).sum(axis=(1, 2, 3)))))
     if not size > 0.0:
         return None
     grid = np.log(np.geomspace(size / _LARGEST, size / _SMALLEST, _GRID))

@@ -173,16 +173,25 @@ def _grid(source: Source, spec: LogSpec) -> Grid:
 
 
 def _regular_grid(source: Source, spec: LogSpec) -> Grid:
-    """The grid of rows that are equally spaced: from the first time stamp to the last."""
-    count, first, last = 0, 0.0, 0.0
+    """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution and
+    their delays."""
     assert spec.time is not None
+    first, count, start = 1, 0, None
+    sums = np.zeros(5)  # of 1, k, t, k², k t
     for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
-        time = table[spec.time].to_numpy() * spec.time_factor
-        rows = table.height - sum(u.kind in (Kind.NO_ROW, Kind.CUT) for u in unread)
-        sound = time[np.isfinite(time)]
-        if len(sound):
-            first, last = (float(sound[0]) if count == 0 else first), float(sound[-1])
-        count += rows
-    if last <= first:
-        raise LogError(f"{source.path}: expected a last time after the first, {first:.9g} s, found {last:.9g} s")
-    return Grid(start=first, interval=(last - first) / (count - 1))
+        keep = np.ones(table.height, dtype=bool)
+        keep[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
+        first += table.height
+        time = table[spec.time].to_numpy()[keep] * spec.time_factor
+        k = np.arange(count, count + len(time), dtype=float)
+        count += len(time)
+        sound = np.isfinite(time)
+        start = float(time[sound][0]) if start is None and sound.any() else start
+        k, t = k[sound], time[sound] - (start or 0.0)
+        sums += [len(k), k.sum(), t.sum(), (k * k).sum(), (k * t).sum()]
+    ones, k1, t1, k2, kt = sums.tolist()
+    interval = (ones * kt - k1 * t1) / (ones * k2 - k1 * k1)
+    if not interval > 0.0:
+        raise LogError(f"{source.path}: expected times that grow, found rows {interval:.3g} s apart; check log.time")
+    return Grid(start=(start or 0.0) + (t1 - interval * k1) / ones, interval=interval)
+

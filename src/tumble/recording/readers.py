@@ -224,12 +224,12 @@ class _Csv:
                 stream.readline(LINE_BYTES)
             for piece in whole_lines(stream, self.path):
                 piece = piece.removeprefix(codecs.BOM_UTF8) if self.top == 0 else piece
-                yield _with_commas(piece) if self.dialect.delimiter == BLANKS else piece
+                yield _with_tabs(piece) if self.dialect.delimiter == BLANKS else piece
 
     @property
     def separator(self) -> str:
         """What stands between the values of `pieces`."""
-        return "," if self.dialect.delimiter == BLANKS else self.dialect.delimiter
+        return "\t" if self.dialect.delimiter == BLANKS else self.dialect.delimiter
 
     def _cell(self, piece: bytes, column: str) -> str:
         cells = self.cells(piece[: piece.find(b"\n")].decode("utf-8", errors="replace"))
@@ -338,10 +338,10 @@ class _Text:
         return float(text.replace(",", ".") if self.source.dialect.decimal == "," else text)
 
 
-def _with_commas(piece: bytes) -> bytes:
-    """Rows of values between blanks as rows of values between commas."""
-    lines = piece.replace(b"\t", b" ").replace(b"\r\n", b"\n")
-    return re.sub(rb" *\n *", b"\n", re.sub(rb"(?<=[^ \n]) +(?=[^ \n])", b",", lines)).lstrip(b" ").rstrip(b" ")
+def _with_tabs(piece: bytes) -> bytes:
+    """Rows of values between blanks as rows of values between single tabs."""
+    blank = piece.replace(b"\t", b" ").replace(b"\r\n", b"\n")
+    return re.sub(rb" *\n *", b"\n", re.sub(rb"(?<=[^ \n]) +(?=[^ \n])", b"\t", blank)).strip(b" ")
 
 
 def _open_csv(path: Path, dialect: Dialect | None) -> _Csv:

@@ -16,9 +16,9 @@ from tumble.recording.formats.native_words import in_english
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "magnetometer", "time"
 
 _KINDS: Mapping[str, re.Pattern[str]] = {
-    ACCEL: re.compile(r"^(?!.*(angular|gravity|free|user)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)$"),
+    ACCEL: re.compile(r"^(?!.*(angular|gravity|free|user)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)\d*$"),
     GYRO: re.compile(
-        r"gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|omega|delta_?ang|dtheta|(^|_)(w|g|as|rate|w_rs_s)$"
+        r"gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|omega|delta_?ang|dtheta|(^|_)(w|g|as|rate|w_rs_s)\d*$"
     ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
 }
