@@ -1,5 +1,5 @@
-"""Text logs in the dialects of the world: each through `tumble new` and `calibrate` without editing, to the result of the
-clean file within its u."""
+"""Text logs in the dialects of the world: each through `tumble new` and `calibrate` without editing, to the result of
+the clean file within its u."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner
-
 from corpus import dialects as d
 from corpus.dialects import Case
+
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
@@ -45,6 +45,7 @@ CHINESE = ["时间(s)", *(f"加速度计{a}" for a in "XYZ"), *(f"陀螺仪{a}" 
 ST = ["Time [us]", *(f"A_{a} [mg]" for a in "XYZ"), *(f"G_{a} [mdps]" for a in "XYZ")]
 MATLAB_MOBILE = ["Timestamp", *(f"accelerometer{a}" for a in "XYZ"), *(f"gyroscope{a}" for a in "XYZ")]
 AVR = ["millis", *d.NAMES[1:]]
+MPU = (16384.0 * G, 131.0 * DEG)
 GOOD = "50 samples per second"
 
 CASES: dict[str, Case] = {
@@ -62,35 +63,98 @@ CASES: dict[str, Case] = {
     "a line of units": Case(write=d.named(d.NAMES, delimiter=";"), said=("semicolons",)),
     "no names": Case(write=d.without_names, said=("columns without names", "by their numbers (a guess)")),
     "utf-16": Case(write=d.named(d.NAMES, encoding="utf-16", delimiter="\t"), said=("utf-16",)),
-    "latin-1": Case(write=d.named(GERMAN, gyro=DEG, encoding="latin-1", delimiter=";"), said=("latin-1",), worth=(1.0, DEG)),
+    "latin-1": Case(
+        write=d.named(GERMAN, gyro=DEG, encoding="latin-1", delimiter=";"),
+        said=("latin-1",),
+        worth=(1.0, DEG),
+    ),
     "byte order mark": Case(write=d.named(d.NAMES, encoding="utf-8-sig"), said=(GOOD,)),
     "compressed": Case(write=d.compressed, said=("semicolons",)),
     # who writes it
     "phyphox": Case(write=d.named(PHYPHOX), said=("m/s^2 (from the name", "rad/s (from the name")),
     "phone, a file a sensor": Case(write=d.phone, said=("one log at the times of the gyros",)),
     "MATLAB Mobile": Case(write=d.named(MATLAB_MOBILE)),
-    "WitMotion": Case(write=d.named(WIT, accel=G, gyro=DEG, delimiter="\t", file="wit.txt"), said=("in g (from",), worth=(G, DEG)),
-    "WitMotion, Chinese": Case(write=d.named(WIT_CN, accel=G, gyro=DEG), said=("in deg/s (from the name",), worth=(G, DEG)),
+    "WitMotion": Case(
+        write=d.named(WIT, accel=G, gyro=DEG, delimiter="\t", file="wit.txt"),
+        said=("in g (from",),
+        worth=(G, DEG),
+    ),
+    "WitMotion, Chinese": Case(
+        write=d.named(WIT_CN, accel=G, gyro=DEG),
+        said=("in deg/s (from the name",),
+        worth=(G, DEG),
+    ),
     "VectorNav": Case(write=d.named(VECTORNAV, time=1e9), said=("in ns (by its name)",)),
     "Xsens MT Manager": Case(write=d.xsens, said=("ticks of 0.0001 s", GOOD)),
-    "Movella DOT": Case(write=d.movella_dot, said=("in us (by its steps)", "gyros: in deg/s, not rad/s"), worth=(1.0, DEG)),
+    "Movella DOT": Case(
+        write=d.movella_dot,
+        said=("in us (by its steps)", "gyros: in deg/s, not rad/s"),
+        worth=(1.0, DEG),
+    ),
     "SBG": Case(write=d.named(SBG, time=1e6), said=("in us (by its name)",)),
     "OpenAXES": Case(write=d.named(OPENAXES, gyro=DEG, time=1e3), said=("in ms",), worth=(1.0, DEG)),
-    "Arduino, AVR": Case(write=d.raw(16384.0, 131.0, names=AVR), said=("16384 counts per g", "131", "counts per deg/s"), worth=(16384.0 * G, 131.0 * DEG)),
+    "Arduino, AVR": Case(
+        write=d.raw(16384.0, 131.0, names=AVR),
+        said=("16384 counts per g", "131", "counts per deg/s"),
+        worth=(16384.0 * G, 131.0 * DEG),
+    ),
     "Arduino monitor": Case(write=d.arduino, said=("3 lines above",)),
-    "German": Case(write=d.named(GERMAN, gyro=DEG), said=("m/s^2 (from the name", "deg/s (from the name"), worth=(1.0, DEG)),
-    "Russian, cp1251": Case(write=d.named(RUSSIAN, gyro=DEG, delimiter=";", encoding="cp1251"), said=("cp1251",), worth=(1.0, DEG)),
+    "German": Case(
+        write=d.named(GERMAN, gyro=DEG),
+        said=("m/s^2 (from the name", "deg/s (from the name"),
+        worth=(1.0, DEG),
+    ),
+    "Russian, cp1251": Case(
+        write=d.named(RUSSIAN, gyro=DEG, delimiter=";", encoding="cp1251"),
+        said=("cp1251",),
+        worth=(1.0, DEG),
+    ),
     "Ukrainian": Case(write=d.named(UKRAINIAN, time=1e3, delimiter=";"), said=("in ms (by its name)",)),
     "Chinese, gb18030": Case(write=d.named(CHINESE, encoding="gb18030"), said=("gb18030",)),
     # units and counts
-    "mg and mdps": Case(write=d.named(ST, accel=1e3 * G, gyro=1e3 * DEG, time=1e6, digits=9), said=("thousandths",), worth=(1e3 * G, 1e3 * DEG)),
-    "g and deg/s without a word": Case(write=d.named(d.NAMES, accel=G, gyro=DEG), said=("deg/s, not rad/s",), worth=(G, DEG)),
-    "counts of 2 g and 250 deg/s": Case(write=d.raw(16384.0, 131.0), said=("16384 counts", "131"), worth=(16384.0 * G, 131.0 * DEG)),
-    "counts of 8 g and 500 deg/s": Case(write=d.raw(4096.0, 65.5), said=("4096 counts", "65.5"), worth=(4096.0 * G, 65.5 * DEG)),
-    "counts of 16 g and 2000 deg/s": Case(write=d.raw(2048.0, 16.4), said=("2048 counts", "16.4"), within=2.0, worth=(2048.0 * G, 16.4 * DEG)),
-    "counts of 70 mdps": Case(write=d.raw(1e3 / 0.732, 1e3 / 70.0), said=("1366", "14.28"), within=2.0, worth=(1e3 / 0.732 * G, 1e3 / 70.0 * DEG)),
-    "counts about 32768": Case(write=d.raw(8192.0, 114.286, offset=32768), said=("zero at 32768",), worth=(8192.0 * G, 114.286 * DEG), zero=32768.0),
-    "16 bits read without their sign": Case(write=d.raw(8192.0, 65.5, unsigned=True), said=("65536 taken off",), worth=(8192.0 * G, 65.5 * DEG)),
+    "mg and mdps": Case(
+        write=d.named(ST, accel=1e3 * G, gyro=1e3 * DEG, time=1e6, digits=9),
+        said=("thousandths",),
+        worth=(1e3 * G, 1e3 * DEG),
+    ),
+    "g and deg/s without a word": Case(
+        write=d.named(d.NAMES, accel=G, gyro=DEG),
+        said=("deg/s, not rad/s",),
+        worth=(G, DEG),
+    ),
+    "counts of 2 g and 250 deg/s": Case(
+        write=d.raw(16384.0, 131.0),
+        said=("16384 counts", "131"),
+        worth=(16384.0 * G, 131.0 * DEG),
+    ),
+    "counts of 8 g and 500 deg/s": Case(
+        write=d.raw(4096.0, 65.5),
+        said=("4096 counts", "65.5"),
+        worth=(4096.0 * G, 65.5 * DEG),
+    ),
+    "counts of 16 g and 2000 deg/s": Case(
+        write=d.raw(2048.0, 16.4),
+        said=("2048 counts", "16.4"),
+        within=2.0,
+        worth=(2048.0 * G, 16.4 * DEG),
+    ),
+    "counts of 70 mdps": Case(
+        write=d.raw(1e3 / 0.732, 1e3 / 70.0),
+        said=("1366", "14.28"),
+        within=2.0,
+        worth=(1e3 / 0.732 * G, 1e3 / 70.0 * DEG),
+    ),
+    "counts about 32768": Case(
+        write=d.raw(8192.0, 114.286, offset=32768),
+        said=("zero at 32768",),
+        worth=(8192.0 * G, 114.286 * DEG),
+        zero=32768.0,
+    ),
+    "16 bits read without their sign": Case(
+        write=d.raw(8192.0, 65.5, unsigned=True),
+        said=("65536 taken off",),
+        worth=(8192.0 * G, 65.5 * DEG),
+    ),
     # when
     "ISO 8601": Case(write=d.clock(d.iso), said=("times of day",)),
     "German dates": Case(write=d.clock(d.german_date, "Datum Zeit", ";"), said=("times of day",)),
@@ -107,7 +171,13 @@ CASES: dict[str, Case] = {
     # several files
     "two files": Case(write=d.in_two_files, said=("2 files",), within=3.0),
     "a file a position": Case(write=d.a_file_a_position, said=("14 files",), within=3.0, gyro=False),
-    "positions one below the other": Case(write=d.positions_below, words=("--rate", "50"), said=("14 positions",), within=3.0, gyro=False),
+    "positions one below the other": Case(
+        write=d.positions_below,
+        words=("--rate", "50"),
+        said=("14 positions",),
+        within=3.0,
+        gyro=False,
+    ),
     # blemishes
     "bad values": Case(write=d.blemished(d.bad_values), noted=("'###'",)),
     "messages between": Case(write=d.blemished(d.messages_between), noted=("MPU6050",)),
@@ -125,8 +195,6 @@ CASES: dict[str, Case] = {
     "gap in a turn": Case(write=d.gap_in_a_turn, within=3.0, noted=("20 samples", "is left out: samples are lost")),
     "rounded to 0.01": Case(write=d.rounded, within=2.0, worth=(1.0, DEG)),
 }
-
-
 
 
 @pytest.fixture(scope="module")

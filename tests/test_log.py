@@ -725,9 +725,9 @@ def test_regular_rows_have_the_times_of_their_number(tmp_path: Path) -> None:
     coarse = [lines()[0], *([f"{0.05 * (i // 5):.2f}", *line[1:]] for i, line in enumerate(lines()[1:]))]
     log = csv_log(tmp_path, coarse, regular=True)
     samples = whole(log)
-    assert log.rate == pytest.approx(100.0, rel=1e-4)
+    assert log.rate == pytest.approx(100.0, rel=5e-4)  # a step of 50 ms over 3 s
     np.testing.assert_allclose(np.diff(samples["time"]), 1.0 / log.rate, rtol=0, atol=1e-12)
-    assert samples["time"][0] == pytest.approx(-0.02, abs=1e-3)  # the stamps are 20 ms early at the mean
+    assert samples["time"][0] == pytest.approx(-0.02, abs=2e-3)  # the stamps are 20 ms early at the mean
     assert set(samples["dt"]) == {1.0 / log.rate}
 
 

@@ -24,9 +24,9 @@ RNG = np.random.default_rng(7)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Case:
-    """What writes a log; words for `tumble new` besides the log; what must be said and noted; how far, in u of the clean
-    result, the result may be off, which is more where samples are lost or rounded; whether the gyros can be compared;
-    and what the log reads for 1 m/s² and 1 rad/s, and at nothing."""
+    """What writes a log; words for `tumble new` besides the log; what must be said and noted; how far, in u of the
+    clean result, the result may be off, which is more where samples are lost or rounded; whether the gyros can be
+    compared; and what the log reads for 1 m/s² and 1 rad/s, and at nothing."""
 
     write: Callable[[pl.DataFrame, Path], str]
     words: tuple[str, ...] = ()
@@ -39,12 +39,21 @@ class Case:
 
 
 def table(
-    log: pl.DataFrame, names: Sequence[str], *, accel: float = 1.0, gyro: float = 1.0, time: float = 1.0, digits: int = 6
+    log: pl.DataFrame,
+    names: Sequence[str],
+    *,
+    accel: float = 1.0,
+    gyro: float = 1.0,
+    time: float = 1.0,
+    digits: int = 6,
 ) -> list[list[str]]:
     """Header and rows: time, accelerometers and gyros times factors."""
     read = [log["t"] * time, *(log[c] * accel for c in ACCEL), *(log[c] * gyro for c in GYRO)]
     rows = np.column_stack([column.to_numpy() for column in read]).tolist()
-    return [list(names), *([f"{v:.{9 if j == 0 else digits}g}" if j else f"{v:.10g}" for j, v in enumerate(r)] for r in rows)]
+    return [
+        list(names),
+        *([f"{v:.{9 if j == 0 else digits}g}" if j else f"{v:.10g}" for j, v in enumerate(r)] for r in rows),
+    ]
 
 
 def written(path: Path, rows: list[list[str]], *, delimiter: str = ",", above: str = "", end: str = "\n") -> str:
@@ -134,7 +143,9 @@ def xsens(log: pl.DataFrame, folder: Path) -> str:
     rows = [
         [str(i % 65536), str(10_000 + 200 * i), *row[1:], ""] for i, row in enumerate(table(log, NAMES, digits=8)[1:])
     ]
-    above = "// Start Time: Unknown\r\n// Update Rate: 50.0Hz\r\n// Filter Profile: general\r\n// Option Flags: none\r\n"
+    above = (
+        "// Start Time: Unknown\r\n// Update Rate: 50.0Hz\r\n// Filter Profile: general\r\n// Option Flags: none\r\n"
+    )
     return written(folder / "MT_0680.txt", [names, *rows], delimiter="\t", above=above, end="\r\n")
 
 
@@ -146,11 +157,17 @@ def movella_dot(log: pl.DataFrame, folder: Path) -> str:
     return written(folder / "dot.csv", [names, *lines], above=above)
 
 
-def clock(pattern: Callable[[float], str], name: str = "time", delimiter: str = ",") -> Callable[[pl.DataFrame, Path], str]:
+def clock(
+    pattern: Callable[[float], str], name: str = "time", delimiter: str = ","
+) -> Callable[[pl.DataFrame, Path], str]:
     def write(log: pl.DataFrame, folder: Path) -> str:
         rows = table(log, [name, *NAMES[1:]])
         stamps = [pattern(float(t)) for t in log["t"]]
-        return written(folder / "log.csv", [rows[0], *([s, *r[1:]] for s, r in zip(stamps, rows[1:], strict=True))], delimiter=delimiter)
+        return written(
+            folder / "log.csv",
+            [rows[0], *([s, *r[1:]] for s, r in zip(stamps, rows[1:], strict=True))],
+            delimiter=delimiter,
+        )
 
     return write
 
@@ -264,11 +281,11 @@ def restamped(change: Callable[[Array], Array]) -> Callable[[Lines], Lines]:
 
 
 def jitter(t: Array) -> Array:
-    return np.sort(t + np.random.default_rng(4).uniform(-0.45, 0.45, len(t)) / RATE)
+    return np.asarray(np.sort(t + np.random.default_rng(4).uniform(-0.45, 0.45, len(t)) / RATE))
 
 
 def coarse(t: Array) -> Array:
-    return np.floor(t / 0.1) * 0.1
+    return np.asarray(np.floor(t / 0.1) * 0.1)
 
 
 def bursts(t: Array) -> Array:

@@ -176,7 +176,9 @@ def _bridged(log: Log) -> tuple[str, ...]:
     for kind, gaps in kinds.items():
         for g in gaps[:_GAPS_SHOWN]:
             lost = f" ({g.samples} samples)" if g.samples > 1 else ""
-            notes.append(f"{kind}: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what.removesuffix(': left out')}{lost}")
+            notes.append(
+                f"{kind}: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what.removesuffix(': left out')}{lost}"
+            )
         if len(gaps) > _GAPS_SHOWN:
             lost = f", {sum(g.samples for g in gaps)} samples in all" if gaps[0].samples else ""
             notes.append(f"{kind}: {len(gaps) - _GAPS_SHOWN} more such places{lost}")

@@ -1,8 +1,8 @@
 """A log as it came: its files, how they are written, and which of their columns are what.
 
 What a session file cannot say about a log is mended in a copy (log.parquet in the session's folder): numbers of 16 bits
-that were read without their sign, times in ticks, samples that a counter shows to be missing, positions that follow each
-other without a turn between them, sensors in files of their own.
+that were read without their sign, times in ticks, samples that a counter shows to be missing, positions that follow
+each other without a turn between them, sensors in files of their own.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,9 @@ _SEEN_BYTES = 1 << 18
 _SAMPLE_ROWS = 200
 _FEWEST_ROWS = 50
 _JUMP = 0.2
-_LABEL = re.compile(r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE)
+_LABEL = re.compile(
+    r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
+)
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine
 _SHOWN = 12
 
@@ -95,7 +98,9 @@ def files_of(log: Path) -> list[Path]:
         if (log / "metadata.yaml").is_file():
             return [log]
         found = [file for file in log.iterdir() if file.is_file() and not file.name.startswith(".")]
-        found = [file for file in found if file.suffix.lower() not in (".toml", ".json", ".md", ".pdf", ".png", ".html")]
+        found = [
+            file for file in found if file.suffix.lower() not in (".toml", ".json", ".md", ".pdf", ".png", ".html")
+        ]
         if not found:
             raise InputError(f"{log}: expected a folder with logs, found none in it")
         return sorted(found, key=_natural)
@@ -122,7 +127,11 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     logs = [_by_data(log) if ACCEL not in log.columns.triads else log for log in logs]
     first = logs[0]
     for log in logs[1:]:
-        if log.keys != first.keys or log.columns.triads != first.columns.triads or log.columns.time != first.columns.time:
+        if (
+            log.keys != first.keys
+            or log.columns.triads != first.columns.triads
+            or log.columns.time != first.columns.time
+        ):
             raise InputError(
                 f"{log.files[0]}: expected a log written as {first.files[0].name} is, found another; give them to "
                 "sessions of their own"
@@ -150,7 +159,7 @@ def _found(file: Path) -> FoundLog:
 def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog:
     plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
     lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + _SAMPLE_ROWS]
-    rows = [cells for line in lines if len(cells := dialect.cells(line)) == len(top.names)]
+    rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     if len(rows) < 2:
         raise InputError(f"{file}: expected rows of readings below the names of the columns, found none")
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
@@ -288,7 +297,9 @@ def _copied(
     folder.mkdir(parents=True, exist_ok=True)
     sensors = [c for triad in log.columns.triads.values() for c in triad.columns]
     signed = [c for kind in wraps for c in log.columns.triads[kind].columns]
-    used = [c for c in (log.columns.time if time is None else time[0], *sensors, log.columns.temperature) if c is not None]
+    used = [
+        c for c in (log.columns.time if time is None else time[0], *sensors, log.columns.temperature) if c is not None
+    ]
     clock = log.columns.time if log.columns.time is not None and log.is_clock(log.columns.time) else None
     stamp = log.columns.time if time is None else TIME
 
@@ -317,7 +328,11 @@ def _copied(
 def _tick(log: FoundLog) -> float | None:
     """The unit, s, of an Xsens SampleTimeFine: microseconds where steps are thousands."""
     column = log.columns.time
-    if column is None or log.columns.time_unit is not None or "sampletimefine" not in re.sub(r"\W|_", "", column.lower()):
+    if (
+        column is None
+        or log.columns.time_unit is not None
+        or "sampletimefine" not in re.sub(r"\W|_", "", column.lower())
+    ):
         return None
     step = float(np.nanmedian(np.diff(log.read([column], rows=10_000)[:, 0])))
     return _TICK if step < 2000.0 else None
@@ -345,7 +360,7 @@ def _positions(log: FoundLog, wraps: Sequence[str]) -> list[tuple[int, int]] | N
     if at is None or len(at) < 3:
         return None
     edges = [0, *at, len(accel)]
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(pairwise(edges))
 
 
 def _label_changes(log: FoundLog, label: str) -> list[int] | None:
@@ -362,7 +377,8 @@ def _text_columns(source: Source, label: str) -> Iterator[pl.DataFrame]:
 
 
 def _jumps(accel: Array) -> list[int] | None:
-    """Rows at which the specific force is another than in the row before, while ten rows before and behind are steady."""
+    """Rows at which the specific force is another than in the row before, while ten rows before and behind are
+    steady."""
     about = accel - np.nanmedian(accel, axis=0)
     size = float(np.nanmedian(np.linalg.norm(about, axis=1)))
     steps = np.linalg.norm(np.diff(accel, axis=0), axis=1)
@@ -422,7 +438,8 @@ def _message(log: FoundLog, kind: str) -> Message:
     times = None if stamps is None else times_of_column(stamps)
     if sensors is None or stamps is None or times is None:
         raise InputError(
-            f"{log.files[0]}: expected a time and columns x, y and z, found {', '.join(list(log.cells)[:_SHOWN])}; rename them"
+            f"{log.files[0]}: expected a time and columns x, y and z, found {', '.join(list(log.cells)[:_SHOWN])}; "
+            "rename them"
         )
     source = [named[column] for column in sensors.columns]
     unit = columns_by_name([f"{'acc' if kind == ACCEL else 'gyro'} {n}" for n in source]).triads[kind].unit
@@ -437,4 +454,3 @@ def _message(log: FoundLog, kind: str) -> Message:
         gyro=found if kind == GYRO else None,
         rows=lambda: iter([pl.DataFrame(read[np.isfinite(read).all(axis=1)], schema=[TIME, x, y, z], orient="row")]),
     )
-

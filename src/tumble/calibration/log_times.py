@@ -1,7 +1,7 @@
 """When the rows of a log were taken: its time column and unit, whether the stamps can be believed, or its rate.
 
-Stamps that repeat, bunch or jitter while the rows go on evenly are those of a slow clock or of a busy computer; the rows
-are then the better clock (`regular`).
+Stamps that repeat, bunch or jitter while the rows go on evenly are those of a slow clock or of a busy computer; the
+rows are then the better clock (`regular`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ _SHARE, _FREE = 2e-2, 3
 _JITTER = 0.25
 _UNEVEN = 3.0
 _RATE_IN_TEXT = re.compile(
-    r"(?:rate|frequency|freq|fs|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)", re.IGNORECASE
+    r"(?:rate|frequency|freq|fs|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
+    re.IGNORECASE,
 )
 
 
@@ -81,7 +82,9 @@ def times_of_column(stamps: Stamps) -> Times | None:
         return Times(keys=keys, said=(f"{said}, {1.0 / interval:.6g} samples per second", *sure), rate=1.0 / interval)
     if not _even(values):
         more = f"time: {uneven}, and the rows are not equally spaced either: look at the log"
-        return Times(keys=keys, said=(f"{said}, {1.0 / interval:.6g} samples per second", more, *sure), rate=1.0 / interval)
+        return Times(
+            keys=keys, said=(f"{said}, {1.0 / interval:.6g} samples per second", more, *sure), rate=1.0 / interval
+        )
     slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
     mean = float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken])
     more = f"time: {uneven}, but the rows are equally spaced: regular = true, {1.0 / mean:.6g} samples per second"

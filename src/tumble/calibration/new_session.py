@@ -1,8 +1,9 @@
 """A first session.toml for a log: what its columns, rate and units are, guessed from names and numbers, and said.
 
 Names are taken at their word where they say a unit. Otherwise accelerometers at rest must read gravity, which tells
-their unit, and gyros must carry the vertical from rest to rest, which tells theirs, the scale of counts, and the rate of
-a log without times. What cannot be guessed (serial number, place, programme) is left to be filled in, with a comment.
+their unit, and gyros must carry the vertical from rest to rest, which tells theirs, the scale of counts, and the rate
+of a log without times. What cannot be guessed (serial number, place, programme) is left to be filled in, with a
+comment.
 """
 
 from __future__ import annotations
@@ -39,8 +40,50 @@ _HEAD = 20_000
 _TOLERANCE = 0.3
 _SOFT = 0.03
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
-_USUAL_RATES = (10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208, 238,
-                240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000)  # fmt: skip
+_USUAL_RATES = (
+    10,
+    12.5,
+    20,
+    25,
+    26,
+    50,
+    51.2,
+    52,
+    60,
+    62.5,
+    64,
+    100,
+    102.4,
+    104,
+    119,
+    120,
+    125,
+    128,
+    200,
+    204.8,
+    208,
+    238,
+    240,
+    250,
+    256,
+    300,
+    400,
+    416,
+    476,
+    500,
+    512,
+    800,
+    833,
+    952,
+    1000,
+    1024,
+    1600,
+    1660,
+    2000,
+    4000,
+    8000,
+)
+# fmt: skip
 _RATE_NEAR = 0.04
 _SLOW_RATE = 25.0  # Hz
 _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
@@ -49,8 +92,8 @@ _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Draft:
     """The content of a session.toml as far as it is known, and how each part of it came about, in sentences. A table
-    [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest. `open`: whether the rate is a
-    guess, and whether the gyros' scale is unknown."""
+    [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest. Whether the rate is a guess,
+    and whether the unit of the gyros is."""
 
     content: Mapping[str, Any]
     said: tuple[str, ...]
@@ -70,15 +113,13 @@ class Given:
     message: str | None = None
 
 
-def draft_session(
-    folder: Path, logs: Sequence[Path], given: Given, *, progress: Progress
-) -> tuple[Draft, list[str]]:
+def draft_session(folder: Path, logs: Sequence[Path], given: Given, *, progress: Progress) -> tuple[Draft, list[str]]:
     """Write a commented session.toml for logs into a folder, made if need be: files, folders of files, patterns. What a
-    session file cannot say of them is mended in a copy there, and so are other formats than text and Parquet. Gives what
-    was guessed, and the faults that a look at the recording shows.
+    session file cannot say of them is mended in a copy there, and so are other formats than text and Parquet. Gives
+    what was guessed, and the faults that a look at the recording shows.
 
-    Raises InputError, and leaves no folder behind, where there is a session already, and for a log that cannot be read or
-    has no accelerometers."""
+    Raises InputError, and leaves no folder behind, where there is a session already, and for a log that cannot be
+    read or has no accelerometers."""
     path = folder / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
@@ -125,7 +166,9 @@ def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
         log = mended(found_log(files, folder), folder, given.rate)
         return _of_log(log, times_of(log, given.rate), given.rate)
     if len(files) > 1:
-        raise InputError(f"{recordings[0]}: expected one recording, found {len(files)} files; give each its own session")
+        raise InputError(
+            f"{recordings[0]}: expected one recording, found {len(files)} files; give each its own session"
+        )
     return _of_recording(recordings[0], folder, given)
 
 
@@ -198,7 +241,7 @@ def _content(log: FoundLog, times: Times, found: Columns) -> tuple[dict[str, Any
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys, "accel": accel}
     unknown = False
     if GYRO in found.triads:
-        table["gyro"], more, unknown = _gyro(log, found.triads[GYRO], raw=accel["unit"] == "count")
+        table["gyro"], more, unknown = _gyro(found.triads[GYRO], raw=accel["unit"] == "count")
         said += more
     else:
         said.append("no gyros were found: the accelerometers alone will be calibrated")
@@ -224,16 +267,15 @@ def _accel(log: FoundLog, sensors: Sensors, times: Times) -> tuple[dict[str, Any
     for name, unit in ACCEL_UNITS.items():
         rate = times.rate if unit.kind == "increment" else 1.0
         named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
-        fits = not named_raw and abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) < _TOLERANCE
-        if unit.kind != "raw" and fits:
-            said = f"accelerometers: {named} in {name} (their magnitude is {magnitude:.6g})"
-            if name == "mg" and abs(magnitude / 1024.0 - 1.0) < _SOFT:
-                said += "; 1024 counts per g are possible too"
-            return {"columns": columns, "unit": name}, [said]
+        if named_raw or unit.kind == "raw" or abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) >= _TOLERANCE:
+            continue
+        also = "; 1024 counts per g are possible too" if name == "mg" and abs(magnitude / 1024.0 - 1.0) < _SOFT else ""
+        found = f"accelerometers: {named} in {name} (their magnitude is {magnitude:.6g}){also}"
+        return {"columns": columns, "unit": name}, [found]
     return {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "m/s^2", "offset": 0.0}, []
 
 
-def _gyro(log: FoundLog, sensors: Sensors, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
+def _gyro(sensors: Sensors, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
     """The table [log.gyro]; where the accelerometers are in counts, gyros of no named unit are too."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
@@ -274,8 +316,7 @@ def _with_given(content: Mapping[str, Any], folder: Path, given: Given) -> dict[
     """A content with serial number and latitude: as given, the former else by the folder's name."""
     site = {"site": {"latitude_deg": given.latitude}} if given.latitude is not None else {}
     out = {**content, "device": {"serial": given.serial or folder.resolve().name or "unknown"}, **site}
-    write_check = TemporaryDirectory()
-    with write_check as place:
+    with TemporaryDirectory() as place:  # checked as a session is
         write_session(Path(place), out)
     return out
 
@@ -346,8 +387,8 @@ def _gyro_scaled(
     factor = None if observations is None else gyro_factor(observations)
     if factor is None:
         said = (
-            f"gyros: {named} in counts; the offset is their reading at rest, the scale is unknown, for no turns show it: "
-            "put that of the data sheet there"
+            f"gyros: {named} in counts; the offset is their reading at rest, the scale is unknown, for no turns show "
+            "it: put that of the data sheet there"
         )
         return {**log, "gyro": centred}, [said]
     scale = counts_per_deg_s(factor / DEGREE)
@@ -371,7 +412,9 @@ def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
         return draft, faults
     near = min(_USUAL_RATES, key=lambda rate: abs(np.log(rate / found)))
     rate = float(near) if abs(near / found - 1.0) < _RATE_NEAR else float(f"{found:.4g}")
-    said = f"time: rate_hz = {rate:g} from the turns ({found:.4g} found): a guess to some percent; put the log's rate there"
+    said = (
+        f"time: rate_hz = {rate:g} from the turns ({found:.4g} found): a guess to some percent; put the log's rate there"
+    )
     content = {**draft.content, "log": {**log, "rate_hz": rate}}
     return replace(draft, content=content, said=(*draft.said, said)), _looked_at(content, progress)[1]
 
@@ -401,7 +444,13 @@ def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
     if factor is None:
         return draft, faults
     scale = counts_per_deg_s(factor)
-    gyro = {"columns": log["gyro"]["columns"], "unit": "count", "scale": scale.value, "scale_per": "deg/s", "offset": 0.0}
+    gyro = {
+        "columns": log["gyro"]["columns"],
+        "unit": "count",
+        "scale": scale.value,
+        "scale_per": "deg/s",
+        "offset": 0.0,
+    }
     trial = {**draft.content, "log": {**log, "gyro": gyro}}
     _, left = _looked_at(trial, progress)
     if left:

@@ -1,8 +1,9 @@
 """What a count of a raw sensor is worth, from the recording itself: counts per g from the rests, on whose mean readings
-gravity draws a sphere, and what gyros read for a rad/s from the turns, over which they carry the vertical from rest to rest.
+gravity draws a sphere, and what gyros read for a rad/s from the turns, over which they carry the vertical from rest
+to rest.
 
-Both are rough, as good as the sensors' own scale errors. Data sheets know few sensitivities, which are far apart: the one
-that is near is taken.
+Both are rough, as good as the sensors' own scale errors. Data sheets know few sensitivities, which are far apart: the
+one that is near is taken.
 """
 
 from __future__ import annotations
@@ -17,9 +18,7 @@ from tumble.reduction.observations import Observations
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
 
-ACCEL_STEPS: tuple[float, ...] = tuple(
-    sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6])
-)
+ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
 """Counts per g: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
 
 GYRO_STEPS: tuple[float, ...] = tuple(
@@ -64,7 +63,9 @@ def matched(found: float, steps: Sequence[float], unit: str) -> Scale:
         said = f"{found:.4g} counts per {unit} found, and no data sheet has a value near it"
         return Scale(value=float(f"{found:.4g}"), found=found, said=said)
     value = float(f"{nearest:.6g}")
-    return Scale(value=value, found=found, said=f"{value:g} counts per {unit} as in data sheets, {found:.4g} found ({off:+.1%})")
+    return Scale(
+        value=value, found=found, said=f"{value:g} counts per {unit} as in data sheets, {found:.4g} found ({off:+.1%})"
+    )
 
 
 def accel_scale(means: Array) -> tuple[float, list[float]] | None:
@@ -123,7 +124,10 @@ def gyro_factor(observations: Observations) -> float | None:
     grid = np.log(np.geomspace(size / _LARGEST, size / _SMALLEST, _GRID))
     costs = np.array([cost(x) for x in grid])
     best = min(
-        (minimize_scalar(cost, bounds=(grid[k] - 0.06, grid[k] + 0.06), method="bounded") for k in np.argsort(costs)[:3]),
+        (
+            minimize_scalar(cost, bounds=(grid[k] - 0.06, grid[k] + 0.06), method="bounded")
+            for k in np.argsort(costs)[:3]
+        ),
         key=lambda found: float(found.fun),
     )
     return float(np.exp(best.x)) if np.median(misses(float(best.x))) < _MISS and best.fun < _MISS else None
@@ -154,5 +158,3 @@ def wrapped(columns: Array) -> bool:
 def unwrapped(columns: Array) -> Array:
     """What numbers of 16 bits read without their sign were."""
     return np.where(columns >= 32768.0, columns - 65536.0, columns)
-
-

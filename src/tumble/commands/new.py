@@ -44,4 +44,6 @@ def new(
     for fault in faults:
         click.echo(f"look at this: {fault}", err=True)
     missing = [what for what, value in (("the serial number", serial), ("the place", latitude)) if value is None]
-    click.echo(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""), err=True)
+    click.echo(
+        f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""), err=True
+    )

@@ -1,8 +1,9 @@
 """Text logs as instruments, phones and laboratories write them: what stands between the numbers, and where they begin.
 
-`Dialect` is what session.toml says of a text log (`delimiter`, `decimal`, `comment`, `header`, `encoding`); `dialect_of`
-finds it in the first lines of a file. `Top` is what stands above the first row of numbers: the names of the columns are
-in the last line there that has as many of them as the rows have numbers; a line of units below it belongs to the names.
+`Dialect` is what session.toml says of a text log (`delimiter`, `decimal`, `comment`, `header`, `encoding`);
+`dialect_of` finds it in the first lines of a file. `Top` is what stands above the first row of numbers: the names of
+the columns are in the last line there that has as many of them as the rows have numbers; a line of units below it
+belongs to the names.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ _BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF
 
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
-_CLOCK = re.compile(r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*(Z|[+-]\d\d:?\d\d)?)?")
+_CLOCK = re.compile(
+    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
+)
 _UNIT_CELL = re.compile(r"[\[(]?\s*[\w°µμ²/^*·%⋅. -]{0,12}\s*[\])]?")
 
 
@@ -119,7 +122,10 @@ def top_of(lines: Sequence[str], dialect: Dialect) -> Top | None:
     at, names = named[0]
     used = {at}
     if len(named) > 1 and named[1][0] == at - 1 and _are_units(names):
-        at, names = at - 1, tuple(f"{name} [{unit.strip('[]() ')}]" for name, unit in zip(named[1][1], names, strict=True))
+        at, names = (
+            at - 1,
+            tuple(f"{name} [{unit.strip('[]() ')}]" for name, unit in zip(named[1][1], names, strict=True)),
+        )
         names = tuple(name.removesuffix(" []") for name in names)
         used.add(at)
     rest = [line for i, line in enumerate(lines[:first]) if i not in used]
@@ -146,7 +152,11 @@ def _names(cells: Sequence[str], width: int, dialect: Dialect) -> tuple[str, ...
     cells = [cell.strip().strip('"') for cell in cells]
     while len(cells) > width and not cells[-1]:
         cells = cells[:-1]
-    if not width - 1 <= len(cells) <= width or not all(cells[: min(2, width)]) or sum(map(bool, cells)) < _LEAST_NUMBERS:
+    if (
+        not width - 1 <= len(cells) <= width
+        or not all(cells[: min(2, width)])
+        or sum(map(bool, cells)) < _LEAST_NUMBERS
+    ):
         return None
     if sum(map(dialect.is_number, cells)) > len(cells) // 2:
         return None
@@ -187,7 +197,7 @@ def encoding_of(seen: bytes) -> str:
     for bom, name in _BOMS.items():
         if seen.startswith(bom):
             return name
-    zeros = [seen[k : 4096 : 2].count(0) for k in (0, 1)]
+    zeros = [seen[k:4096:2].count(0) for k in (0, 1)]
     if max(zeros) > len(seen[:4096]) // 4:
         return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
     if _decodes(seen, "utf-8"):

@@ -38,8 +38,8 @@ _BRIDGED_SAMPLES = 5
 _SHARE = 2e-2
 _FREE = 3
 _MOST = 100_000
-"""A gap of so many samples is bridged; in a file there may be as many gaps as 2 % of its rows and 3, and never more than
-100 000."""
+"""A gap of so many samples is bridged; in a file there may be as many gaps as 2 % of its rows and 3, and never more
+than 100 000."""
 REGULAR_HINT = "if the rows are equally spaced whatever their time stamps say, put regular = true in [log]"
 _SHORTEST_TIME = 2.0
 _HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
@@ -64,7 +64,9 @@ def check_time(source: Source, spec: LogSpec, numbers: IntArray, time: Array) ->
     """Times (m,) of these data rows must be finite and increase."""
     if not np.isfinite(time).all():
         at = int(np.argmin(np.isfinite(time)))
-        raise LogError(f"{source.place(int(numbers[at]), spec.time)}: expected a time, found {time[at]}; remove the row")
+        raise LogError(
+            f"{source.place(int(numbers[at]), spec.time)}: expected a time, found {time[at]}; remove the row"
+        )
     steps = np.diff(time)
     if (steps <= 0.0).any():
         at = int(np.argmax(steps <= 0.0)) + 1
@@ -150,8 +152,8 @@ def rows_of(source: Source, spec: LogSpec, file: int, grid: Grid | None, gaps: l
 
 @dataclass(kw_only=True, slots=True)
 class _Sieve:
-    """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of the
-    last of them; `shift`: what midnights have added to a clock, s."""
+    """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
+    the last of them; `shift`: what midnights have added to a clock, s."""
 
     source: Source
     spec: LogSpec
@@ -186,8 +188,8 @@ class _Sieve:
 
     def _timed(self, rows: Rows) -> Rows:
         if self.grid is not None:
-            time = self.grid.start + self.grid.interval * np.arange(self.count, self.count + len(rows.time))
-            return replace(rows, time=time)
+            number = np.arange(self.count, self.count + len(rows.time), dtype=float)
+            return replace(rows, time=np.asarray(self.grid.start + self.grid.interval * number, dtype=float))
         if self.spec.clock and len(rows.time):
             time = rows.time + self.shift
             passed = np.cumsum(np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0]) < -_HALF_DAY)

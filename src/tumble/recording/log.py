@@ -16,8 +16,8 @@ from difflib import get_close_matches
 import numpy as np
 
 from tumble.errors import LogError
-from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
 from tumble.recording.dialect import LINE_BYTES
+from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
 from tumble.recording.readers import Kind, Source, readable, source_of
 from tumble.recording.session import LogSpec, Session
 from tumble.units import Array
@@ -173,8 +173,8 @@ def _grid(source: Source, spec: LogSpec) -> Grid:
 
 
 def _regular_grid(source: Source, spec: LogSpec) -> Grid:
-    """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution and
-    their delays."""
+    """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution
+    and their delays."""
     assert spec.time is not None
     first, count, start = 1, 0, None
     sums = np.zeros(5)  # of 1, k, t, k², k t
@@ -194,4 +194,3 @@ def _regular_grid(source: Source, spec: LogSpec) -> Grid:
     if not interval > 0.0:
         raise LogError(f"{source.path}: expected times that grow, found rows {interval:.3g} s apart; check log.time")
     return Grid(start=(start or 0.0) + (t1 - interval * k1) / ones, interval=interval)
-

@@ -1,9 +1,9 @@
 """The files of a log: one reader per format, each giving tables of a bounded size.
 
-A text file, compressed or not, is cut into pieces of whole lines for polars to parse, whatever its dialect. Where polars
-refuses a piece, or leaves a value empty, the piece is halved until Python can read the few lines in question one by one:
-it says where and why, or reads what only `float()` accepts (blanks after a number). A row that cannot be read is not
-dropped here: it comes as NaN, together with what was found, and `gaps` decides.
+A text file, compressed or not, is cut into pieces of whole lines for polars to parse, whatever its dialect. Where
+polars refuses a piece, or leaves a value empty, the piece is halved until Python can read the few lines in question
+one by one: it says where and why, or reads what only `float()` accepts (blanks after a number). A row that cannot be
+read is not dropped here: it comes as NaN, together with what was found, and `gaps` decides.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import io
 import re
 import sys
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -71,7 +71,11 @@ class Unread:
         if self.kind is Kind.CUT:
             return "the last line is cut"
         if self.column is not None:
-            return f"{shown!r} in '{self.column[:_SHOWN]}'" if shown.strip() else f"an empty value in '{self.column[:_SHOWN]}'"
+            return (
+                f"{shown!r} in '{self.column[:_SHOWN]}'"
+                if shown.strip()
+                else f"an empty value in '{self.column[:_SHOWN]}'"
+            )
         return shown if self.kind is Kind.ROW or shown == "a blank line" else repr(shown)
 
 
@@ -358,8 +362,14 @@ def _open_csv(path: Path, dialect: Dialect | None) -> _Csv:
 
 def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
     """A file to read from as UTF-8, decompressed by its ending."""
-    openers: Mapping[str, Callable[[Path], io.BufferedIOBase]] = {".gz": gzip.GzipFile, ".zst": zstd.ZstdFile}
-    stream = openers.get(path.suffix.lower(), lambda plain: plain.open("rb"))(path)
+    ending = path.suffix.lower()
+    stream: io.BufferedIOBase
+    if ending == ".gz":
+        stream = gzip.GzipFile(path)
+    elif ending == ".zst":
+        stream = zstd.ZstdFile(path)
+    else:
+        stream = path.open("rb")
     return stream if encoding == "utf-8" else Recoded(stream, encoding)
 
 
@@ -426,9 +436,7 @@ def text_tables(source: Source, numbers: Sequence[str]) -> Iterator[pl.DataFrame
     comma = source.dialect.decimal == ","
     for piece in source.pieces():
         try:
-            yield pl.read_csv(
-                piece, has_header=False, schema=schema, separator=source.separator, decimal_comma=comma
-            )
+            yield pl.read_csv(piece, has_header=False, schema=schema, separator=source.separator, decimal_comma=comma)
         except pl.exceptions.PolarsError:
             if source.dialect == Dialect():
                 raise
@@ -465,6 +473,8 @@ def times_of(column: pl.Series, spec: LogSpec) -> Array:
     if spec.clock and column.dtype == pl.String:
         return seconds_of(column, 0).to_numpy()
     if isinstance(column.dtype, pl.Datetime):
-        return (column - column.dt.truncate("1d")[0]).dt.total_nanoseconds().to_numpy() * 1e-9
+        since = (column - column.dt.truncate("1d")[0]).dt.total_nanoseconds()
+        return np.asarray(since.to_numpy() * 1e-9)
     comma = spec.dialect is not None and spec.dialect.decimal == "," and column.dtype == pl.String
-    return (column.str.replace(",", ".") if comma else column).cast(pl.Float64).to_numpy() * spec.time_factor
+    numbers = (column.str.replace(",", ".") if comma else column).cast(pl.Float64)
+    return np.asarray(numbers.to_numpy() * spec.time_factor)

@@ -195,7 +195,9 @@ class LogTable(Table):
     regular: bool | None = Field(default=None, description="true or false")
     delimiter: str | None = Field(default=None, description="a character, or a blank for one or more blanks")
     decimal: str | None = Field(default=None, description='"." or ","')
-    comment: str | None = Field(default=None, min_length=1, max_length=8, description="the mark that comments begin with")
+    comment: str | None = Field(
+        default=None, min_length=1, max_length=8, description="the mark that comments begin with"
+    )
     header: bool | None = Field(default=None, description="true or false")
     encoding: str | None = Field(default=None, description="the name of an encoding")
     accel: AccelTable = Field(description="the table [log.accel]")

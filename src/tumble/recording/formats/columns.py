@@ -28,7 +28,9 @@ _TIME = re.compile(
     r"^time_(since|elapsed|from)"
 )
 _TIME_WORDS = {"ms": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "micros": "us", "microseconds": "us"}
-_COUNTER = re.compile(r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$")
+_COUNTER = re.compile(
+    r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$"
+)
 _TEMPERATURE = re.compile(r"(^|_)(t|temp|temperature)(_(deg)?c)?$")
 
 _LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
@@ -54,7 +56,9 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 
 def _unit(text: str) -> str:
     """A unit as `_UNITS` has it: `m·s⁻²`, `m/sec^2` and `m / s²` are ms-2, m/s2 and m/s2."""
-    out = re.sub(r"(?<!arc)sec", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1"))
+    out = re.sub(
+        r"(?<!arc)sec", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
+    )
     return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
 
 

@@ -25,7 +25,9 @@ _FEWEST_ROWS = 200
 def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers."""
     time = next((j for j in range(len(names)) if _grows(read[:, j])), None)
-    numbers = [j for j in range(len(names)) if j != time and np.isfinite(read[:, j]).mean() > 0.5 and np.ptp(read[:, j]) > 0]
+    numbers = [
+        j for j in range(len(names)) if j != time and np.isfinite(read[:, j]).mean() > 0.5 and np.ptp(read[:, j]) > 0
+    ]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
     triads: dict[str, Sensors] = {}
     if len(read) >= _FEWEST_ROWS:

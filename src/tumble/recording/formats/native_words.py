@@ -37,4 +37,3 @@ def in_english(name: str) -> str:
     for pattern, word in _PATTERNS:
         name = pattern.sub(word, name)
     return name
-
