@@ -20,11 +20,11 @@ from tumble.estimation.estimate import (
     least_squares,
     scatter_of,
     sigmas,
-    spreads,
 )
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import limits_of
 from tumble.units import Array
 
 MAX_ITERATIONS = 30
@@ -107,7 +107,7 @@ def _rest_rows(observations: Observations, values: Array, scatter: float) -> _Re
         jacobian=np.einsum("irp,pqm,iq->irm", whiten, derivative, homogeneous),
         reading=whiten,
         gravity=np.einsum("irp,pk,ik->ir", whiten, model.matrix, vertical),
-        spread=spreads(block),
+        spread=limits_of(block.names),
     )
 
 
@@ -118,7 +118,7 @@ def _accelerometers_at(
     increments: list[Array] = []
     for _ in range(MAX_ITERATIONS):
         solution = _rest_rows(observations, values, scatter).solution()
-        step = bounded(solution.step, spreads(observations.accel_block))
+        step = bounded(solution.step, limits_of(observations.accel_block.names))
         values = values + step
         increments.append(step)
         if negligible(solution):

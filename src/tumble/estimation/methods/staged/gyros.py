@@ -18,12 +18,12 @@ from tumble.estimation.estimate import (
     least_squares,
     scatter_of,
     sigmas,
-    spreads,
 )
 from tumble.estimation.methods.staged.accelerometers import MAX_ITERATIONS, Accelerometers, bounded, negligible
 from tumble.estimation.methods.staged.gyro_rows import Rows, Scatter, gyro_rows
 from tumble.reduction.observations import Observations, Turns
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import limits_of
 from tumble.units import Array
 
 
@@ -57,7 +57,7 @@ def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
         increments += more
     rows = gyro_rows(observations, accel, turns, values, scatter)
     covariance = rows.covariance(scatter)
-    solution, residual, after = _solved(rows, covariance, spreads(block))
+    solution, residual, after = _solved(rows, covariance, limits_of(block.names))
     left = _Left(residual=residual, covariance=covariance, after=after)
     return Gyros(
         values=values,
@@ -78,7 +78,7 @@ def _gyros_at(
     """Gauss–Newton at a given scatter; the turns are integrated again about every new estimate."""
     block = observations.gyro_block
     assert block is not None
-    spread = spreads(block)
+    spread = limits_of(block.names)
     increments: list[Array] = []
     turns = observations.turns_about(block.model(values))
     for _ in range(MAX_ITERATIONS):
@@ -137,7 +137,7 @@ def _found_scatter(
 ) -> Scatter:
     """The scatter that explains the residuals of the rests, then that of the turns, where they need one."""
     assert observations.gyro_block is not None
-    spread = spreads(observations.gyro_block)
+    spread = limits_of(observations.gyro_block.names)
     groups = _groups(observations)
     rows = gyro_rows(observations, accel, turns, values, scatter)
 
