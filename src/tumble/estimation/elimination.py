@@ -8,8 +8,8 @@ rows of rest i and of the turn that follows it are
     [ δᵢ (d) | parameters (p) | right-hand side ]             rest, (N, r, d + p + 1)
     [ δᵢ (d) | δᵢ₊₁ (d) | parameters (p) | right-hand side ]   turn, (K, t, 2d + p + 1)
 
-and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. The rows of a turn contain those of the
-rest before it, with which they may be correlated: rows of a rest count only where no turn follows. The elimination is orthogonal (a
+and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. Rows of a turn may contain those of the
+rest before it, with which they may be correlated: `counts` (N,) says whether a rest's own rows count. The elimination is orthogonal (a
 square-root information filter): Householder reflections of what involves δᵢ leave d rows that give δᵢ once the rest is
 known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one triangle. Nothing is squared, and the
 cost is linear in the number of rests. A column of which nothing but rounding is left is no information: its unknown, a
@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.reduction.kernels import IntArray, _compiled
-from tumble.units import Array
+from tumble.units import Array, BoolArray
 
 ROUNDING = 1e-10
 """A column that an elimination leaves with less than this part of its length has nothing left in it."""
@@ -34,12 +34,12 @@ BUFFER = 96
 
 
 @_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
-def eliminate(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array) -> None:
+def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on the
     parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
-    N, r, width = rest.shape
+    N, r = rest.shape[:2]
     t, d, p = turn.shape[1], factor.shape[1], len(triangle) - 1
-    rows_most, columns = d + max(r, t), 2 * d + p + 1
+    rows_most, columns = d + r + t, 2 * d + p + 1
     work = np.zeros((columns, rows_most))
     carried = np.zeros((columns, d))
     kept = np.zeros((p + 1, BUFFER + rows_most))
@@ -47,8 +47,7 @@ def eliminate(rest: Array, turn: Array, link: IntArray, factor: Array, triangle:
     length = np.zeros(2 * d)  # squares of the columns before anything was taken off them
     for i in range(N):
         k = link[i]
-        rows = d + (t if k >= 0 else r)
-        _gather(work, carried, rest[i], turn, k, d)
+        rows = _gather(work, carried, rest[i, : r if counts[i] else 0], turn, k)
         for c in range(2 * d):
             length[c] = length[c + d] if c < d else 0.0
             for row in range(d, rows):
@@ -75,16 +74,18 @@ def eliminate(rest: Array, turn: Array, link: IntArray, factor: Array, triangle:
 
 
 @_compiled(error_model="numpy")
-def _gather(work: Array, carried: Array, rest: Array, turn: Array, k: int, d: int) -> None:
-    """Put what involves the unknowns of a rest together: carried rows, and those of turn k, or its own."""
+def _gather(work: Array, carried: Array, rest: Array, turn: Array, k: int) -> int:
+    """Put what involves the unknowns of a rest together: carried rows, its own, and those of turn k; how many."""
+    d, r = carried.shape[1], len(rest)
     work[:, :d] = carried
-    if k >= 0:
-        work[:, d : d + turn.shape[1]] = turn[k].T
-        return
-    r = len(rest)
     work[:d, d : d + r] = rest[:, :d].T
     work[d : 2 * d, d : d + r] = 0.0
     work[2 * d :, d : d + r] = rest[:, d:].T
+    if k < 0:
+        return d + r
+    t = turn.shape[1]
+    work[:, d + r : d + r + t] = turn[k].T
+    return d + r + t
 
 
 @_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
@@ -197,12 +198,13 @@ def left_over(
     rest: Array,
     turn: Array,
     link: IntArray,
+    counts: BoolArray,
     unknowns: Array,
     parameters: Array,
     covariances: tuple[Array, Array, Array],
 ) -> tuple[Array, Array, Array, Array]:
     """Residuals that the rows leave, and their covariances where the noise of the rows is 1: (N, r) and (N, r, r) of
-    the rests, zero where a turn follows, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and what `put_back` returns."""
+    the rests, zero where they do not count, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and what `put_back` returns."""
     N, r = rest.shape[:2]
     K, t = turn.shape[:2]
     covariance, own, shared = covariances
@@ -218,12 +220,12 @@ def left_over(
         unknown[:d] = unknowns[i]
         joint[:d, :d], joint[:d, 2 * d :], joint[2 * d :, :d] = own[i, :, :d], shared[i], shared[i].T
         k = link[i]
-        if k < 0:
+        if counts[i]:
             wide[:, :d], wide[:, 2 * d :] = rest[i, :, :d], rest[i, :, d : d + p]
             unknown[d : 2 * d] = 0.0
             rest_left[i] = rest[i, :, d + p] - np.dot(wide, unknown)
             rest_covariance[i] = np.eye(r) - np.dot(np.dot(wide, joint), wide.T.copy())
-        else:
+        if k >= 0:
             unknown[d : 2 * d] = unknowns[i + 1]
             joint[d : 2 * d, d : 2 * d] = own[i + 1, :, :d]
             joint[d : 2 * d, 2 * d :], joint[2 * d :, d : 2 * d] = shared[i + 1], shared[i + 1].T

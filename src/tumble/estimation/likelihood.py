@@ -493,15 +493,14 @@ def weights(problem: Problem, rows: Rows, scatter: Scatter) -> Weights:
 # The step
 
 
-def solve(problem: Problem, rows: Rows, weight: Weights, *, errors: bool = True) -> Step:
-    """The least-squares step with the attitudes eliminated; without `errors` its covariances with the attitudes, which
-    `left` needs, are left out."""
+def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
+    """The least-squares step with the attitudes eliminated."""
     turns = problem.observations.turns
     first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
     rest, merged = weight.rest @ rows.rest, weight.merged @ rows.merged(first)
     N, p = len(rest), len(rows.prior) - 1
     factor, triangle = np.empty((N, 3, 7 + p)), rows.prior.copy()
-    eliminate(rest, merged, problem.link, factor, triangle)
+    eliminate(rest, merged, problem.link, problem.link < 0, factor, triangle)
     parameters, covariance = _solved(triangle)
     angles = np.empty((N, 3))
     shared = put_back(factor, problem.link, parameters, covariance, angles)
@@ -538,6 +537,6 @@ def left(problem: Problem, step: Step) -> Left:
     """What a step leaves of the residuals."""
     rest, merged = step.whitened
     residual, covariance, merged_residual, merged_covariance = left_over(
-        rest, merged, problem.link, step.angles, step.parameters, (step.covariance, *step.shared)
+        rest, merged, problem.link, problem.link < 0, step.angles, step.parameters, (step.covariance, *step.shared)
     )
     return Left(rest=(residual, covariance), merged=(merged_residual, merged_covariance))
