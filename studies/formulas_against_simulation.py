@@ -27,13 +27,21 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     scalar_scale_error,
     up_down_errors,
 )
-from tumble.planning.budget import GROUPS, Setup, budget
+from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import NAMES, Method
 from tumble.planning.requirements import require
+from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
-from tumble.sensors.grades import NoiseModel
-from tumble.units import ARCSEC, DEGREE, Array, IntArray
+from tumble.sensors.grades import DEGREE_PER_ROOT_HOUR, Grade, NoiseModel, Spread
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
+
+DEVICE = Grade(
+    accel=Spread(bias=2e-3, scale=1e-4, axis=25.0 * ARCSEC),
+    gyro=Spread(bias=0.3 * DEGREE_PER_HOUR, scale=1e-4, axis=10.0 * ARCSEC),
+    noise=NoiseModel(accel_white=1e-4, gyro_white=0.003 * DEGREE_PER_ROOT_HOUR),
+)
+"""An instrument like the published one, with white noise alone."""
 
 STEPS = 12
 """Steps of the integration of a turn, of fourth order: 15° each."""
@@ -530,7 +538,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--short", action="store_true", help="fewer launches")
     launches = 400 if parser.parse_args(arguments).short else 4000
     latitude = 56.84 * DEGREE
-    setup = Setup(latitude=latitude, gravity=normal_gravity(latitude, 270.0))
+    setup = Setup(
+        latitude=latitude,
+        gravity=normal_gravity(latitude, 270.0),
+        gravity_u=0.0,
+        noise=DEVICE.noise,
+        accel=DEVICE.accel,
+        gyro=DEVICE.gyro,
+    )
     silent = replace(setup, noise=NoiseModel())
     nine = replace(silent, programme=programme("nine"), table_error=1.5 * DEGREE, mounting_error=0.0)
     both: tuple[Method, ...] = ("sequential", "scalar")

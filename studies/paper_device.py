@@ -49,7 +49,7 @@ from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, 
 from tumble.estimation.methods.paper.scalar import accelerometers as scalar
 from tumble.estimation.methods.paper.sequential import accelerometers as sequential
 from tumble.estimation.methods.paper.sequential import check_positions
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
@@ -116,7 +116,10 @@ INSTABILITY = NoiseModel(
 SETUP = Setup(
     latitude=LATITUDE,
     gravity=normal_gravity(LATITUDE, 250.0),
+    gravity_u=0.0,
     noise=INSTABILITY,
+    accel=simulation.DEVICE.accel,
+    gyro=simulation.DEVICE.gyro,
     rest=120.0,
     turn_rate=9.0 * DEGREE,
 )

@@ -27,10 +27,11 @@ import numpy as np
 from tumble.calibration.calibrate import ITERATED_METHODS, METHODS
 from tumble.campaigns.campaign import campaign_of, run_campaign
 from tumble.campaigns.summary import Line, summary
-from tumble.campaigns.trial import Cell, scenario_of, stream
+from tumble.campaigns.trial import stream
 from tumble.planning.budget import GROUPS, UNITS
+from tumble.planning.setup import Setup
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.session import Request
+from tumble.simulation.scenario import scenario_of
 from tumble.units import engineering
 
 STORED = Path(__file__).with_suffix(".json")
@@ -84,12 +85,12 @@ def _kept(line: Line) -> Result:
 
 def seconds_of(method: str, runs: int = 9) -> float:
     """Processor time of a calibration from observations, s: the median of several sessions."""
-    cell = Cell(request=Request(), noise_factor=1.0)
+    setup = Setup.of()
     estimate = METHODS.get(method) or (lambda observations: ITERATED_METHODS[method](observations, 2))
     times = []
     for number in range(runs + 1):
         rng = stream(23, number)
-        observations = simulate_observations(scenario_of(cell, rng), rng)
+        observations = simulate_observations(scenario_of(setup, rng), rng)
         start = time.process_time()
         estimate(observations)
         times.append(time.process_time() - start)

@@ -13,8 +13,9 @@ import pytest
 from formula_setup import GRAVITY, SEED, SETUP, SILENT, study
 
 from tumble.errors import InputError, ProgrammeError
-from tumble.planning.budget import GROUPS, Setup, budget, indirect_coefficients
+from tumble.planning.budget import GROUPS, budget, indirect_coefficients
 from tumble.planning.error_propagation import METHODS, NAMES, Method
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.sensors.grades import NoiseModel, Spread
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR

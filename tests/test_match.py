@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tumble.errors import ProgrammeError
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.recording.log import Chunk
 from tumble.recording.session import Channels, Device, LogSpec, Position, ProgrammeSpec, Session, Site
@@ -19,8 +20,7 @@ from tumble.reduction.segmentation import find_rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import OnTable, Profile
-from tumble.simulation.session import Request, typical_scenario
+from tumble.simulation.scenario import OnTable, Profile, scenario_of
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, Array
 
 RATE = 20.0
@@ -39,7 +39,7 @@ def recorded(
     turning: float = 40.0,
 ) -> Recording:
     """A short session of a course on a table with errors of so many degrees."""
-    scenario = typical_scenario(Request(grade=grade), np.random.default_rng(seed), serial="S")
+    scenario = scenario_of(Setup.of(grade=grade), np.random.default_rng(seed), serial="S")
     scenario = replace(
         scenario,
         course=OnTable(programme=course, table_error=table_error * DEGREE, mounting_error=table_error * DEGREE),

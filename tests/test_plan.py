@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from formula_setup import device_setup
 
 from tumble.cli import main
 from tumble.errors import InputError
@@ -22,14 +23,13 @@ from tumble.planning.best_positions import (
     value_of,
 )
 from tumble.planning.bounds import Bound, Course, bound, bound_of, course_of, course_through
-from tumble.planning.budget import Setup
 from tumble.planning.reachable_attitudes import Places, Table
 from tumble.programme.positions import Programme, from_attitudes, programme
 from tumble.rotation import rotation_vector
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.units import DEGREE
 
-SETUP = Setup(latitude=56.84 * DEGREE, gravity=9.8157883)
+SETUP = device_setup(latitude=56.84 * DEGREE, gravity=9.8157883)
 NINE = replace(SETUP, programme=programme("nine"))
 FACES = from_attitudes([position.attitude for position in programme("cube-26").positions[:6]])
 HELD = Table.of("N,U", 45.0)

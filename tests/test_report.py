@@ -31,6 +31,7 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
 from tumble.cli import main
 from tumble.errors import MissingExtraError
+from tumble.planning.setup import Setup
 from tumble.report.blocks import Table
 from tumble.report.characters import drawable, visible
 from tumble.report.compare import compared
@@ -43,10 +44,10 @@ from tumble.report.pdf import pdf as to_pdf
 from tumble.report.result import described
 from tumble.report.write import write_report
 from tumble.sensors.model import SensorModel
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
-SHORT = Request(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
+SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
 SIZES = {
     "µg": 1e-6 * G_STANDARD,
     "mg": 1e-3 * G_STANDARD,

@@ -29,8 +29,9 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.earth import normal_gravity
 from tumble.estimation.quadric import fit_many
 from tumble.files import whole_file
+from tumble.planning.setup import Setup
 from tumble.reduction.allan_deviation import allan_deviation
-from tumble.simulation.session import TRUTH_FILE, Request, read_truth, simulate_session
+from tumble.simulation.session import TRUTH_FILE, read_truth, simulate_session
 from tumble.units import DEGREE, G_STANDARD
 
 LIBRARIES = ("numpy", "scipy", "numba", "polars", "pydantic")
@@ -170,16 +171,16 @@ def _cube() -> Iterator[Case]:
 
 def _noiseless_table() -> Iterator[Case]:
     """a simulated device on a rough table, without noise"""
-    yield from _recovered("rough table", Request(noiseless=True, rest=4.0, rate_deg_s=30.0), 1e-9)
+    yield from _recovered("rough table", Setup.of(noise_factor=0.0, rest=4.0, rate_deg_s=30.0), 1e-9)
 
 
 def _noiseless_hand() -> Iterator[Case]:
     """a simulated device in the hand, without noise"""
-    yield from _recovered("by hand", Request(grade="mems", positions=15, rest=3.0, noiseless=True), 1e-9)
+    yield from _recovered("by hand", Setup.of(grade="mems", positions=15, rest=3.0, noise_factor=0.0), 1e-9)
 
 
-def _recovered(name: str, request: Request, limit: float) -> Iterator[Case]:
-    calibration, truth = _simulated(request)
+def _recovered(name: str, setup: Setup, limit: float) -> Iterator[Case]:
+    calibration, truth = _simulated(setup)
     worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
     yield _difference(
         f"{name}, no noise: worst of {len(calibration.parameters)} parameters", "truth", worst, limit, "SI"
@@ -188,7 +189,7 @@ def _recovered(name: str, request: Request, limit: float) -> Iterator[Case]:
 
 def _noisy_table() -> Iterator[Case]:
     """a simulated device on a rough table, with noise, and the file of its calibration"""
-    calibration, truth = _simulated(Request(rest=20.0))
+    calibration, truth = _simulated(Setup.of(rest=20.0))
     z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u])
     yield Case(
         name=f"rough table: rms of (value − truth)/u of {len(z)} parameters",
@@ -220,7 +221,7 @@ def _exchanged_columns() -> Iterator[Case]:
     """a recording with two exchanged gyro columns, which must be refused"""
     with TemporaryDirectory() as folder:
         place = Path(folder) / "session"
-        simulate_session(place, Request(grade="mems", positions=12, rest=3.0), seed=1)
+        simulate_session(place, Setup.of(grade="mems", positions=12, rest=3.0), seed=1)
         log = pl.read_parquet(place / "log.parquet")
         log.with_columns(gx=pl.col("gy"), gy=pl.col("gx")).write_parquet(place / "log.parquet")
         refused = not calibrate(place).outcome.accepted
@@ -234,11 +235,11 @@ def _exchanged_columns() -> Iterator[Case]:
     )
 
 
-def _simulated(request: Request) -> tuple[Calibration, dict[str, float]]:
+def _simulated(setup: Setup) -> tuple[Calibration, dict[str, float]]:
     """The calibration of a simulated session, and its truth."""
     with TemporaryDirectory() as folder:
         place = Path(folder) / "session"
-        simulate_session(place, request, seed=1)
+        simulate_session(place, setup, seed=1)
         return calibrate(place), read_truth(place / TRUTH_FILE)
 
 

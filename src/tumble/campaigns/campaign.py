@@ -35,7 +35,7 @@ from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_ro
 from tumble.errors import InputError
 from tumble.programme.positions import BUILT_IN
 from tumble.sensors.grades import GRADES
-from tumble.simulation.session import Request
+from tumble.usual_setup import GRADE, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
 
 ESTIMATORS = (*METHODS, *ITERATED_METHODS)
 AXES = (
@@ -96,8 +96,7 @@ def run_campaign(
 
 def label(cell: Cell) -> Row:
     """The columns that tell a cell from others."""
-    found = {axis: getattr(cell.request, axis) for axis in AXES[:-1]} | {"noise_factor": cell.noise_factor}
-    return found | ({} if cell.request.positions is None else {"programme": None})
+    return {**cell.point} | ({} if cell.setup.by_hand is None else {"programme": None})
 
 
 def _label_schema() -> dict[str, Any]:
@@ -157,7 +156,7 @@ def campaign_of(content: Mapping[str, Any]) -> Campaign:
 
 def _cells(grid: _Grid) -> tuple[Cell, ...]:
     points = [dict(zip(AXES, values, strict=True)) for values in product(*(getattr(grid, name) for name in AXES))]
-    return tuple(Cell(noise_factor=point.pop("noise_factor"), request=Request(**point)) for point in points)
+    return tuple(Cell.of(point) for point in points)
 
 
 def _fault(fault: Any, content: Mapping[str, Any]) -> str:
@@ -200,14 +199,16 @@ class _Grid(_Table):
     on a table or by hand."""
 
     method: list[str] = Field(default=[DEFAULT_METHOD], min_length=1, description=_one_of(ESTIMATORS))
-    grade: list[str] = Field(default=["navigation"], min_length=1, description=_one_of(GRADES))
-    programme: list[str] = Field(default=["rough-table"], min_length=1, description=_one_of(BUILT_IN))
+    grade: list[str] = Field(default=[GRADE], min_length=1, description=_one_of(GRADES))
+    programme: list[str] = Field(default=[PROGRAMME], min_length=1, description=_one_of(BUILT_IN))
     positions: list[Annotated[int, Field(ge=1, le=1000)] | None] = Field(
         default=[None], min_length=1, description="whole numbers from 1 to 1000"
     )
-    table_error_deg: list[_Degrees] = Field(default=[1.0], min_length=1, description="numbers from 0 to 10 (degrees)")
+    table_error_deg: list[_Degrees] = Field(
+        default=[TABLE_ERROR_DEG], min_length=1, description="numbers from 0 to 10 (degrees)"
+    )
     mounting_error_deg: list[_Degrees] = Field(
-        default=[1.0], min_length=1, description="numbers from 0 to 10 (degrees)"
+        default=[MOUNTING_ERROR_DEG], min_length=1, description="numbers from 0 to 10 (degrees)"
     )
     rest: list[_Seconds | None] = Field(default=[None], min_length=1, description="numbers from 0.1 to 86400 (s)")
     rate_deg_s: list[_Positive | None] = Field(
@@ -215,7 +216,7 @@ class _Grid(_Table):
     )
     sample_rate: list[_Positive | None] = Field(default=[None], min_length=1, description="numbers above 0 (Hz)")
     latitude_deg: list[Annotated[float, Field(ge=-90.0, le=90.0)]] = Field(
-        default=[56.84], min_length=1, description="numbers from -90 to 90"
+        default=[LATITUDE_DEG], min_length=1, description="numbers from -90 to 90"
     )
     noise_factor: list[Annotated[float, Field(ge=0.0, le=1000.0)]] = Field(
         default=[1.0], min_length=1, description="numbers from 0 to 1000"

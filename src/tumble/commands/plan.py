@@ -12,8 +12,8 @@ from tumble.commands.arguments import setup_of, setup_options
 
 if TYPE_CHECKING:
     from tumble.planning.best_positions import Aim
-    from tumble.planning.budget import Setup
     from tumble.planning.reachable_attitudes import Table
+    from tumble.planning.setup import Setup
 
 
 @click.command()

@@ -28,8 +28,8 @@ from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED, spreads
 from tumble.planning.bounds import Bound, blocks_of, bound, course_of, view
-from tumble.planning.budget import Setup
 from tumble.planning.reachable_attitudes import ANY, Places, Table, Ways, ways_through
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
 from tumble.programme.positions import programme as built_in
 from tumble.units import Array, IntArray

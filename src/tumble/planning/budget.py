@@ -24,14 +24,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 
 from tumble.earth import earth_rate
-from tumble.errors import InputError
 from tumble.estimation.methods.paper.accuracy_formulas import turn_bias_error
 from tumble.planning.error_propagation import (
     METHODS,
@@ -45,10 +43,8 @@ from tumble.planning.error_propagation import (
     plan_of,
     second_order,
 )
-from tumble.programme.positions import Programme
-from tumble.programme.positions import programme as built_in
-from tumble.sensors.grades import DEGREE_PER_ROOT_HOUR, Grade, NoiseModel, Spread
-from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
+from tumble.planning.setup import Setup, check_setup
+from tumble.units import DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 GROUPS = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
 """The groups of parameters, in the order of the calibration file."""
@@ -82,36 +78,6 @@ ESTIMATORS: Mapping[Method, Mapping[str, str]] = MappingProxyType(
     }
 )
 """How each method finds each group of parameters."""
-
-_USUAL = Grade(
-    accel=Spread(bias=2e-3, scale=1e-4, axis=25.0 * ARCSEC),
-    gyro=Spread(bias=0.3 * DEGREE_PER_HOUR, scale=1e-4, axis=10.0 * ARCSEC),
-    noise=NoiseModel(accel_white=1e-4, gyro_white=0.003 * DEGREE_PER_ROOT_HOUR),
-)
-"""Navigation-grade instruments: what a set-up has unless it says otherwise."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Setup:
-    """What is known of a calibration before it is made.
-
-    `table_error`, `mounting_error`: every position, and the whole launch, off by up to so much, rad, uniform within ±
-    about each axis, as in `tumble simulate`. `rest`: duration of a rest, s; `turn_rate`, rad/s. `noise`,
-    and the spreads `accel` and `gyro` of the parameters before calibration, are those of a
-    `tumble.sensors.grades.Grade`. `latitude`, rad; `gravity`, m/s², with its standard uncertainty `gravity_u`
-    (`earth.NORMAL_GRAVITY_U` if it is not measured)."""
-
-    table_error: float = DEGREE
-    mounting_error: float = DEGREE
-    rest: float = 60.0
-    turn_rate: float = 10.0 * DEGREE
-    noise: NoiseModel = _USUAL.noise
-    accel: Spread = _USUAL.accel
-    gyro: Spread = _USUAL.gyro
-    latitude: float
-    gravity: float
-    gravity_u: float = 0.0
-    programme: Programme = field(default_factory=lambda: built_in("rough-table"))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -419,30 +385,3 @@ def _held(plan: Plan, gyro: Array) -> Array:
         return np.zeros((len(gyro), 0, 3))
     turns = plan.turns
     return turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, gyro[:, turns.first])
-
-
-# -------------------- checks --------------------
-
-
-def check_setup(setup: Setup, iterations: int) -> None:
-    """Raise InputError for values that make no sense."""
-    if iterations < 1:
-        raise InputError(f"iterations: expected at least 1, found {iterations}")
-    if not abs(setup.latitude) < 0.5 * math.pi - DEGREE:
-        found = setup.latitude / DEGREE
-        raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
-    for name in ("rest", "turn_rate", "gravity"):
-        expect(name, getattr(setup, name), least="more than 0")
-    for name in ("table_error", "mounting_error", "gravity_u"):
-        expect(name, getattr(setup, name), least="0 or more")
-    for noise in fields(setup.noise):
-        expect(f"noise.{noise.name}", getattr(setup.noise, noise.name), least="0 or more")
-    for kind in ("accel", "gyro"):
-        for what in ("bias", "scale", "axis"):
-            expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
-
-
-def expect(name: str, value: float, *, least: Literal["more than 0", "0 or more"]) -> None:
-    """Raise InputError unless a value is finite and as large as that."""
-    if not (0.0 < value < math.inf or (value == 0.0 and least == "0 or more")):
-        raise InputError(f"{name}: expected {least}, in SI, found {value:g}")

@@ -16,7 +16,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.planning.bounds import Course, course_through, view
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import TRIPLES, Position, from_attitudes
 from tumble.rotation import rotation_vector
 from tumble.units import DEGREE, Array, BoolArray, IntArray

@@ -19,15 +19,13 @@ from tumble.planning.budget import (
     REST_NOISE,
     UNITS,
     Pipeline,
-    Setup,
-    check_setup,
-    expect,
     members_of,
     pipeline_of,
     size_of,
     total_of,
 )
 from tumble.planning.error_propagation import Method
+from tumble.planning.setup import Setup, check_setup, expect
 from tumble.units import Array, quantity
 
 REST_SHARE = 0.25

@@ -21,7 +21,8 @@ from tumble.programme.sheet_pictures import (
     svg_picture,
     text_element,
 )
-from tumble.programme.sheet_words import MOVE, RATE, REST, Row, notes_of, pace_of, sheet_rows
+from tumble.programme.sheet_words import RATE, REST, Row, notes_of, pace_of, sheet_rows
+from tumble.usual_setup import MOVE
 
 # -------------------- the table --------------------
 

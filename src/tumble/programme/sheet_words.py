@@ -11,15 +11,10 @@ import numpy as np
 
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme, timetable
 from tumble.units import DEGREE, Array
+from tumble.usual_setup import MOVE, ON_TABLE
 
-REST = 60.0
-"""Duration of a rest, s, where nothing else is asked for."""
-
-RATE = 10.0 * DEGREE
-"""Rate of programmed turns, rad/s, where nothing else is asked for."""
-
-MOVE = 30.0
-"""What is allowed for a move that is not a programmed turn, s, where nothing else is asked for."""
+REST, RATE = ON_TABLE.rest, ON_TABLE.rate_deg_s * DEGREE
+"""Duration of a rest, s, and rate of programmed turns, rad/s, where nothing else is asked for."""
 
 _COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 

@@ -1,7 +1,7 @@
 """Observations of a simulated session, made directly from the truth: no log is sampled, so a session takes a
 millisecond and thousands are cheap.
 
-    scenario = scenario_of(setup, rng)                   or `simulate.typical_scenario`, or a `Scenario` of one's own
+    scenario = scenario_of(setup, rng)                   or a `Scenario` of one's own
     observations = simulate_observations(scenario, rng)
     estimate = joint(observations)                       or any other method; compare with scenario.truth
 
@@ -26,8 +26,6 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.planning.budget import Setup
-from tumble.recording.session import Site
 from tumble.reduction.blocks import GyroSamples
 from tumble.reduction.observations import (
     ACCEL_FLOOR,
@@ -40,38 +38,12 @@ from tumble.reduction.observations import (
     TurnSamples,
 )
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.sensors.grades import Spread
 from tumble.sensors.model import Block, SensorModel
-from tumble.simulation.scenario import Itinerary, OnTable, Profile, Scenario, Vibration, itinerary
+from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.units import Array, IntArray
 
 SAMPLES = 64
 """Samples of a turn."""
-
-RAMP = 1.0
-"""s: what reaching and leaving the rate of a turn adds to its duration."""
-
-
-def scenario_of(setup: Setup, rng: np.random.Generator) -> Scenario:
-    """The scenario of a set-up on a table: a triad of each kind along the body axes, with errors drawn from the
-    spreads of the set-up."""
-    accel, gyro = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
-    return Scenario(
-        course=OnTable(programme=setup.programme, table_error=setup.table_error, mounting_error=setup.mounting_error),
-        accel=accel,
-        gyro=gyro,
-        truth=_drawn(accel, setup.accel, rng) | _drawn(gyro, setup.gyro, rng),
-        noise=setup.noise,
-        profile=Profile(first_rest=setup.rest, rest=setup.rest, rate=setup.turn_rate, ramp=RAMP, sample_rate=100.0),
-        site=Site(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u),
-        vibration=Vibration(),
-        serial="simulated",
-    )
-
-
-def _drawn(block: Block, spread: Spread, rng: np.random.Generator) -> dict[str, float]:
-    """Values by parameter name, Gaussian with these spreads."""
-    return {name: float(getattr(spread, name.split(".")[1]) * rng.standard_normal()) for name in block.names}
 
 
 def simulate_observations(
