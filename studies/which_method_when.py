@@ -26,7 +26,7 @@ import numpy as np
 
 from tumble.calibration.calibrate import ITERATED_METHODS, METHODS
 from tumble.campaigns.campaign import campaign_of, run_campaign
-from tumble.campaigns.summary import Line, summary
+from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import stream
 from tumble.planning.budget import GROUPS, UNITS
 from tumble.planning.setup import Setup
@@ -68,17 +68,17 @@ def found(sessions: int) -> Result:
     }
 
 
-def lines_on_table(degrees: float, sessions: int) -> Sequence[Line]:
+def lines_on_table(degrees: float, sessions: int) -> Sequence[SummaryLine]:
     return lines_of({"method": list(ON_TABLE), "table_error_deg": degrees, "mounting_error_deg": degrees}, sessions)
 
 
-def lines_of(grid: Mapping[str, Any], sessions: int) -> Sequence[Line]:
+def lines_of(grid: Mapping[str, Any], sessions: int) -> Sequence[SummaryLine]:
     """The summary of a campaign of one point."""
     with tempfile.TemporaryDirectory() as folder:
         return summary(run_campaign(campaign_of({"seed": 19, "trials": sessions, "grid": grid}), Path(folder) / "out"))
 
 
-def _kept(line: Line) -> Result:
+def _kept(line: SummaryLine) -> Result:
     names = ("method", "group", "trials", "accepted", "bias", "scatter", "rms", "to_bound", "coverage")
     return {name: getattr(line, name) for name in names}
 

@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 from tumble.campaigns import trial
 from tumble.campaigns.campaign import Campaign, campaign_of, read_campaign, run_campaign
 from tumble.campaigns.engine import Executor, run, serially
-from tumble.campaigns.summary import Line, summary
+from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import BLOCK, NAMES, Cell, session_rows, statics_rows
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
@@ -295,7 +295,9 @@ def test_moments_of_blocks_of_triads_are_put_together(tmp_path: Path) -> None:
 
 
 def test_a_plot_without_matplotlib_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    line = Line(point={}, method="staged", group="accel.bias", unit="m/s^2", **dict.fromkeys(COUNTS, 1), **FIGURES)
+    line = SummaryLine(
+        point={}, method="staged", group="accel.bias", unit="m/s^2", **dict.fromkeys(COUNTS, 1), **FIGURES
+    )
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'tumble\[report\]'"):
         plot([line], tmp_path / "rms.svg")

@@ -13,7 +13,7 @@ from tumble.errors import ProgrammeError
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.recording.log import Chunk
-from tumble.recording.session import Channels, Device, LogSpec, Position, ProgrammeSpec, Session, Site
+from tumble.recording.session import Channels, Device, ListedPosition, LogSpec, ProgrammeSpec, Session, Site
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.segmentation import find_rests
@@ -104,7 +104,7 @@ def named(name: str) -> ProgrammeSpec:
 
 
 def listed(codes: Sequence[str]) -> ProgrammeSpec:
-    return ProgrammeSpec(name=None, positions=tuple(Position(attitude=c, start=None, stop=None) for c in codes))
+    return ProgrammeSpec(name=None, positions=tuple(ListedPosition(attitude=c, start=None, stop=None) for c in codes))
 
 
 def course(indices: Sequence[int]) -> Programme:
@@ -176,9 +176,9 @@ def test_stated_times_replace_what_was_found_there() -> None:
     spec = ProgrammeSpec(
         name=None,
         positions=(
-            Position(attitude=codes[0], start=2.0, stop=9.0),
-            Position(attitude=codes[1], start=start + 3.0, stop=stop - 4.0),
-            Position(attitude=codes[2], start=None, stop=None),
+            ListedPosition(attitude=codes[0], start=2.0, stop=9.0),
+            ListedPosition(attitude=codes[1], start=start + 3.0, stop=stop - 4.0),
+            ListedPosition(attitude=codes[2], start=None, stop=None),
         ),
     )
     match = matched(recording, spec)
@@ -312,8 +312,8 @@ def test_times_without_a_sample_are_refused() -> None:
     spec = ProgrammeSpec(
         name=None,
         positions=(
-            Position(attitude="NUE", start=None, stop=None),
-            Position(attitude="ENU", start=beyond, stop=beyond + 10.0),
+            ListedPosition(attitude="NUE", start=None, stop=None),
+            ListedPosition(attitude="ENU", start=beyond, stop=beyond + 10.0),
         ),
     )
     assert "position 2" in refused(recording, spec)

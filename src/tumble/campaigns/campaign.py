@@ -137,7 +137,7 @@ def read_campaign(path: Path) -> Campaign:
 def campaign_of(content: Mapping[str, Any]) -> Campaign:
     """The campaign of a file's content. Raises InputError with up to three faults."""
     try:
-        document = _Document.model_validate(content)
+        document = _CampaignKeys.model_validate(content)
     except ValidationError as error:
         faults = list(dict.fromkeys(_fault(fault, content) for fault in error.errors(include_url=False)))
         more = [f"and {len(faults) - _FAULTS_SHOWN} more"] if len(faults) > _FAULTS_SHOWN else []
@@ -154,7 +154,7 @@ def campaign_of(content: Mapping[str, Any]) -> Campaign:
     )
 
 
-def _cells(grid: _Grid) -> tuple[Cell, ...]:
+def _cells(grid: _GridKeys) -> tuple[Cell, ...]:
     points = [dict(zip(AXES, values, strict=True)) for values in product(*(getattr(grid, name) for name in AXES))]
     return tuple(Cell.of(point) for point in points)
 
@@ -163,7 +163,7 @@ def _fault(fault: Any, content: Mapping[str, Any]) -> str:
     """A fault as "key: expected …, found …"."""
     if fault["type"] == "value_error":
         return str(fault["ctx"]["error"])
-    table: type[BaseModel] = _Document
+    table: type[BaseModel] = _CampaignKeys
     value: Any = content
     keys: list[str] = []
     for part in fault["loc"]:
@@ -174,8 +174,8 @@ def _fault(fault: Any, content: Mapping[str, Any]) -> str:
         keys.append(part)
         value = value.get(part) if isinstance(value, Mapping) else None
         if part == "grid":
-            table = _Grid
-    expected = (_Grid if len(keys) > 1 else _Document).model_fields[keys[-1]].description
+            table = _GridKeys
+    expected = (_GridKeys if len(keys) > 1 else _CampaignKeys).model_fields[keys[-1]].description
     found = "none" if fault["type"] == "missing" else json.dumps(value, default=str, ensure_ascii=False)
     return f"{'.'.join(keys)}: expected {expected}, found {found}"
 
@@ -185,7 +185,7 @@ def _nearest(name: str, table: type[BaseModel]) -> str:
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
-class _Table(BaseModel):
+class _CampaignTable(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
@@ -194,7 +194,7 @@ _Seconds = Annotated[float, Field(ge=0.1, le=86_400.0)]
 _Positive = Annotated[float, Field(gt=0.0, le=10_000.0)]
 
 
-class _Grid(_Table):
+class _GridKeys(_CampaignTable):
     """Every axis is a list; a single value stands for a list of one. None, as with `tumble simulate`, for what is usual
     on a table or by hand."""
 
@@ -238,12 +238,12 @@ class _Grid(_Table):
         return self
 
 
-class _Document(_Table):
+class _CampaignKeys(_CampaignTable):
     kind: Literal["sessions", "statics"] = Field(default="sessions", description='"sessions" or "statics"')
     source: Source = Field(default="observations", description='"observations" or "log"')
     seed: int = Field(default=0, ge=0, le=2**63, description="a whole number, not negative")
     trials: int = Field(ge=1, le=MOST_TASKS, description=f"a whole number from 1 to {MOST_TASKS}")
-    grid: _Grid = Field(default=_Grid(), description="a table")
+    grid: _GridKeys = Field(default=_GridKeys(), description="a table")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -33,7 +33,7 @@ class _NamedPath(click.Path):
 EXISTING_FOLDER = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
-METHODS = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
+METHOD_NAMES = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
 BUDGETED_METHODS = ["staged", "sequential", "scalar"]
 """Methods whose errors are known before anything is measured."""
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]

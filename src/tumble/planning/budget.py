@@ -32,10 +32,10 @@ import numpy as np
 from tumble.earth import earth_rate
 from tumble.estimation.methods.paper.accuracy_formulas import turn_bias_error
 from tumble.planning.error_propagation import (
-    METHODS,
+    BUDGETED_METHODS,
     NAME_UNITS,
     NAMES,
-    Method,
+    BudgetedMethod,
     Plan,
     Seen,
     estimates,
@@ -49,7 +49,7 @@ from tumble.units import DEGREE, DEGREE_PER_HOUR, Array, IntArray
 GROUPS = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
 """The groups of parameters, in the order of the calibration file."""
 
-ESTIMATORS: Mapping[Method, Mapping[str, str]] = MappingProxyType(
+ESTIMATORS: Mapping[BudgetedMethod, Mapping[str, str]] = MappingProxyType(
     {
         "sequential": {
             "accel.bias": "up and down, levelled, Eq. (4)",
@@ -89,14 +89,14 @@ class Term:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Row:
+class BudgetRow:
     """Expected error of a group of parameters after `iteration` passes of a method.
 
     `error`: rms over the group's parameters and over instruments and set-ups, in `unit` (SI); `relative`: the same
     over the spread before calibration; `errors`: rms by parameter name; `terms`: what it is made of, largest first."""
 
     group: str
-    method: Method
+    method: BudgetedMethod
     estimator: str
     iteration: int
     unit: str
@@ -117,10 +117,10 @@ class Budget:
     is outside what the formulas hold for."""
 
     setup: Setup
-    rows: tuple[Row, ...]
+    rows: tuple[BudgetRow, ...]
     remarks: tuple[str, ...]
 
-    def row(self, method: Method, group: str, iteration: int) -> Row:
+    def row(self, method: BudgetedMethod, group: str, iteration: int) -> BudgetRow:
         """The row of this method, group and iteration. Raises KeyError if there is none."""
         for row in self.rows:
             if (row.method, row.group, row.iteration) == (method, group, iteration):
@@ -128,13 +128,13 @@ class Budget:
         raise KeyError((method, group, iteration))
 
 
-def budget(setup: Setup, methods: Sequence[Method] = METHODS, iterations: int = 2) -> Budget:
+def budget(setup: Setup, methods: Sequence[BudgetedMethod] = BUDGETED_METHODS, iterations: int = 2) -> Budget:
     """Expected errors of every group of parameters after each of so many passes of these methods.
 
     Groups that the programme cannot give (gyro scale factors without known turns) have no row. Raises InputError for
     values that make no sense, ProgrammeError for a programme without the positions a method needs."""
     check_setup(setup, iterations)
-    rows: list[Row] = []
+    rows: list[BudgetRow] = []
     for method in methods:
         pipeline = pipeline_of(setup, method)
         for iteration in range(1, iterations + 1):
@@ -142,7 +142,7 @@ def budget(setup: Setup, methods: Sequence[Method] = METHODS, iterations: int = 
     return Budget(setup=setup, rows=tuple(rows), remarks=_remarks(setup, methods))
 
 
-def _remarks(setup: Setup, methods: Sequence[Method]) -> tuple[str, ...]:
+def _remarks(setup: Setup, methods: Sequence[BudgetedMethod]) -> tuple[str, ...]:
     """What a set-up has that the formulas do not hold for."""
     out = []
     if max(setup.table_error, setup.mounting_error) > LARGEST_DEVIATION:
@@ -168,7 +168,7 @@ LARGEST_AZIMUTH = 0.1
 """Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
 
 
-def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[Row]:
+def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[BudgetRow]:
     """The rows of one method after so many passes."""
     variances = pipeline.variances(iteration)
     out = []
@@ -178,7 +178,7 @@ def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[Row]:
         terms = [Term(name=n, error=size * _rms(v[members])) for n, v in variances.items() if v[members].any()]
         error = size * math.sqrt(total.mean())
         out.append(
-            Row(
+            BudgetRow(
                 group=group,
                 method=pipeline.method,
                 estimator=ESTIMATORS[pipeline.method][group],
@@ -244,7 +244,7 @@ class Pipeline:
     the 0th, 2nd and 4th power of the deviations, `twice`. `second_order` (21,) and `noise` (21,) by cause are variances
     themselves; `spread` (21,) the rms of the parameters."""
 
-    method: Method
+    method: BudgetedMethod
     groups: tuple[str, ...]
     exact: Array
     by_table: Array
@@ -297,7 +297,7 @@ def _gain(first: Array, second: Array) -> Array:
     return gain
 
 
-def pipeline_of(setup: Setup, method: Method) -> Pipeline:
+def pipeline_of(setup: Setup, method: BudgetedMethod) -> Pipeline:
     """A method on the programme of a set-up."""
     plan = plan_of(setup.programme, method, turn_rate=setup.turn_rate, latitude=setup.latitude)
     T0, D = first_order(plan, method)
@@ -349,7 +349,7 @@ def _mean_square(form: Callable[[Array], Array], spread: Array) -> Array:
     return np.asarray(diagonal.sum(axis=0) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)))
 
 
-def _noise(setup: Setup, plan: Plan, method: Method) -> dict[str, Array]:
+def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]:
     """Variances (21,) of the parameters from noise, by cause, on an exact programme: each noise as if alone."""
     N, K = len(plan.nominal), len(plan.duration)
     accel = np.eye(3 * N).reshape(3 * N, N, 3)
@@ -374,7 +374,7 @@ REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
 """The causes that longer rests reduce."""
 
 
-def _gains(plan: Plan, method: Method, seen: Seen) -> Array:
+def _gains(plan: Plan, method: BudgetedMethod, seen: Seen) -> Array:
     """Estimates (m, 21) that m unit errors of what is seen lead to."""
     return estimates(plan, method, plan.nominal, seen)
 

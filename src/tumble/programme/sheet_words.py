@@ -20,7 +20,7 @@ _COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Row:
+class SheetRow:
     """A position as the sheet says it. `points` is where body X, Y, Z point; start and stop of the rest in s."""
 
     number: int
@@ -38,13 +38,15 @@ class Row:
         return f"{clock(self.start)} – {clock(self.stop)}"
 
 
-def sheet_rows(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> tuple[Row, ...]:
+def sheet_rows(
+    programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE
+) -> tuple[SheetRow, ...]:
     """Every position of a programme in words, with its time: rests of `rest` s, turns at `rate` rad/s, and `move` s
     for each other move. Raises ProgrammeError as `programme.timetable`."""
     times = timetable(programme, rest=rest, rate=rate, move=move)
     moves = (ANY_MOVE, *programme.moves)
     return tuple(
-        Row(
+        SheetRow(
             number=number,
             position=position,
             move=reached,
@@ -114,7 +116,7 @@ def short_code(code: str) -> str:
     return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.6g}", code)
 
 
-def pace_of(programme: Programme, rows: Sequence[Row], rate: float, move: float) -> str:
+def pace_of(programme: Programme, rows: Sequence[SheetRow], rate: float, move: float) -> str:
     """ "15 positions, 20:12 in all: rests of 60 s, turns at 10 °/s, 30 s for any other move"."""
     parts = [f"rests of {rows[0].stop - rows[0].start:g} s"]
     if any(m.angle is not None for m in programme.moves):

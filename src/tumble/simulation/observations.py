@@ -60,8 +60,8 @@ def simulate_observations(
         )
     geometry, noise, place = rng.spawn(3)
     way = itinerary(scenario, geometry)
-    accel = _Sensors.of(scenario.accel, scenario, len(way.rests), noise)
-    gyro = _Sensors.of(scenario.gyro, scenario, len(way.rests), noise)
+    accel = _NoisyBlock.of(scenario.accel, scenario, len(way.rests), noise)
+    gyro = _NoisyBlock.of(scenario.gyro, scenario, len(way.rests), noise)
     rests = _rests(scenario, way, accel, gyro, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
     turns, samples, readings = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), gyro, noise)
@@ -81,7 +81,7 @@ def simulate_observations(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Sensors:
+class _NoisyBlock:
     """A block at work: its model, the bias (N, n) it has at each rest and in the move that follows, and the density
     of its white noise."""
 
@@ -90,7 +90,7 @@ class _Sensors:
     white: float
 
     @staticmethod
-    def of(block: Block, scenario: Scenario, rests: int, rng: np.random.Generator) -> _Sensors:
+    def of(block: Block, scenario: Scenario, rests: int, rng: np.random.Generator) -> _NoisyBlock:
         noise = scenario.noise
         white, instability = (
             (noise.accel_white, noise.accel_instability)
@@ -98,7 +98,7 @@ class _Sensors:
             else (noise.gyro_white, noise.gyro_instability)
         )
         model = block.model(np.array([scenario.truth[name] for name in block.names]))
-        return _Sensors(
+        return _NoisyBlock(
             model=model, bias=model.bias + instability * rng.standard_normal((rests, block.size)), white=white
         )
 
@@ -113,7 +113,9 @@ class _Sensors:
         return np.asarray(variance[:, None, None] * np.eye(self.bias.shape[1]))
 
 
-def _rests(scenario: Scenario, way: Itinerary, accel: _Sensors, gyro: _Sensors, rng: np.random.Generator) -> Rests:
+def _rests(
+    scenario: Scenario, way: Itinerary, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
+) -> Rests:
     start, stop = way.rests.T
     seconds = stop - start
     force = scenario.site.gravity * way.attitudes[:, 1]
@@ -135,7 +137,7 @@ def _rests(scenario: Scenario, way: Itinerary, accel: _Sensors, gyro: _Sensors, 
 
 
 def _turns(
-    scenario: Scenario, way: Itinerary, first: IntArray, gyro: _Sensors, rng: np.random.Generator
+    scenario: Scenario, way: Itinerary, first: IntArray, gyro: _NoisyBlock, rng: np.random.Generator
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
     """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn one more is kept
     ahead of it, which the coning term wants."""
