@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from formulas_against_simulation import DEVICE
 
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
@@ -25,13 +26,23 @@ from tumble.estimation.methods.joint import TOTAL, joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
-from tumble.planning.budget import GROUPS, Setup
+from tumble.planning.budget import GROUPS
+from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
-from tumble.simulation.observations import scenario_of, simulate_observations
-from tumble.simulation.scenario import Scenario, itinerary
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.units import DEGREE, Array
 
-SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)
+SETUP = Setup(
+    latitude=56.8 * DEGREE,
+    gravity=9.815817,
+    gravity_u=0.0,
+    rest=120.0,
+    turn_rate=180.0 / 19.0 * DEGREE,
+    noise=DEVICE.noise,
+    accel=DEVICE.accel,
+    gyro=DEVICE.gyro,
+)
 NAMES = ("nine programme turns", "all 14 turns")
 
 PUBLISHED = {

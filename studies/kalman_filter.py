@@ -37,6 +37,7 @@ from tumble.earth import earth_rate
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.methods.paper.levelling import triad
 from tumble.estimation.methods.staged.method import staged
+from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
 from tumble.reduction import kernels as _kernels
@@ -47,11 +48,10 @@ from tumble.reduction.segmentation import find_rests
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.grades import NoiseModel, grade
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import Scenario
-from tumble.simulation.session import Request, typical_scenario
+from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.units import DEGREE, Array
 
-REQUEST = Request(rest=30.0, sample_rate=50.0)
+REQUEST = Setup.of(rest=30.0, sample_rate=50.0)
 GRADE = grade(REQUEST.grade)
 STEP = 1.0
 """s."""
@@ -190,7 +190,7 @@ def compare(noise: NoiseModel, sessions: int) -> Compared:
     u: dict[str, list[Array]] = {name: [] for name in error}
     seconds = dict.fromkeys(("reduction", "staged", "joint", "filter"), 0.0)
     for seed in range(sessions):
-        scenario = typical_scenario(REQUEST, np.random.default_rng([51, seed]), serial="")
+        scenario = scenario_of(REQUEST, np.random.default_rng([51, seed]), serial="")
         scenario = replace(scenario, noise=noise)
         recording = record(scenario, np.random.default_rng([52, seed]))
         truth = np.array([scenario.truth[name] for name in names(scenario)])

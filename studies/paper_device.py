@@ -39,8 +39,8 @@ from tumble.estimation.methods.paper.compensation import (
     triad_parameters,
 )
 from tumble.estimation.methods.paper.four_stages import (
-    Course,
-    Method,
+    PaperMethod,
+    ProgrammeCourse,
     accelerometer_pass,
     gyro_bias_pass,
     gyro_matrix_pass,
@@ -49,7 +49,7 @@ from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, 
 from tumble.estimation.methods.paper.scalar import accelerometers as scalar
 from tumble.estimation.methods.paper.sequential import accelerometers as sequential
 from tumble.estimation.methods.paper.sequential import check_positions
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
@@ -59,8 +59,8 @@ from tumble.terminal.text import print_report
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 LAUNCHES = 7
-SEQUENTIAL = Method(name="sequential", accelerometers=sequential, check=check_positions)
-SCALAR = Method(name="scalar", accelerometers=scalar, check=check_positions)
+SEQUENTIAL = PaperMethod(name="sequential", accelerometers=sequential, check=check_positions)
+SCALAR = PaperMethod(name="scalar", accelerometers=scalar, check=check_positions)
 NINE = [8, 10, 0, 1, 4, 5, 12, 13, 14]
 """Rests of rough-table that are the nine orientations of the paper's scalar method."""
 
@@ -70,7 +70,7 @@ def scalar_of_nine(readings: Array, nominal: Array, gravity: Array) -> SensorMod
     return scalar(readings[..., NINE, :], nominal[NINE], gravity)
 
 
-SCALAR_OF_NINE = Method(name="scalar of nine", accelerometers=scalar_of_nine, check=check_positions)
+SCALAR_OF_NINE = PaperMethod(name="scalar of nine", accelerometers=scalar_of_nine, check=check_positions)
 
 AXES = ("xy", "xz", "yx", "yz", "zx", "zy")
 ROWS = (
@@ -116,7 +116,10 @@ INSTABILITY = NoiseModel(
 SETUP = Setup(
     latitude=LATITUDE,
     gravity=normal_gravity(LATITUDE, 250.0),
+    gravity_u=0.0,
     noise=INSTABILITY,
+    accel=simulation.DEVICE.accel,
+    gyro=simulation.DEVICE.gyro,
     rest=120.0,
     turn_rate=9.0 * DEGREE,
 )
@@ -125,14 +128,14 @@ SETUP = Setup(
 # -------------------- the methods --------------------
 
 
-def course_of(programme: Programme) -> Course:
+def course_of(programme: Programme) -> ProgrammeCourse:
     """The course of launches that record nothing but the known turns."""
     series, k = [], 0
     for moves in known_turns(programme):
         turns = [RecordedTurn(turn=k + i, first=move, last=move + 1, counts=True) for i, move in enumerate(moves)]
         series.append(tuple(turns))
         k += len(turns)
-    return Course(
+    return ProgrammeCourse(
         nominal=np.array([position.vertical_b for position in programme.positions]),
         series=tuple(series),
         duration=np.full(k, math.pi / SETUP.turn_rate),
@@ -146,7 +149,7 @@ COURSE = course_of(SETUP.programme)
 
 def passes(
     launches: simulation.Launches,
-    method: Method,
+    method: PaperMethod,
     iterations: int,
     *,
     gyro_bias: bool = True,

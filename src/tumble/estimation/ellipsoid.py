@@ -170,7 +170,7 @@ class _Task:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Rows:
+class _EllipsoidRows:
     """Of each reading: the residual |t| − m, minus its derivatives with respect to the values (N, 9), its variance
     from noise, and what a unit variance of scatter adds."""
 
@@ -187,13 +187,13 @@ class _Rows:
         return np.sqrt(self.noise + scatter**2 * self.by_scatter)
 
 
-def _rows(task: _Task, values: Array) -> _Rows:
+def _rows(task: _Task, values: Array) -> _EllipsoidRows:
     model = task.block.model(values)
     true = model.apply(task.readings)
     length = np.linalg.norm(true, axis=1)
     normal = (true / length[:, None]) @ model.inverse()
     homogeneous = np.concatenate([true, np.ones((len(true), 1))], axis=1)
-    return _Rows(
+    return _EllipsoidRows(
         residual=length - task.modulus,
         jacobian=np.einsum("ip,pqm,iq->im", normal, task.block.jacobian(values), homogeneous),
         noise=np.einsum("ip,ipq,iq->i", normal, task.covariance, normal),
@@ -204,7 +204,7 @@ def _rows(task: _Task, values: Array) -> _Rows:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Found:
     values: Array
-    rows: _Rows
+    rows: _EllipsoidRows
     solution: Solution
     chi_square: float
     degrees: int
@@ -224,7 +224,7 @@ def _found(task: _Task, used: BoolArray) -> _Found | None:
         for _ in range(3):
             size = float(np.sqrt(np.mean(rows.residual[used] ** 2 / rows.by_scatter[used])))
 
-            def excess(trial: float, at: _Rows = rows) -> float:
+            def excess(trial: float, at: _EllipsoidRows = rows) -> float:
                 return _chi_square(at, used, trial) - degrees
 
             scatter = scatter_of(excess, size)
@@ -256,7 +256,9 @@ def _algebraic(task: _Task, used: BoolArray) -> Array | None:
     return np.asarray(task.block.parameters(own))
 
 
-def _iterated(task: _Task, values: Array, used: BoolArray, scatter: float) -> tuple[Array, _Rows, tuple[Array, ...]]:
+def _iterated(
+    task: _Task, values: Array, used: BoolArray, scatter: float
+) -> tuple[Array, _EllipsoidRows, tuple[Array, ...]]:
     """Gauss–Newton at a given scatter."""
     increments: list[Array] = []
     rows = _rows(task, values)
@@ -276,7 +278,7 @@ def _negligible(task: _Task, solution: Solution) -> bool:
     return bool(np.all(np.abs(solution.step) <= CONVERGED * np.sqrt(np.diag(solution.covariance)) + rounding))
 
 
-def _chi_square(rows: _Rows, used: BoolArray, scatter: float) -> float:
+def _chi_square(rows: _EllipsoidRows, used: BoolArray, scatter: float) -> float:
     """Of the residuals of a fit that has converged."""
     return float(np.sum((rows.residual[used] / rows.sigma(scatter)[used]) ** 2))
 

@@ -29,7 +29,7 @@ from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import least_squares
 from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, Weights, left_jacobian, linearise, weights
-from tumble.planning.budget import Setup, check_setup
+from tumble.planning.setup import Setup, check_setup
 from tumble.recording.session import Site
 from tumble.reduction.observations import ACCEL_FLOOR, GYRO_FLOOR, TURN_FLOOR, Observations, Rests, Turns
 from tumble.rotation import rotation_matrix, rotation_vector

@@ -54,9 +54,9 @@ NAMES = _ACCEL.names + _GYRO.names
 NAME_UNITS = _ACCEL.units + _GYRO.units
 """The SI unit of each of `NAMES`."""
 
-Method = Literal["sequential", "scalar", "staged"]
+BudgetedMethod = Literal["sequential", "scalar", "staged"]
 
-METHODS: tuple[Method, ...] = ("sequential", "scalar", "staged")
+BUDGETED_METHODS: tuple[BudgetedMethod, ...] = ("sequential", "scalar", "staged")
 
 
 # What the programme's positions and turns are good for
@@ -78,7 +78,7 @@ class Plan:
     latitude: float
 
 
-def plan_of(programme: Programme, method: Method, *, turn_rate: float, latitude: float) -> Plan:
+def plan_of(programme: Programme, method: BudgetedMethod, *, turn_rate: float, latitude: float) -> Plan:
     """What a method does with a programme at this rate of the turns, rad/s, and latitude, rad.
 
     Raises ProgrammeError for a programme without the positions the method needs."""
@@ -108,7 +108,7 @@ def _astride(u: Array, p: int, q: int) -> Array:
     return np.asarray((np.abs(u[:, p] + u[:, q]) < _NEAR) & (np.abs(u[:, 3 - p - q]) < _NEAR))
 
 
-def _check_positions(programme: Programme, method: Method, u: Array, plan: Plan) -> None:
+def _check_positions(programme: Programme, method: BudgetedMethod, u: Array, plan: Plan) -> None:
     """Raise ProgrammeError unless a method finds the positions it needs."""
     if method == "sequential":
         both = [{*np.sign(u[rests, p])} == {-1.0, 1.0} for p, rests in enumerate(plan.standing)]
@@ -173,7 +173,7 @@ def _rotation_between(start: Array, stop: Array, nominal: KnownTurns) -> tuple[A
     return axis, angle + 2.0 * np.pi * np.round((nominal.angle - angle) / (2.0 * np.pi))
 
 
-def estimates(plan: Plan, method: Method, attitudes: Array, seen: Seen) -> Array:
+def estimates(plan: Plan, method: BudgetedMethod, attitudes: Array, seen: Seen) -> Array:
     """What one pass of a method makes of what is seen: parameters (..., m, 21), linear in it. Gyro parameters that the
     programme does not give are zero."""
     L = attitudes[..., None, :, :, :]
@@ -218,7 +218,7 @@ def _oblique_angles(plan: Plan, u: Array, accel: Array) -> Array:
     return np.stack(out, axis=-1)
 
 
-def _gyro_bias(plan: Plan, method: Method, L: Array, accel: Array, gyro: Array) -> Array:
+def _gyro_bias(plan: Plan, method: BudgetedMethod, L: Array, accel: Array, gyro: Array) -> Array:
     """Stage 3: gyro biases (..., m, 3), rad/s."""
     if method == "sequential":
         shown = gyro - reference_rate_error(L, accel, gyro, plan.latitude)
@@ -268,7 +268,7 @@ def _logged_matrix(plan: Plan, attitudes: Array) -> Array:
 # What a pass leaves
 
 
-def first_order(plan: Plan, method: Method) -> tuple[Array, Array]:
+def first_order(plan: Plan, method: BudgetedMethod) -> tuple[Array, Array]:
     """What one pass leaves of the parameters: T₀ (21, 21) on an exact programme and its derivatives D (3N + 3, 21, 21)
     with respect to the deviations, per rad, by central differences."""
     N = len(plan.nominal)
@@ -289,7 +289,7 @@ _ROUNDING = 1e-12
 # Errors of second order in the parameters
 
 
-def second_order(plan: Plan, method: Method, X: Array) -> Array:
+def second_order(plan: Plan, method: BudgetedMethod, X: Array) -> Array:
     """Errors (..., 21) of second order in the parameters X (..., 21) that a method makes on an exact programme."""
     b, k, γ = X[..., 0:3], X[..., 3:6], X[..., 6:9]
     u = plan.nominal[:, 1, :]
@@ -315,13 +315,13 @@ def second_order(plan: Plan, method: Method, X: Array) -> Array:
     return np.concatenate([accel, bias, gyro], axis=-1)
 
 
-def _turns_second_order(turns: KnownTurns, method: Method, values: Array) -> Array:
+def _turns_second_order(turns: KnownTurns, method: BudgetedMethod, values: Array) -> Array:
     """What the differences y (..., 2K) of exact turns have beyond the matrix of the method times the gyros' k and γ
     (..., 9), to second order: half the sum for these values and their opposites."""
     return 0.5 * (_turns_beyond(turns, method, values) + _turns_beyond(turns, method, -values))
 
 
-def _turns_beyond(turns: KnownTurns, method: Method, values: Array) -> Array:
+def _turns_beyond(turns: KnownTurns, method: BudgetedMethod, values: Array) -> Array:
     """Differences y (..., 2K) of exact turns without Earth's rate, less those the method's matrix gives.
 
     In such a turn the rate is constant in the body, and so is what the gyros make of it."""

@@ -19,15 +19,13 @@ from tumble.planning.budget import (
     REST_NOISE,
     UNITS,
     Pipeline,
-    Setup,
-    check_setup,
-    expect,
     members_of,
     pipeline_of,
     size_of,
     total_of,
 )
-from tumble.planning.error_propagation import Method
+from tumble.planning.error_propagation import BudgetedMethod
+from tumble.planning.setup import Setup, check_setup, expect
 from tumble.units import Array, quantity
 
 REST_SHARE = 0.25
@@ -61,7 +59,7 @@ class Requirements:
     """All requirements, and what meets those that can be met: the smallest tolerances and the longest rest."""
 
     setup: Setup
-    method: Method
+    method: BudgetedMethod
     iteration: int
     rows: tuple[Requirement, ...]
 
@@ -90,7 +88,7 @@ def require(
     wanted: Mapping[str, float],
     setup: Setup,
     *,
-    method: Method = "sequential",
+    method: BudgetedMethod = "sequential",
     iteration: int = 1,
     gyro_bias: BiasEstimator = "programme",
 ) -> Requirements:
