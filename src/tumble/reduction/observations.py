@@ -25,9 +25,10 @@ import numpy as np
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
 from tumble.reduction import kernels as _kernels
-from tumble.reduction.blocks import ChannelState, FileBlocks, GyroSamples, Reduction
+from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.matching import Match
+from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.segmentation import RestSpan
 from tumble.rotation import tangent_basis
 from tumble.sensors.model import Block, SensorModel
@@ -84,16 +85,16 @@ class Turns:
         return len(self.duration)
 
 
-Batch = tuple[Array, Array, IntArray, IntArray, IntArray]
-"""Increments, intervals, the turn of each piece, and the range of each piece among them; the sample before every
-piece is kept ahead of it."""
+Batch = tuple[Array, Array, Array, IntArray, IntArray, IntArray]
+"""Rates (m, 3) and forces (m, 3) of nominal sensors in the body, intervals (m,), the turn of each piece, and the range
+of each piece among them; the sample before every piece is kept ahead of it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TurnSamples:
     """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`."""
 
-    samples: GyroSamples
+    samples: MotionSamples
     start: IntArray
     stop: IntArray
     _only_batch: list[Batch] = field(default_factory=list, repr=False)
@@ -108,28 +109,26 @@ class TurnSamples:
         return self._gathered()
 
     def _gathered(self) -> Iterator[Batch]:
-        increments: list[Array] = []
-        intervals: list[Array] = []
+        parts: list[tuple[Array, Array, Array]] = []
         pieces: list[tuple[int, int, int]] = []
         count = 0
         for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True)):
             for at in range(int(start), int(stop), BATCH_SAMPLES):
                 end = min(at + BATCH_SAMPLES, int(stop))
-                increment, interval = self.samples.read(at - 1, end)
-                increments.append(increment)
-                intervals.append(interval)
+                parts.append(self.samples.read(at - 1, end))
                 pieces.append((turn, count + 1, count + 1 + end - at))
-                count += len(interval)
+                count += end - at + 1
                 if count >= BATCH_SAMPLES:
-                    yield _batch(increments, intervals, pieces)
-                    increments, intervals, pieces, count = [], [], [], 0
+                    yield _batch(parts, pieces)
+                    parts, pieces, count = [], [], 0
         if pieces:
-            yield _batch(increments, intervals, pieces)
+            yield _batch(parts, pieces)
 
 
-def _batch(increments: list[Array], intervals: list[Array], pieces: list[tuple[int, int, int]]) -> Batch:
+def _batch(parts: list[tuple[Array, Array, Array]], pieces: list[tuple[int, int, int]]) -> Batch:
+    rates, forces, intervals = (np.concatenate(part) for part in zip(*parts, strict=True))
     turn, start, stop = np.array(pieces).T
-    return np.concatenate(increments), np.concatenate(intervals), turn, start, stop
+    return rates, forces, intervals, turn, start, stop
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -192,8 +191,8 @@ def _integrate(samples: TurnSamples, turns: int, transform: Array, offset: Array
     """C, M and B of every turn; pieces of long turns are joined exactly."""
     C = np.broadcast_to(np.eye(3), (turns, 3, 3)).copy()
     M, B = np.zeros((turns, 3, 3, 3)), np.zeros((turns, 3, 3))
-    for increments, intervals, turn, start, stop in samples.pieces():
-        pieces = _kernels.preintegrate(increments, intervals, start, stop, transform, offset)
+    for rates, _, intervals, turn, start, stop in samples.pieces():
+        pieces = _kernels.preintegrate(rates * intervals[:, None], intervals, start, stop, transform, offset)
         piece_C, piece_M, piece_B = pieces  # no turn has two pieces in a batch
         M[turn] += (C[turn] @ piece_M.reshape(-1, 3, 9)).reshape(-1, 3, 3, 3)
         B[turn] += C[turn] @ piece_B
@@ -335,7 +334,7 @@ def _drift(series: list[Array]) -> Array:
 
 
 def _turns(
-    stored: GyroSamples,
+    stored: MotionSamples,
     by_file: dict[int, FileBlocks],
     spans: tuple[RestSpan, ...],
     gyro: Block,
@@ -381,7 +380,8 @@ def _carried(samples: TurnSamples, density: Array) -> Array:
     trapezoidal rule over PATH_STEPS steps a piece."""
     C = np.broadcast_to(np.eye(3), density.shape).copy()
     out = np.zeros_like(density)
-    for increments, intervals, turn, start, stop in samples.pieces():
+    for rates, _, intervals, turn, start, stop in samples.pieces():
+        increments = rates * intervals[:, None]
         passed = np.concatenate([[0.0], np.cumsum(intervals)])
         for k, a, b in zip(turn, start, stop, strict=True):
             edges = np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))

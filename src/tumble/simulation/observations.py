@@ -9,9 +9,11 @@ What is exact. A rest is its true mean reading plus noise of the covariance that
 is what it is in a log. A turn is a rotation at constant inertial rate about an axis fixed in the body, from one true
 attitude to the next; every reading of it is then constant, so that a few samples integrate to the rotation about any
 gyro model without an error of discretisation. These samples (SAMPLES a turn, with white noise) are kept, so that
-`Observations.turns_about` works as it does for a log; the sensitivities M and B are midpoint sums over them, right to
-about 1e-4. A log made by `simulate` differs in that its turns have ramps and geographic axes, which moves M and B by
-some 1e-3, and in that the noise has to be estimated from it; here the covariances are the true ones.
+`Observations.turns_about` works as it does for a log, and with them readings of the accelerometers: the exact mean of
+gravity over each interval through their model, with bias and white noise. The sensitivities M and B are midpoint sums
+over the samples, right to about 1e-4. A log made by `simulate` differs in that its turns have ramps and geographic
+axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are the
+true ones.
 
 What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than a bias that is
 drawn anew at every rest and held through the move that follows (`NoiseModel`), of which the covariances know nothing.
@@ -23,12 +25,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.planning.budget import Setup
 from tumble.recording.session import Site
-from tumble.reduction.blocks import GyroSamples
+from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import (
     ACCEL_FLOOR,
     GYRO_FLOOR,
@@ -39,12 +42,13 @@ from tumble.reduction.observations import (
     Turns,
     TurnSamples,
 )
-from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.grades import Spread
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.scenario import Itinerary, OnTable, Profile, Scenario, Vibration, itinerary
 from tumble.units import Array, IntArray
 
+ComplexArray = npt.NDArray[np.complex128]
 SAMPLES = 64
 """Samples of a turn."""
 
@@ -92,7 +96,7 @@ def simulate_observations(
     gyro = _Sensors.of(scenario.gyro, scenario, len(way.rests), noise)
     rests = _rests(scenario, way, accel, gyro, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
-    turns, samples, readings = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), gyro, noise)
+    turns, samples, readings = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), accel, gyro, noise)
     site = scenario.site
     observations = Observations(
         accel_block=scenario.accel,
@@ -163,7 +167,7 @@ def _rests(scenario: Scenario, way: Itinerary, accel: _Sensors, gyro: _Sensors, 
 
 
 def _turns(
-    scenario: Scenario, way: Itinerary, first: IntArray, gyro: _Sensors, rng: np.random.Generator
+    scenario: Scenario, way: Itinerary, first: IntArray, accel: _Sensors, gyro: _Sensors, rng: np.random.Generator
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
     """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn one more is kept
     ahead of it, which the coning term wants."""
@@ -175,8 +179,15 @@ def _turns(
     dt = T / SAMPLES
     sampled = np.repeat(readings[:, None, :], SAMPLES + 1, axis=1)
     sampled[:, 1:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
-    stored = GyroSamples()
-    stored.append((sampled @ to_body.T).reshape(-1, 3), np.repeat(dt, SAMPLES + 1))
+    force = scenario.site.gravity * _mean_verticals(scenario, way.attitudes[first], vector, T)
+    felt = force @ accel.model.matrix.T + accel.bias[first][:, None]
+    felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
+    stored = MotionSamples()
+    stored.append(
+        (sampled @ to_body.T).reshape(-1, 3),
+        (felt @ np.linalg.pinv(scenario.accel.axes).T).reshape(-1, 3),
+        np.repeat(dt, SAMPLES + 1),
+    )
     start = 1 + (SAMPLES + 1) * np.arange(K)
     turns = Turns(
         first=first,
@@ -204,6 +215,40 @@ def _inertial(scenario: Scenario, way: Itinerary, first: IntArray, T: Array) -> 
     angle = np.linalg.norm(vector, axis=1)
     other = np.einsum("kij,kj,ki->k", back, way.moves[first], vector) < 0.0
     return vector * np.where(other, 1.0 - 2.0 * np.pi / np.where(angle > 0.0, angle, 1.0), 1.0)[:, None]
+
+
+def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -> Array:
+    """The upward vertical in the body (K, SAMPLES + 1, 3), mean over each sample of turns from attitudes `start`
+    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first sample is the one before, as if it turned already.
+
+    With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
+
+        exp(−[n×] ωt) L₀ᵀ exp([m×] Ωt) e_U,   exp([n×] θ) = Σ_p P_p(n) e^{ipθ},   p = −1, 0, 1
+
+    is a sum of products whose mean over an interval is that of e^{iλt}: its value in the middle times sinc."""
+    earth = np.array(earth_rate(scenario.latitude))
+    angle, earth_norm = np.linalg.norm(vector, axis=1), float(np.linalg.norm(earth))
+    P = _spectral(vector / np.where(angle > 0.0, angle, 1.0)[:, None])
+    Q = [start.swapaxes(1, 2) @ part[0, :, 1] for part in _spectral(earth[None] / earth_norm)]
+    dt = T / SAMPLES
+    middle = (np.arange(SAMPLES + 1) - 0.5) * dt[:, None]
+    turned, earth_turned = np.exp(-1j * (angle / T)[:, None] * middle), np.exp(1j * earth_norm * middle)
+    waves = {(0, 0): 1.0, (0, 1): earth_turned, (1, -1): turned * earth_turned.conj()}
+    waves |= {(1, 0): turned, (1, 1): turned * earth_turned}  # the other four are the conjugates of these
+    out = np.zeros((len(T), SAMPLES + 1, 3))
+    for (p, q), wave in waves.items():
+        part = (P[p + 1] @ Q[q + 1][:, :, None]).swapaxes(1, 2)
+        sinc = np.sinc(0.5 / np.pi * (q * earth_norm - p * angle / T) * dt)
+        mean = wave * (sinc if p == q == 0 else 2.0 * sinc)[:, None]
+        out += (mean[:, :, None] * part).real
+    return out
+
+
+def _spectral(axis: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """P₋₁, P₀ and P₁ (K, 3, 3) of the rotations about unit vectors (K, 3): exp([n×] θ) = Σ P_p e^{ipθ}."""
+    along = axis[:, :, None] * axis[:, None, :]
+    across, turned = 0.5 * (np.eye(3) - along), 0.5j * skew(axis)
+    return across + turned, np.asarray(along, dtype=complex), across - turned
 
 
 def _carried(vector: Array, density: Array) -> Array:
