@@ -189,7 +189,14 @@ class Observations:
             raise ValueError("turns_about: expected observations of a log with gyros and turns, found none")
         accel = self.accel_block
         moments = self.moments_about(_linear(self.gyro_block, gyro, accel, accel.nominal()))
-        return replace(self.turns, C=moments.C, M=moments.Phi[..., 1:4], B=moments.Phi[..., 0])
+        return replace(
+            self.turns,
+            C=moments.C,
+            M=moments.Phi[..., 1:4],
+            B=moments.Phi[..., 0],
+            velocity=moments.V,
+            jumps=moments.jumps,
+        )
 
 
 def _linear(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: SensorModel) -> Compensation:

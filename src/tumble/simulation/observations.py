@@ -31,6 +31,7 @@ from tumble.errors import InputError
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import (
     ACCEL_FLOOR,
+    AHEAD,
     GYRO_FLOOR,
     TURN_FLOOR,
     VELOCITY_FLOOR,
@@ -143,16 +144,16 @@ def _rests(
 def _turns(
     scenario: Scenario, way: Itinerary, first: IntArray, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
-    """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn one more is kept
-    ahead of it, which the coning term wants."""
+    """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
+    kept ahead of it, which its first step wants, as if it turned already."""
     block = scenario.gyro
     K, n, to_body = len(first), block.size, np.linalg.pinv(block.axes)
     T = way.rests[first + 1, 0] - way.rests[first, 1]
     vector = _inertial(scenario, way, first, T)
     readings = (vector / T[:, None]) @ gyro.model.matrix.T + gyro.bias[first]
     dt = T / SAMPLES
-    sampled = np.repeat(readings[:, None, :], SAMPLES + 1, axis=1)
-    sampled[:, 1:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
+    sampled = np.repeat(readings[:, None, :], SAMPLES + AHEAD, axis=1)
+    sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
     force = scenario.site.gravity * _mean_verticals(scenario, way.attitudes[first], vector, T)
     felt = force @ accel.model.matrix.T + accel.bias[first][:, None]
     felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
@@ -160,9 +161,9 @@ def _turns(
     stored.append(
         (sampled @ to_body.T).reshape(-1, 3),
         (felt @ np.linalg.pinv(scenario.accel.axes).T).reshape(-1, 3),
-        np.repeat(dt, SAMPLES + 1),
+        np.repeat(dt, SAMPLES + AHEAD),
     )
-    start = 1 + (SAMPLES + 1) * np.arange(K)
+    start = AHEAD + (SAMPLES + AHEAD) * np.arange(K)
     to_force = np.linalg.pinv(scenario.accel.axes)
     spread = np.trace(to_force @ to_force.T) / 3.0
     turns = Turns(
@@ -179,7 +180,7 @@ def _turns(
     )
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(
-        integral=sampled[:, 1:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
+        integral=sampled[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
     )
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
 
@@ -197,8 +198,8 @@ def _inertial(scenario: Scenario, way: Itinerary, first: IntArray, T: Array) -> 
 
 
 def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -> Array:
-    """The upward vertical in the body (K, SAMPLES + 1, 3), mean over each sample of turns from attitudes `start`
-    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first sample is the one before, as if it turned already.
+    """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample of turns from attitudes `start`
+    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before, as if it turned already.
 
     With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
 
@@ -210,11 +211,11 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -
     P = _spectral(vector / np.where(angle > 0.0, angle, 1.0)[:, None])
     Q = [start.swapaxes(1, 2) @ part[0, :, 1] for part in _spectral(earth[None] / earth_norm)]
     dt = T / SAMPLES
-    middle = (np.arange(SAMPLES + 1) - 0.5) * dt[:, None]
+    middle = (np.arange(SAMPLES + AHEAD) - AHEAD + 0.5) * dt[:, None]
     turned, earth_turned = np.exp(-1j * (angle / T)[:, None] * middle), np.exp(1j * earth_norm * middle)
     waves = {(0, 0): 1.0, (0, 1): earth_turned, (1, -1): turned * earth_turned.conj()}
     waves |= {(1, 0): turned, (1, 1): turned * earth_turned}  # the other four are the conjugates of these
-    out = np.zeros((len(T), SAMPLES + 1, 3))
+    out = np.zeros((len(T), SAMPLES + AHEAD, 3))
     for (p, q), wave in waves.items():
         part = (P[p + 1] @ Q[q + 1][:, :, None]).swapaxes(1, 2)
         sinc = np.sinc(0.5 / np.pi * (q * earth_norm - p * angle / T) * dt)
