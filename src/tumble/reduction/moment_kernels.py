@@ -29,7 +29,7 @@ import numpy as np
 from tumble.reduction.kernels import _compiled, _matrix_of
 from tumble.units import Array, IntArray
 
-STRETCH = 512
+STRETCH = 500
 SHORTEST = 64
 LANES = 16
 TILE = 24
@@ -48,8 +48,12 @@ Samples = tuple[Array, Array, Array]
 Stretches = tuple[IntArray, IntArray, IntArray]
 """Piece, first sample and end."""
 Terms = tuple[Array, Array, Array, Array, Array]
-"""Matrix (3, 3), offset (3,), and of the sensors with nonlinear terms axes (n, 3), coefficients (n, 3) of u², u³ and
-|u|, and effect (3, n) on the vector."""
+"""Matrix (3, 3) and offset (3,) of y, and of the sensors with nonlinear terms axes (n, 3), coefficients (n, 3) of u², u³ and
+|u|, and effect (n, 3) on the vector."""
+Model = tuple[Terms, Terms, Array, float]
+"""Gyros, accelerometers, what the body's rate reads of its force (3, 3), or (0, 3) where it reads none, delay (s)."""
+Work = tuple[Array, Array, Array, Array, Array, Array]
+"""Tile, left, right, swept, state and total: memory for one group of lanes."""
 Sums = tuple[Array, Array, Array, Array, Array, Array, Array]
 """Attitude (K, 4), V (K, 3), Σ C_m ⊗ regressors (K, R, 9), Σ (C_m × V) ⊗ regressors (K, Q, 9), Σ C_m [ω×] dt ⊗ f
 (K, 3, 9), Σ regressors (K, R), Σ Δt² |f − f'|² (K,)."""
@@ -71,8 +75,8 @@ def stretches_of(starts: IntArray, stops: IntArray) -> Stretches:
     return piece, first, stop
 
 
-def new_work(rows: int, linear: int) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Memory of `integrate_stretches`: tile, left, right, swept, state and total. Each begins on a line of the
+def new_work(rows: int, linear: int) -> Work:
+    """Memory for so many regressors in all, and so many that go with C_m × V too. Each array begins on a line of the
     processor's cache: vectors that straddle two take twice the time."""
     sizes = (16 * ROW, 18 * ROW, rows * ROW, 9 * ROW, _STATE_ROWS * LANES, (rows * 10 + linear * 9 + 27) * LANES)
     tile, left, right, swept, state, total = (_aligned(size) for size in sizes)
@@ -90,31 +94,27 @@ def _aligned(size: int) -> Array:
 def integrate_stretches(
     samples: Samples,
     stretches: Stretches,
-    gyro: Terms,
-    accel: Terms,
-    g_sensitivity: Array,
-    delay: float,
+    model: Model,
     own_axes: tuple[Array, Array],
     sums: Sums,
     ends: Ends,
-    work: tuple[Array, Array, Array, Array, Array, Array],
+    work: Work,
     lanes: int,
 ) -> None:
     """Integrate stretches group by group and join them in order to `sums`, which begin at rest: attitude 1 and zeros;
-    `own_axes` are those of the gyros (n, 3) and accelerometers (m, 3) whose own-axis regressors are wanted."""
+    `own_axes` are those of the gyros (n, 3) and accelerometers (m, 3) whose own-axis regressors are wanted. `lanes` is
+    LANES, which the compiler must not know: it would unroll the loops over lanes before it turned them into vectors."""
     piece, first, stop = stretches
-    rows, linear = sums[2].shape[1], LINEAR + len(own_axes[0])
     tile, left, right, swept, state, total = work
+    rows, linear = sums[2].shape[1], sums[3].shape[1]
     for group in range(0, len(piece), LANES):
         used = slice(group, min(group + LANES, len(piece)))
-        total[:] = 0.0
-        _begin(samples, first[used], gyro, accel, g_sensitivity, delay, lanes, tile, state)
-        longest = np.max(stop[used] - first[used])
+        longest = _begin(samples, first[used], stop[used], model, lanes, tile, state, total)
         for done in range(0, longest, TILE):
-            steps = min(TILE, -(-(longest - done) // GROUP) * GROUP)
-            _fill(samples, first[used] + done, stop[used], steps, tile)
-            _compensate(tile, steps, gyro, accel, g_sensitivity, delay, lanes, state)
-            _add_ends(tile, steps, piece[used], first[used] + done, stop[used], ends)
+            steps = min(TILE, (longest - done + GROUP - 1) // GROUP * GROUP)
+            _fill(samples, first[used], stop[used], done, steps, tile)
+            _compensate(tile, steps, model, lanes, state)
+            _add_ends(tile, steps, piece[used], first[used], stop[used], done, ends)
             _regress(tile, steps, lanes, right, state)
             _regress_own(tile, steps, own_axes, right)
             _turn(right, steps, lanes, state, left)
@@ -127,19 +127,20 @@ def integrate_stretches(
 def _begin(
     samples: Samples,
     first: IntArray,
-    gyro: Terms,
-    accel: Terms,
-    g_sensitivity: Array,
-    delay: float,
+    stop: IntArray,
+    model: Model,
     lanes: int,
     tile: Array,
     state: Array,
-) -> None:
-    """State at the start of every lane: attitude 1, and what is remembered of the sample before it, over no time where
-    there is none."""
+    total: Array,
+) -> int:
+    """State at the start of every lane: attitude 1, what is remembered of the sample before it, over no time where
+    there is none, and zero sums. Returns the length of the longest lane."""
     state[:] = 0.0
-    _fill(samples, first - 2, first, 2, tile)
-    _compensate(tile, 2, gyro, accel, g_sensitivity, delay, lanes, state)
+    total[:] = 0.0
+    before = np.int64(2)
+    _fill(samples, first, stop, -before, before, tile)
+    _compensate(tile, before, model, lanes, state)
     for lane in range(LANES):
         now = LANES + lane
         dt = tile[6 * ROW + now]
@@ -148,23 +149,28 @@ def _begin(
             state[(_BEFORE + k) * LANES + lane] = tile[k * ROW + now] * dt
             state[(_BEFORE + 3 + k) * LANES + lane] = tile[(3 + k) * ROW + now] * dt
             state[(_FORCE + k) * LANES + lane] = tile[(3 + k) * ROW + now]
+    longest = 0
+    for lane in range(len(first)):
+        longest = max(longest, stop[lane] - first[lane])
+    return longest
 
 
 @_compiled(error_model="numpy")
-def _fill(samples: Samples, first: IntArray, stop: IntArray, steps: int, tile: Array) -> None:
-    """Copy `steps` samples of each lane to `tile`, with zeros behind the end of a lane and in lanes that are not used.
-    A sample before the first of all is the first, over no time."""
+def _fill(samples: Samples, first: IntArray, stop: IntArray, done: int, steps: int, tile: Array) -> None:
+    """Copy `steps` samples of each lane after the first `done` to `tile`, with zeros behind the end of a lane and in
+    lanes that are not used. A sample before the first of all is the first, over no time."""
     rates, forces, intervals = samples
     for lane in range(LANES):
         length = 0
         if lane < len(first):
-            length = max(0, min(steps, stop[lane] - first[lane]))
+            begin = first[lane] + done
+            length = max(0, min(steps, stop[lane] - begin))
             for step in range(length):
-                sample, cell = max(first[lane] + step, 0), LANES * step + lane
+                sample, cell = max(begin + step, 0), LANES * step + lane
                 for k in range(3):
                     tile[k * ROW + cell] = rates[sample, k]
                     tile[(3 + k) * ROW + cell] = forces[sample, k]
-                tile[6 * ROW + cell] = intervals[sample] if first[lane] + step >= 0 else 0.0
+                tile[6 * ROW + cell] = intervals[sample] if begin + step >= 0 else 0.0
         for step in range(length, steps):
             for row in range(7):
                 tile[row * ROW + LANES * step + lane] = 0.0
@@ -174,25 +180,25 @@ def _fill(samples: Samples, first: IntArray, stop: IntArray, steps: int, tile: A
 
 
 @_compiled(error_model="numpy")
-def _compensate(
-    tile: Array, steps: int, gyro: Terms, accel: Terms, g_sensitivity: Array, delay: float, lanes: int, state: Array
-) -> None:
+def _compensate(tile: Array, steps: int, model: Model, lanes: int, state: Array) -> None:
     """Rates and specific forces of the body in place of the readings, in the order of Part II, A1: force; rate without
     g-sensitivity; force moved by the delay with that rate; rate with g-sensitivity to the moved force."""
+    gyro, accel, g_sensitivity, delay = model
     many = steps * LANES
     _transform(tile, many, gyro[0], gyro[1], accel[0], accel[1])
-    _subtract_terms(tile[3 * ROW :], many, accel[2], accel[3], accel[4], tile[10 * ROW :])
-    sensitive = np.any(g_sensitivity != 0.0)
-    if sensitive and len(gyro[2]):
-        tile[7 * ROW : 10 * ROW] = tile[: 3 * ROW]
-    _subtract_terms(tile, many, gyro[2], gyro[3], gyro[4], tile[10 * ROW :])
+    _subtract_terms(tile[3 * ROW :], many, accel, tile[10 * ROW :])
+    again = len(g_sensitivity) > 0 and len(gyro[2]) > 0
+    if again:
+        _copy(tile, tile[7 * ROW :], many)
+    _subtract_terms(tile, many, gyro, tile[10 * ROW :])
     if delay != 0.0:
         _move(tile, steps, lanes, delay, state)
-    if sensitive:
-        if len(gyro[2]):
-            tile[: 3 * ROW] = tile[7 * ROW : 10 * ROW]
+    if again:
+        _copy(tile[7 * ROW :], tile, many)
+    if len(g_sensitivity) > 0:
         _subtract_force(tile, many, g_sensitivity)
-        _subtract_terms(tile, many, gyro[2], gyro[3], gyro[4], tile[10 * ROW :])
+    if again:
+        _subtract_terms(tile, many, gyro, tile[10 * ROW :])
 
 
 @_compiled(error_model="numpy", fastmath={"contract"})
@@ -218,17 +224,28 @@ def _transform(tile: Array, many: int, A: Array, a: Array, B: Array, b: Array) -
 
 
 @_compiled(error_model="numpy")
-def _subtract_terms(vector: Array, many: int, axes: Array, coefficients: Array, effect: Array, scratch: Array) -> None:
+def _subtract_terms(vector: Array, many: int, terms: Terms, scratch: Array) -> None:
     """Solve x + Σ_p effect_p (K₂ u² + K₃ u³ + κ |u|) = linear, u = a_p·x, by two fixed-point steps in place; at once
     where no sensor has such a term."""
+    _, _, axes, coefficients, effect = terms
     if len(axes) == 0:
         return
-    scratch[: 3 * ROW] = vector[: 3 * ROW]
+    before = scratch[3 * ROW :]
+    _copy(vector, scratch, many)
     for _ in range(2):
-        scratch[3 * ROW : 6 * ROW] = vector[: 3 * ROW]
-        vector[: 3 * ROW] = scratch[: 3 * ROW]
+        _copy(vector, before, many)
+        _copy(scratch, vector, many)
         for p in range(len(axes)):
-            _subtract_term(vector, scratch[3 * ROW :], many, axes[p], coefficients[p], effect[:, p].copy())
+            _subtract_term(vector, before, many, axes[p], coefficients[p], effect[p])
+
+
+@_compiled(error_model="numpy")
+def _copy(source: Array, target: Array, many: int) -> None:
+    """Copy a vector."""
+    for i in range(many):
+        target[i] = source[i]
+        target[ROW + i] = source[ROW + i]
+        target[2 * ROW + i] = source[2 * ROW + i]
 
 
 @_compiled(error_model="numpy", fastmath={"contract"})
@@ -298,14 +315,17 @@ def ends_of(intervals: Array, starts: IntArray, stops: IntArray, seconds: float)
 
 
 @_compiled(error_model="numpy")
-def _add_ends(tile: Array, steps: int, piece: IntArray, first: IntArray, stop: IntArray, ends: Ends) -> None:
+def _add_ends(
+    tile: Array, steps: int, piece: IntArray, first: IntArray, stop: IntArray, done: int, ends: Ends
+) -> None:
     """Add f dt and dt of the samples in the head and in the tail of their piece."""
     head_stop, tail_start, head, tail = ends
-    for lane, k in enumerate(piece):
-        last = min(stop[lane] - first[lane], steps)
-        for step in range(min(head_stop[k] - first[lane], last)):
+    for lane in range(len(piece)):
+        k, begin = piece[lane], first[lane] + done
+        last = min(stop[lane] - begin, steps)
+        for step in range(min(head_stop[k] - begin, last)):
             _add_end(tile, LANES * step + lane, head[k])
-        for step in range(max(tail_start[k] - first[lane], 0), last):
+        for step in range(max(tail_start[k] - begin, 0), last):
             _add_end(tile, LANES * step + lane, tail[k])
 
 
@@ -534,21 +554,19 @@ def _join(state: Array, total: Array, piece: IntArray, sums: Sums) -> None:
     ΔΦ = C ΔΦ₂, ΔΦ × V = C ΔΦ₂ × V + C (ΔΦ₂ × V₂), V += C V₂, C ← C C₂ (as quaternions, of unit length again)."""
     attitude, V, products, moved, swept, regressors, jumps = sums
     rows, linear = products.shape[1], moved.shape[1]
-    C, part = np.empty((3, 3)), np.empty(9)
+    C = np.empty((3, 3))
     for lane, k in enumerate(piece):
         _matrix_of(attitude[k], C)
         for r in range(rows):
-            _rotated(C, total[9 * r * LANES + lane :], part)
-            products[k, r] += part
-            if r < LINEAR or COMMON <= r < COMMON + linear - LINEAR:
-                _add_crossed(part, V[k], moved[k, r if r < LINEAR else r - COMMON + LINEAR])
+            own = COMMON <= r < COMMON + linear - LINEAR
+            if r < LINEAR or own:
+                at = r - COMMON + LINEAR if own else r
+                _add_crossed(C, total[9 * r * LANES + lane :], V[k], moved[k, at])
+                _add_rotated(C, total[9 * (rows + at) * LANES + lane :], moved[k, at])
+            _add_rotated(C, total[9 * r * LANES + lane :], products[k, r])
             regressors[k, r] += total[(9 * (rows + linear + 3) + r) * LANES + lane]
-        for r in range(linear):
-            _rotated(C, total[9 * (rows + r) * LANES + lane :], part)
-            moved[k, r] += part
         for r in range(3):
-            _rotated(C, total[9 * (rows + linear + r) * LANES + lane :], part)
-            swept[k, r] += part
+            _add_rotated(C, total[9 * (rows + linear + r) * LANES + lane :], swept[k, r])
         for i in range(3):
             for j in range(3):
                 V[k, i] += C[i, j] * state[(_V + j) * LANES + lane]
@@ -557,23 +575,25 @@ def _join(state: Array, total: Array, piece: IntArray, sums: Sums) -> None:
 
 
 @_compiled(error_model="numpy", fastmath={"contract"})
-def _rotated(C: Array, matrix: Array, out: Array) -> None:
-    """C times a matrix that lies in every LANES-th number, row by row."""
+def _add_rotated(C: Array, matrix: Array, out: Array) -> None:
+    """Add C times a matrix that lies in every LANES-th number, row by row."""
     for j in range(3):
         a, b, c = matrix[j * LANES], matrix[(3 + j) * LANES], matrix[(6 + j) * LANES]
-        out[j] = C[0, 0] * a + C[0, 1] * b + C[0, 2] * c
-        out[3 + j] = C[1, 0] * a + C[1, 1] * b + C[1, 2] * c
-        out[6 + j] = C[2, 0] * a + C[2, 1] * b + C[2, 2] * c
+        for i in range(3):
+            out[3 * i + j] += C[i, 0] * a + C[i, 1] * b + C[i, 2] * c
 
 
 @_compiled(error_model="numpy", fastmath={"contract"})
-def _add_crossed(matrix: Array, V: Array, out: Array) -> None:
-    """Add the cross products of the columns of a matrix with V."""
+def _add_crossed(C: Array, matrix: Array, V: Array, out: Array) -> None:
+    """Add the cross products of the columns of C times a matrix, which lies in every LANES-th number, with V."""
     for j in range(3):
-        a, b, c = matrix[j], matrix[3 + j], matrix[6 + j]
-        out[j] += b * V[2] - c * V[1]
-        out[3 + j] += c * V[0] - a * V[2]
-        out[6 + j] += a * V[1] - b * V[0]
+        a, b, c = matrix[j * LANES], matrix[(3 + j) * LANES], matrix[(6 + j) * LANES]
+        x = C[0, 0] * a + C[0, 1] * b + C[0, 2] * c
+        y = C[1, 0] * a + C[1, 1] * b + C[1, 2] * c
+        z = C[2, 0] * a + C[2, 1] * b + C[2, 2] * c
+        out[j] += y * V[2] - z * V[1]
+        out[3 + j] += z * V[0] - x * V[2]
+        out[6 + j] += x * V[1] - y * V[0]
 
 
 @_compiled(error_model="numpy")

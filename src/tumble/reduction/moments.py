@@ -81,7 +81,7 @@ class BlockCompensation:
             -self.matrix @ self.bias,
             np.ascontiguousarray(self.axes[has]),
             np.ascontiguousarray(self.terms[has]),
-            np.ascontiguousarray(self.left_inverse[:, has]),
+            np.ascontiguousarray(self.left_inverse[:, has].T),
         )
 
 
@@ -97,6 +97,12 @@ class Compensation:
     accel: BlockCompensation
     g_sensitivity: Array
     delay: float
+
+    def _kernel_model(self) -> _kernels.Model:
+        """Arguments of the compiled loops."""
+        G = self.gyro.matrix @ self.g_sensitivity
+        G = np.ascontiguousarray(G) if G.any() else NO_AXES
+        return self.gyro._kernel_terms(), self.accel._kernel_terms(), G, float(self.delay)
 
 
 # The moments ---------------------------------------------------------------------------------------------------
@@ -201,10 +207,7 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
     _kernels.integrate_stretches(
         samples,
         _kernels.stretches_of(starts, stops),
-        compensation.gyro._kernel_terms(),
-        compensation.accel._kernel_terms(),
-        np.ascontiguousarray(compensation.gyro.matrix @ compensation.g_sensitivity),
-        float(compensation.delay),
+        compensation._kernel_model(),
         (np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)),
         (attitude, V, products, moved, sweep, body, jumps),
         (*_kernels.ends_of(samples[2], starts, stops, END_SECONDS * (1.0 - 1e-9)), head, tail),
@@ -292,7 +295,9 @@ def _short(moments: Moments) -> Array:
     return np.asarray(moments.T < END_SECONDS * (1.0 - 1e-9))[:, None]
 
 
-def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
+def integrate(
+    batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES
+) -> Moments:
     """Moments of whole turns, of which every batch holds at most one piece each, in order of time."""
     none = np.zeros(turns, dtype=np.int64)
     nothing = Pieces(rates=NO_AXES, forces=NO_AXES, intervals=np.empty(0), turn=none, start=none, stop=none)
