@@ -30,7 +30,7 @@ from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, li
 from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_matrix
+from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import Spread
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import limits_of
@@ -187,8 +187,7 @@ def _verticals(scenario: Scenario, rng: np.random.Generator) -> Array:
     position and M of the mounting."""
     course = scenario.course
     if isinstance(course, HandHeld):
-        free = rng.standard_normal((BLOCK, course.positions, 3))
-        return np.asarray(free / np.linalg.norm(free, axis=2, keepdims=True))
+        return unit_vector(rng.standard_normal((BLOCK, course.positions, 3)))
     nominal = np.array([position.matrix for position in course.programme.positions])
     table = course.table_error * rng.uniform(-1.0, 1.0, (BLOCK, len(nominal), 3))
     mounting = rotation_matrix(course.mounting_error * rng.uniform(-1.0, 1.0, (BLOCK, 3)))

@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.estimation.estimate import SCATTER_PROBABILITY, Fit, Solution, chance_of, least_squares, scatter_of, sigmas
+from tumble.estimation.gauss_newton import gauss_newton, negligible
 from tumble.estimation.observability import Refusal, undetermined
 from tumble.estimation.quadric import fit_many
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
@@ -43,8 +44,6 @@ the modulus itself, is not determined. Positions that determine less are refused
 BAD_SIGMAS = 5.0
 """A position so far from the fit through all others is bad, unless stated otherwise: it is named and left out."""
 
-MAX_ITERATIONS = 30
-CONVERGED = 1e-3  # of the standard uncertainty
 FLOOR = 1e-13
 """Part of the modulus: no reading is taken to be better known, one without noise included."""
 
@@ -260,22 +259,10 @@ def _iterated(
     task: _Task, values: Array, used: BoolArray, scatter: float
 ) -> tuple[Array, _EllipsoidRows, tuple[Array, ...]]:
     """Gauss–Newton at a given scatter."""
-    increments: list[Array] = []
-    rows = _rows(task, values)
-    for _ in range(MAX_ITERATIONS):
-        solution = rows.solution(used, scatter, task.spread)
-        values = values + solution.step
-        increments.append(solution.step)
-        rows = _rows(task, values)
-        if _negligible(task, solution):
-            break
-    return values, rows, tuple(increments)
-
-
-def _negligible(task: _Task, solution: Solution) -> bool:
-    """Whether a step is small against the uncertainties, or no more than rounding."""
-    rounding = FLOOR * task.spread
-    return bool(np.all(np.abs(solution.step) <= CONVERGED * np.sqrt(np.diag(solution.covariance)) + rounding))
+    values, increments = gauss_newton(
+        lambda at: _rows(task, at).solution(used, scatter, task.spread), values, task.spread, FLOOR * task.spread
+    )
+    return values, _rows(task, values), increments
 
 
 def _chi_square(rows: _EllipsoidRows, used: BoolArray, scatter: float) -> float:
@@ -316,7 +303,7 @@ def _finished(
         scatter=found.scatter,
         worst=worst,
         increments=found.increments,
-        converged=_negligible(task, found.solution),
+        converged=negligible(found.solution, FLOOR * task.spread),
     )
 
 

@@ -29,7 +29,6 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     indirect_matrix,
     modulus_residual,
     reference_rate_error,
-    scalar_matrix,
     scalar_residuals,
     start_error_growth,
     transposed,
@@ -39,8 +38,9 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     turn_error,
     turns_of,
 )
+from tumble.estimation.methods.paper.scalar import scalar_rows
 from tumble.programme.positions import Programme
-from tumble.rotation import axes_matrix, rotation_matrix
+from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector_near, unit_vector
 from tumble.sensors.model import Block
 from tumble.units import Array, IntArray
 
@@ -121,7 +121,7 @@ def _check_positions(programme: Programme, method: BudgetedMethod, u: Array, pla
                 f"programme {programme.name}: expected rests with {missing[0]} for the method sequential, found none; "
                 "take rough-table or nine, or another method"
             )
-    rank = int(np.linalg.matrix_rank(scalar_matrix(u)))
+    rank = int(np.linalg.matrix_rank(scalar_rows(u)))
     if rank < 9:
         raise ProgrammeError(
             f"programme {programme.name}: expected positions that determine nine accelerometer parameters, "
@@ -163,14 +163,8 @@ def _seen(plan: Plan, attitudes: Array) -> Seen:
 def _rotation_between(start: Array, stop: Array, nominal: KnownTurns) -> tuple[Array, Array]:
     """Axis (..., K, 3) and angle (..., K) of the rotations that lead from one attitude to the other, the way round
     that is nearer to the nominal turn."""
-    R = stop @ transposed(start)
-    trace = np.trace(R, axis1=-2, axis2=-1)
-    along = R + transposed(R) + (1.0 - trace)[..., None, None] * np.eye(3)  # 2 (1 − cos Θ) n nᵀ
-    axis = applied(along, nominal.axis)
-    axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    sine = 0.5 * dot(axis, _vee(R - transposed(R)))
-    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
-    return axis, angle + 2.0 * np.pi * np.round((nominal.angle - angle) / (2.0 * np.pi))
+    vector = rotation_vector_near(stop @ transposed(start), nominal.angle[:, None] * nominal.axis)
+    return unit_vector(vector), np.linalg.norm(vector, axis=-1)
 
 
 def estimates(plan: Plan, method: BudgetedMethod, attitudes: Array, seen: Seen) -> Array:
@@ -181,7 +175,7 @@ def estimates(plan: Plan, method: BudgetedMethod, attitudes: Array, seen: Seen) 
     if method == "sequential":
         accel_values = _sequential_accelerometers(plan, u, seen.accel)
     else:
-        accel_values = _solved(scalar_matrix(u), dot(u, seen.accel))
+        accel_values = _solved(scalar_rows(u), dot(u, seen.accel))
     accel = seen.accel - accelerometer_errors(accel_values[..., None, :], u)
     bias = _gyro_bias(plan, method, L, accel, seen.gyro)
     if plan.turns is None:
@@ -301,7 +295,7 @@ def second_order(plan: Plan, method: BudgetedMethod, X: Array) -> Array:
         left = np.concatenate([accel[..., :6], np.zeros((*accel.shape[:-1], 3))], axis=-1)
         accel[..., 6:] = -_oblique_angles(plan, u, accelerometer_errors(left[..., None, :], u))
     else:
-        accel = _solved(scalar_matrix(u), linearised + orientation)
+        accel = _solved(scalar_rows(u), linearised + orientation)
     bias = np.zeros((*X.shape[:-1], 3))
     if method == "scalar":
         E = gyro_matrix_error(X[..., None, 12:15], X[..., None, 15:])
@@ -352,8 +346,3 @@ def _turns_beyond(turns: KnownTurns, method: BudgetedMethod, values: Array) -> A
 def _solved(rows: Array, right: Array) -> Array:
     """Least squares (..., m) of rows (..., r, m) for right-hand sides (..., r)."""
     return applied(np.asarray(np.linalg.pinv(rows), dtype=float), right)
-
-
-def _vee(matrix: Array) -> Array:
-    """v (..., 3) of an antisymmetric matrix [v×] (..., 3, 3)."""
-    return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)

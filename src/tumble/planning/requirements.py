@@ -233,13 +233,11 @@ _REMEDY: Mapping[str, str] = MappingProxyType(
 
 def _largest(function: Callable[[float], float], limit: float, most: float) -> float:
     """The largest x up to `most` with function(x) ≤ limit, of a function that grows from zero."""
+    from scipy.optimize import brentq
+
     if function(most) <= limit:
         return most
-    low, high = 0.0, most
-    while high - low > 1e-6 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if function(middle) <= limit else (low, middle)
-    return low
+    return float(brentq(lambda x: function(x) - limit, 0.0, most, rtol=1e-9))
 
 
 def _unit_ratio(setup: Setup) -> Setup:

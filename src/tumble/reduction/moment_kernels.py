@@ -315,9 +315,7 @@ def ends_of(intervals: Array, starts: IntArray, stops: IntArray, seconds: float)
 
 
 @_compiled(error_model="numpy")
-def _add_ends(
-    tile: Array, steps: int, piece: IntArray, first: IntArray, stop: IntArray, done: int, ends: Ends
-) -> None:
+def _add_ends(tile: Array, steps: int, piece: IntArray, first: IntArray, stop: IntArray, done: int, ends: Ends) -> None:
     """Add f dt and dt of the samples in the head and in the tail of their piece."""
     head_stop, tail_start, head, tail = ends
     for lane in range(len(piece)):

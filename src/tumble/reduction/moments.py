@@ -295,9 +295,7 @@ def _short(moments: Moments) -> Array:
     return np.asarray(moments.T < END_SECONDS * (1.0 - 1e-9))[:, None]
 
 
-def integrate(
-    batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES
-) -> Moments:
+def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
     """Moments of whole turns, of which every batch holds at most one piece each, in order of time."""
     none = np.zeros(turns, dtype=np.int64)
     nothing = Pieces(rates=NO_AXES, forces=NO_AXES, intervals=np.empty(0), turn=none, start=none, stop=none)

@@ -17,6 +17,7 @@ from tumble.recording.session import Site
 from tumble.report import drawings, figures
 from tumble.report.blocks import Block, Facts, Figure, ReportTable, Section, Text
 from tumble.report.numbers import NONE, fixed, minus, significant
+from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array, engineering
 
@@ -142,7 +143,7 @@ def _verticals(recording: RecordedSession) -> Array | None:
     if recording.accel is None or len(readings) < len(recording.rests):
         return None
     force = recording.accel.apply(np.array(readings))
-    return np.asarray(force / np.linalg.norm(force, axis=1, keepdims=True))
+    return unit_vector(force)
 
 
 def _rest_table(

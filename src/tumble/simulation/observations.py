@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
+from tumble.planning.inertial_turns import inertial_turns
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import (
     ACCEL_FLOOR,
@@ -41,7 +42,7 @@ from tumble.reduction.observations import (
     Turns,
     TurnSamples,
 )
-from tumble.rotation import rotation_matrix, rotation_vector, skew
+from tumble.rotation import onto_body, rotation_matrix, skew
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.units import Array, IntArray
@@ -147,9 +148,10 @@ def _turns(
     """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
     kept ahead of it, which its first step wants, as if it turned already."""
     block = scenario.gyro
-    K, n, to_body = len(first), block.size, np.linalg.pinv(block.axes)
+    K, n, to_body = len(first), block.size, onto_body(block.axes)
     T = way.rests[first + 1, 0] - way.rests[first, 1]
-    vector = _inertial(scenario, way, first, T)
+    before, after = way.attitudes[first], way.attitudes[first + 1]
+    vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
     readings = (vector / T[:, None]) @ gyro.model.matrix.T + gyro.bias[first]
     dt = T / SAMPLES
     sampled = np.repeat(readings[:, None, :], SAMPLES + AHEAD, axis=1)
@@ -183,18 +185,6 @@ def _turns(
         integral=sampled[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
     )
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
-
-
-def _inertial(scenario: Scenario, way: Itinerary, first: IntArray, T: Array) -> Array:
-    """Rotation vectors (K, 3) of the body over the turns, in the body, with the Earth's rotation: of the two ways
-    round, the one of the move."""
-    earth = np.array(earth_rate(scenario.latitude))
-    start, end = way.attitudes[first], way.attitudes[first + 1]
-    back = np.swapaxes(start, 1, 2)
-    vector = rotation_vector(back @ rotation_matrix(T[:, None] * earth) @ end)
-    angle = np.linalg.norm(vector, axis=1)
-    other = np.einsum("kij,kj,ki->k", back, way.moves[first], vector) < 0.0
-    return vector * np.where(other, 1.0 - 2.0 * np.pi / np.where(angle > 0.0, angle, 1.0), 1.0)[:, None]
 
 
 def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -> Array:

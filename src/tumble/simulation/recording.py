@@ -24,8 +24,9 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
+from tumble.rotation import UP
 from tumble.sensors.model import SensorModel
-from tumble.simulation.scenario import UP, Scenario, itinerary
+from tumble.simulation.scenario import Scenario, itinerary
 from tumble.units import Array
 
 _LEGENDRE = np.polynomial.legendre.leggauss(6)

@@ -17,12 +17,11 @@ from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
-from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vector_near
 from tumble.sensors.grades import Grade, NoiseModel, Spread
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 
-UP = np.array([0.0, 1.0, 0.0])
 _MAX_CYCLES_PER_SAMPLE = 10.0
 
 
@@ -197,24 +196,19 @@ def _attitudes(course: OnTable | HandHeld, rng: np.random.Generator) -> tuple[tu
 
 
 def _random_rotations(n: int, rng: np.random.Generator) -> Array:
-    """n rotation matrices, uniform over all orientations."""
-    q = rng.standard_normal((n, 4))
-    q /= np.linalg.norm(q, axis=1)[:, None]
-    angle = 2.0 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), q[:, 0])
-    axis = q[:, 1:] / np.linalg.norm(q[:, 1:], axis=1)[:, None]
-    return rotation_matrix(angle[:, None] * axis)
+    """n rotation matrices, uniform over all orientations: of quaternions of Gaussian components."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(rng.standard_normal((n, 4)), scalar_first=True).as_matrix())
 
 
 def _move(start: Array, end: Array, nominal: Move) -> Array:
     """Rotation vector, geographic frame, rad, of the rotation from one true attitude to the next: of the two
     ways round, the one nearer to the nominal move, or the shorter one if any movement will do."""
-    vector = rotation_vector(end @ start.T)
-    angle = float(np.linalg.norm(vector))
-    if nominal.axis is None or nominal.angle is None or angle == 0.0:
-        return vector
-    other = vector * (1.0 - 2.0 * np.pi / angle)
-    wanted = nominal.angle * nominal.axis
-    return min(vector, other, key=lambda way: float(np.linalg.norm(way - wanted)))
+    turned = end @ start.T
+    if nominal.axis is None or nominal.angle is None:
+        return rotation_vector(turned)
+    return rotation_vector_near(turned, nominal.angle * nominal.axis)
 
 
 def _timetable(profile: Profile, moves: Array) -> Array:

@@ -24,7 +24,7 @@ import numpy as np
 from tumble.earth import EARTH_RATE
 from tumble.estimation.methods.staged.accelerometers import Accelerometers
 from tumble.reduction.observations import Observations, Turns
-from tumble.rotation import rotation_matrix, skew, tangent_basis
+from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
@@ -127,7 +127,7 @@ class _State:
         block, rests, site = observations.gyro_block, observations.rests, observations.site
         assert block is not None
         model = block.model(values)
-        to_body = np.linalg.pinv(block.axes)
+        to_body = onto_body(block.axes)
         inverse = np.asarray(np.linalg.inv(to_body @ model.matrix), dtype=float) @ to_body
         rate = (rests.gyro - model.bias) @ inverse.T
         rate_covariance = inverse @ rests.gyro_covariance @ inverse.T

@@ -19,7 +19,8 @@ from tumble.estimation.estimate import (
     scatter_of,
     sigmas,
 )
-from tumble.estimation.methods.staged.accelerometers import MAX_ITERATIONS, Accelerometers, bounded, negligible
+from tumble.estimation.gauss_newton import gauss_newton
+from tumble.estimation.methods.staged.accelerometers import Accelerometers
 from tumble.estimation.methods.staged.gyro_rows import GyroRows, GyroScatter, gyro_rows
 from tumble.reduction.observations import Observations, Turns
 from tumble.sensors.model import SensorModel
@@ -79,18 +80,13 @@ def _gyros_at(
     block = observations.gyro_block
     assert block is not None
     spread = limits_of(block.names)
-    increments: list[Array] = []
-    turns = observations.turns_about(block.model(values))
-    for _ in range(MAX_ITERATIONS):
-        rows = gyro_rows(observations, accel, turns, values, scatter)
-        solution, _, _ = _solved(rows, rows.covariance(scatter), spread)
-        step = bounded(solution.step, spread)
-        values = values + step
-        increments.append(step)
-        turns = observations.turns_about(block.model(values))
-        if negligible(solution):
-            break
-    return values, turns, tuple(increments)
+
+    def solution_at(at: Array) -> Solution:
+        rows = gyro_rows(observations, accel, observations.turns_about(block.model(at)), at, scatter)
+        return _solved(rows, rows.covariance(scatter), spread)[0]
+
+    values, increments = gauss_newton(solution_at, values, spread)
+    return values, observations.turns_about(block.model(values)), increments
 
 
 def _solved(rows: GyroRows, covariance: Array, spread: Array) -> tuple[Solution, Array, Array]:
