@@ -570,8 +570,8 @@ def test_a_lever_common_to_all_is_not_seen(array: str) -> None:
     assert np.abs(columns.sum(axis=2)).max() < 1e-13 * np.abs(columns).max()
 
 
-@pytest.mark.parametrize(("array", "turns", "rank"), [("triad", 3, 6), ("tetrad", 3, 9), ("six", 5, 15), ("six", 4, 12)])
-def test_levers_have_a_gauge_of_three_given_enough_turns(array: str, turns: int, rank: int) -> None:
+@pytest.mark.parametrize(("array", "turns", "rank"), [("triad", 3, 6), ("tetrad", 3, 9), ("six", 5, 15), ("six", 4,
+12)]) def test_levers_have_a_gauge_of_three_given_enough_turns(array: str, turns: int, rank: int) -> None:
     """Part II, A7: ranks 6, 9 and 15 of three, four and six accelerometers; four turns give 12 of 15."""
     rng = np.random.default_rng(9)
     rates, forces, intervals = wandering(rng, 200 * turns)
@@ -588,12 +588,10 @@ def test_parity_rows_see_levers_through_the_integrals_in_the_body() -> None:
     still = perfect(TRIAD, SIX)
     pieces = recorded(still, motion, 200.0)
     moments = moments_of(pieces, nominal(TRIAD, SIX))
-    both = [readings(device, motion, (np.arange(2000.0 * motion.seconds) + 0.5) / 2000.0)[1] for device in (moved, still)]
-    seen = np.sum((both[0] - both[1])[:, 4]) / 2000.0
-    xx, xy, xz, yy, yz, zz = moments.body_W[0]
-    product = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    expected = SIX[4] @ (product - np.trace(product) * np.eye(3)) @ r
-    assert seen == pytest.approx(expected, rel=1e-5)
+    both = [readings(device, motion, (np.arange(2000.0 * motion.seconds) + 0.5) / 2000.0)[1] for device in (moved,
+    still)] seen = np.sum((both[0] - both[1])[:, 4]) / 2000.0 xx, xy, xz, yy, yz, zz = moments.body_W[0] product =
+    np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) expected = SIX[4] @ (product - np.trace(product) *
+    np.eye(3)) @ r assert seen == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_turn_integrated_about_the_truth_is_the_perfect_turn() -> None:

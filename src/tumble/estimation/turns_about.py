@@ -1,9 +1,10 @@
 """The turns of a session about the parameters they were integrated with: how rotation and velocity change with others.
 
-With the moments of a turn (`tumble.reduction.moments`) and s_p the column of sensor p in the left inverse, a change ΔK of
-the coefficients of a reading turns C into exp([φ×]) C and adds to V,
+With the moments of a turn (`tumble.reduction.moments`) and s_p the column of sensor p in the left inverse, a change
+ΔK of the coefficients of a reading turns C into exp([φ×]) C and adds to V,
 
-    φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers     (A6)
+    φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers
+    (A6)
 
 for every function b of every sensor p. Lever arms and delays enter V alone, Eqs. (6) and (7).
 """
@@ -37,10 +38,10 @@ VELOCITY_SHARE = 0.1  # of the noise of its velocity
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnsAbout:
-    """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and accelerometers
-    and a `lateness` of these, s. Their moments, and by_phi (K, 3, n, 15) and by_V (K, 3, n, 15) of the gyros and by_force
-    (K, 3, n, 15) of the accelerometers, P and Q of the module's docstring; `levers` (K, 3, 3(n − 1)) and `delay` (K, 3)
-    are −∂V of lever arms and of the delay."""
+    """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and
+    accelerometers and a `lateness` of these, s. Their moments, and by_phi (K, 3, n, 15) and by_V (K, 3, n, 15) of
+    the gyros and by_force (K, 3, n, 15) of the accelerometers, P and Q of the module's docstring; `levers` (K, 3,
+    3(n − 1)) and `delay` (K, 3) are −∂V of lever arms and of the delay."""
 
     rate: Array
     force: Array

@@ -14,8 +14,9 @@ inverse with which the readings were compensated. Then a group of parameters is 
 
 with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·ω|, |a_p·f| and (a_p·f)³ have sums of their own, for the axes asked for.
 
-The effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on the force through the
-delay, is left out of the columns: it is of second order, and gone when the turn is integrated about the new values.
+The effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on the force through
+the delay, is left out of the columns: it is of second order, and gone when the turn is integrated about the new
+values.
 """
 
 from __future__ import annotations

@@ -2,12 +2,13 @@
 
 The vector holds bias, scale-factor error and axis angles of the accelerometers, then of the gyros, then the further
 groups in the order of the table (`tumble.sensors.parameters`). `coefficients` makes of it the arrays K of both blocks,
-with which a reading is y_p = Σ_b K_pb β_pb(f, ω); `derivatives` their derivatives. Lever arms and delays are in neither.
+with which a reading is y_p = Σ_b K_pb β_pb(f, ω); `derivatives` their derivatives. Lever arms and delays are in
+neither.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,7 +26,9 @@ from tumble.sensors.parameters import (
     RATE,
     Motion,
     ParameterGroup,
+    Variable,
     groups,
+    positions_by_group,
 )
 from tumble.units import Array, IntArray
 
@@ -41,8 +44,11 @@ class Instrument:
     further: tuple[ParameterGroup, ...] = ()
 
     @staticmethod
-    def of(accel: Block, gyro: Block | None, names: Sequence[str] | None = None) -> Instrument:
-        """The instrument with the further groups of these names, all of the table that fit its sensors where None."""
+    def of(
+        accel: Block, gyro: Block | None, names: Sequence[str] | None = None, variables: Container[str] = ("time",)
+    ) -> Instrument:
+        """The instrument with the further groups of these names, all of the table that fit its sensors where None;
+        changes only with `variables` that are known."""
         blocks = {"accel": accel} | ({} if gyro is None else {"gyro": gyro})
         chosen = [
             group
@@ -51,6 +57,7 @@ class Instrument:
             and group.kind in blocks
             and (names is None or group.name in names)
             and (gyro is not None or group.motion is None)
+            and (group.variable is None or group.variable in variables)
         ]
         return Instrument(accel=accel, gyro=gyro, further=tuple(chosen))
 
@@ -93,6 +100,22 @@ class Instrument:
     def in_motion(self, motion: Motion) -> slice | None:
         """Where the parameters stand that a turn alone sees in this way."""
         return next((self.members[g.name] for g in self.further if g.motion == motion), None)
+
+    @cached_property
+    def changes(self) -> list[tuple[slice, slice, Variable]]:
+        """Where the parameters stand that are changes of others, where these stand, and what they go with."""
+        return [
+            (self.members[group.name], self.group_columns(group.base), group.variable)
+            for group in self.further
+            if group.base is not None and group.variable is not None
+        ]
+
+    def group_columns(self, name: str) -> slice:
+        """Where the parameters of a group stand."""
+        if name in self.members:
+            return self.members[name]
+        places = positions_by_group(self.names)[name]
+        return slice(places[0], places[-1] + 1)
 
     def model(self, block: Block, values: Array) -> SensorModel:
         """Sensitivity matrix and bias of a block."""

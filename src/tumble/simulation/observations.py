@@ -12,7 +12,8 @@ gyro model without an error of discretisation. These samples (SAMPLES a turn, wi
 `Observations.turns_about` works as it does for a log, and with them readings of the accelerometers: the exact mean of
 gravity over each interval through their model, with bias and white noise. The sensitivities M and B are midpoint sums
 over the samples, right to about 1e-4. A log made by `simulate` differs in that its turns have ramps and geographic
-axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are the true ones.
+axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are
+the true ones.
 
 What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than a bias that is
 drawn anew at every rest and held through the move that follows (`NoiseModel`), of which the covariances know nothing.
@@ -189,7 +190,8 @@ def _turns(
 
 def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -> Array:
     """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample of turns from attitudes `start`
-    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before, as if it turned already.
+    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before, as if it turned
+    already.
 
     With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
 

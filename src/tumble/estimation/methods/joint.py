@@ -28,10 +28,10 @@ of the components of scatter.
 What is seen: a parameter of the linear model counts as determined when it is known DETERMINED times better than its
 limit; so does a combination of them.
 
-What fits: a rest or turn is judged by how much chi-square falls without it, as Gaussian sigmas of the same probability (F
-where the scale is estimated too). One bad rest of few hides behind the scatter it makes. So where a group scatters and
-one of it stands out before the scatter is allowed for, everything is estimated again without it, and so on; then these
-are judged by what the others predict.
+What fits: a rest or turn is judged by how much chi-square falls without it, as Gaussian sigmas of the same
+probability (F where the scale is estimated too). One bad rest of few hides behind the scatter it makes. So where a
+group scatters and one of it stands out before the scatter is allowed for, everything is estimated again without it,
+and so on; then these are judged by what the others predict.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ from tumble.estimation.likelihood import (
     linearise,
     noise_of,
     solve,
+    variables_of,
 )
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
@@ -106,7 +107,7 @@ def joint(
     groups of the table where None. With `robust`, the estimate is that without the rests and turns that do not fit;
     their sigmas say which they are."""
     accel, gyro = observations.accel_block, observations.gyro_block
-    instrument = instrument or Instrument.of(accel, gyro)
+    instrument = instrument or Instrument.of(accel, gyro, variables=variables_of(observations))
     problem = Problem.of(observations, prior, instrument=instrument, usual=observations.usual)
     at, first = _started(problem)
     everything = _fitted(problem, at, _Out.nothing(problem))
@@ -438,8 +439,8 @@ def _scored(problem: Problem, rows: Rows, noise: Noise, variance: Array) -> tupl
 
 
 def _widened(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> Problem:
-    """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where none
-    is."""
+    """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where
+    none is."""
     members = problem.instrument.members
     if not members:
         return problem
