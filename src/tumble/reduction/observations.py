@@ -50,6 +50,7 @@ ACCEL_FLOOR = 1e-9  # m/s²
 GYRO_FLOOR = 1e-11  # rad/s
 PATH_STEPS = 32
 VELOCITY_FLOOR = 1e-8  # m/s
+VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: what the integration errs by
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
@@ -364,7 +365,7 @@ def _turns(
     moments = integrate(samples.pieces(), len(pairs), linear)
     long = np.maximum(duration, block_seconds)
     density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
-    velocity = [T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long]
+    velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
     turns = Turns(
         first=first,
         last=last,
@@ -374,13 +375,21 @@ def _turns(
         B=moments.Phi[..., 0],
         covariance=_carried(samples, density) + TURN_FLOOR**2 * np.eye(3),
         velocity=moments.V,
-        velocity_covariance=(np.array(velocity) + VELOCITY_FLOOR**2)[:, None, None] * np.eye(3),
+        velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
     )
     return turns, samples
 
 
 _BODY = Block(kind="gyro", axes=np.eye(3))
+
+
+def velocity_floor(moments: Moments, samples: IntArray) -> Array:
+    """Standard deviation (K,), m/s, of the velocities of turns of so many samples (K,) from rounding and from the error
+    of the integration, which is of third order in the angle of a step (A1)."""
+    mean_square = (moments.body_W[:, [0, 3, 5]]).sum(axis=1) * moments.T
+    step = np.sqrt(mean_square) / np.maximum(samples, 1)
+    return np.asarray(VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * step**3)
 
 
 def _of_mean(block: Block, noise: ColouredNoise, blocks: float) -> Array:

@@ -8,7 +8,7 @@ neither.
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,7 +45,7 @@ class Instrument:
 
     @staticmethod
     def of(
-        accel: Block, gyro: Block | None, names: Sequence[str] | None = None, variables: Container[str] = ("time",)
+        accel: Block, gyro: Block | None, names: Container[str] | None = None, variables: Container[str] = ("time",)
     ) -> Instrument:
         """The instrument with the further groups of these names, all of the table that fit its sensors where None;
         changes only with `variables` that are known."""
@@ -116,6 +116,11 @@ class Instrument:
             return self.members[name]
         places = positions_by_group(self.names)[name]
         return slice(places[0], places[-1] + 1)
+
+    @cached_property
+    def in_velocities(self) -> bool:
+        """Whether the velocities of turns can be predicted: lever arms and delays enter them as much as all else."""
+        return self.gyro is not None and None not in (self.in_motion("lever"), self.in_motion("delay"))
 
     def model(self, block: Block, values: Array) -> SensorModel:
         """Sensitivity matrix and bias of a block."""

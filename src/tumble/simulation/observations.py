@@ -37,6 +37,7 @@ from tumble.reduction.observations import (
     GYRO_FLOOR,
     TURN_FLOOR,
     VELOCITY_FLOOR,
+    VELOCITY_STEP,
     Observations,
     Rests,
     TurnReadings,
@@ -169,6 +170,8 @@ def _turns(
     start = AHEAD + (SAMPLES + AHEAD) * np.arange(K)
     to_force = np.linalg.pinv(scenario.accel.axes)
     spread = np.trace(to_force @ to_force.T) / 3.0
+    step = np.linalg.norm(vector, axis=1) / SAMPLES
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
     turns = Turns(
         first=first,
         last=first + 1,
@@ -178,7 +181,7 @@ def _turns(
         B=np.zeros((K, 3, 3)),
         covariance=gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3),
         velocity=np.zeros((K, 3)),
-        velocity_covariance=(accel.white**2 * T * spread + VELOCITY_FLOOR**2)[:, None, None] * np.eye(3),
+        velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
         jumps=np.zeros(K),
     )
     variance = gyro.white**2 * T + TURN_FLOOR**2
