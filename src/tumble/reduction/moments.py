@@ -198,7 +198,7 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
     """Moments of every piece, by the step about the middle attitude (A1).
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
-    starts, stops = np.asarray(pieces.start, dtype=np.int64), np.asarray(pieces.stop, dtype=np.int64)
+    starts, stops = (np.ascontiguousarray(x, dtype=np.int64) for x in (pieces.start, pieces.stop))
     count, n, m = len(starts), len(own.gyro), len(own.accel)
     rows, linear = _kernels.COMMON + n + 2 * m, _kernels.LINEAR + n
     attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
