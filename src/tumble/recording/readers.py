@@ -36,7 +36,7 @@ LINE_BYTES = 1 << 20
 _PARQUET_ROWS = 1 << 15
 
 
-class Source(Protocol):
+class LogSource(Protocol):
     """A file of a log as tables."""
 
     @property
@@ -69,7 +69,7 @@ def readable(path: Path) -> Iterator[None]:
         ) from None
 
 
-def source_of(path: Path) -> Source:
+def source_of(path: Path) -> LogSource:
     """The reader of a file. Raises LogError for a format that cannot be read and an empty or damaged file."""
     ending = _ending(path)
     if ending not in _READERS:
@@ -251,7 +251,7 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
         yield rest.rstrip()
 
 
-_READERS: Mapping[str, Callable[[Path], Source]] = {
+_READERS: Mapping[str, Callable[[Path], LogSource]] = {
     ".csv": _open_csv,
     ".csv.gz": _open_csv,
     ".csv.zst": _open_csv,

@@ -27,7 +27,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from tumble.reduction import moment_kernels as _kernels
-from tumble.rotation import skew
+from tumble.rotation import onto_body, skew
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray, IntArray
 
@@ -60,7 +60,7 @@ class BlockCompensation:
     def of(cls, axes: Array, model: SensorModel, terms: Array | None = None) -> BlockCompensation:
         """The compensation of sensors with nominal `axes` (n, 3) for a sensor model, and for nonlinear `terms` if
         they have any."""
-        to_body = np.asarray(np.linalg.pinv(axes), dtype=float)
+        to_body = np.asarray(onto_body(axes), dtype=float)
         return cls(
             axes=np.ascontiguousarray(axes, dtype=float),
             to_body=to_body,
