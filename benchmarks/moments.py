@@ -1,6 +1,6 @@
 """How fast are the moments of turns, compensation included, and what does a plain rotation loop take?
 
-Compares `tumble.reduction.moments.moments_of` with the plain loop of `preintegration.py`, which carries the rotation and
+Compares `tumble.reduction.moments.moments_of` with the plain loop of `preintegration.py`, which carries rotation and
 its twelve sensitivities only, and with `tumble.reduction.kernels.preintegrate`, which does the same in lanes. One core;
 all alternate so that they see the same machine. A figure is processor time, the least of several runs, since whatever
 else runs on the machine only ever adds. The answer is printed last.

@@ -48,8 +48,8 @@ Samples = tuple[Array, Array, Array]
 Stretches = tuple[IntArray, IntArray, IntArray]
 """Piece, first sample and end."""
 Terms = tuple[Array, Array, Array, Array, Array]
-"""Matrix (3, 3) and offset (3,) of y, and of the sensors with nonlinear terms axes (n, 3), coefficients (n, 3) of u², u³
-and |u|, and effect (n, 3) on the vector."""
+"""Matrix (3, 3) and offset (3,) of y, and of the sensors with nonlinear terms axes (n, 3), coefficients (n, 3) of u²,
+u³ and |u|, and effect (n, 3) on the vector."""
 Model = tuple[Terms, Terms, Array, float]
 """Gyros, accelerometers, what the body's rate reads of its force (3, 3), or (0, 3) where it reads none, delay (s)."""
 Work = tuple[Array, Array, Array, Array, Array, Array]
