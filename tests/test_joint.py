@@ -258,11 +258,11 @@ def with_turn_off(session: Observations, turn: int, by: float) -> Observations:
     assert session.turn_samples is not None
     stored = session.turn_samples.samples
     start, stop = int(session.turn_samples.start[turn]), int(session.turn_samples.stop[turn])
-    rates, dt = stored._chunks[0]
+    rates, forces, dt = stored.read(0, stored.count)
     changed = rates.copy()
     changed[start:stop] += by * np.array([0.6, -0.48, 0.64]) / dt[start:stop].sum()
     other = type(stored)()
-    other.append(changed, dt)
+    other.append(changed, forces, dt)
     return replace(session, turn_samples=replace(session.turn_samples, samples=other, _only_batch=[]))
 
 
