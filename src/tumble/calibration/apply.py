@@ -34,7 +34,7 @@ _SLICE_ROWS = 1 << 17
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Part:
+class _Correction:
     """The sensors of one kind and what corrects them."""
 
     kind: str
@@ -77,7 +77,7 @@ def apply_to_session(calibration: Calibration, session: Session, out: Path) -> N
     write_tables(out, _tables(session, parts, 1.0 / log.rate))
 
 
-def _parts(calibration: Calibration, session: Session) -> tuple[_Part, ...]:
+def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
     """What is to be corrected; the calibration is that of the session's device."""
     if not calibration.outcome.accepted:
         raise InputError(f"calibration: expected an accepted one, found: {'; '.join(calibration.outcome.reasons)}")
@@ -94,17 +94,19 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Part, ...]:
     return tuple(parts)
 
 
-def _part(kind: str, model: SensorModel | None, channels: Channels, session: Session) -> _Part:
+def _part(kind: str, model: SensorModel | None, channels: Channels, session: Session) -> _Correction:
     found = 0 if model is None else len(model.bias)
     if model is None or found != len(channels.columns):
         raise InputError(
             f"{session.folder}: log.{kind}: expected as many sensors as the calibration has, {found}, found "
             f"{len(channels.columns)}; columns that the session does not name are copied"
         )
-    return _Part(kind=kind, channels=channels, model=model)
+    return _Correction(kind=kind, channels=channels, model=model)
 
 
-def _magnetometer_part(calibration: Calibration, model: SensorModel, given: Magnetometer, session: Session) -> _Part:
+def _magnetometer_part(
+    calibration: Calibration, model: SensorModel, given: Magnetometer, session: Session
+) -> _Correction:
     unit = calibration["mag.bias.x"].unit
     if given.unit != unit:
         raise InputError(
@@ -120,10 +122,10 @@ def _magnetometer_part(calibration: Calibration, model: SensorModel, given: Magn
         axes=np.eye(3),
         range=None,
     )
-    return _Part(kind="mag", channels=channels, model=model)
+    return _Correction(kind="mag", channels=channels, model=model)
 
 
-def _tables(session: Session, parts: tuple[_Part, ...], interval: float) -> Iterator[pl.DataFrame]:
+def _tables(session: Session, parts: tuple[_Correction, ...], interval: float) -> Iterator[pl.DataFrame]:
     """The corrected rows of all files."""
     names: list[str] | None = None
     for path in session.log.files:
@@ -164,7 +166,7 @@ class _Clock:
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
 
 
-def _rows(path: Path, parts: tuple[_Part, ...], session: Session) -> Iterator[pl.DataFrame]:
+def _rows(path: Path, parts: tuple[_Correction, ...], session: Session) -> Iterator[pl.DataFrame]:
     """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are."""
     sensors = [column for part in parts for column in part.channels.columns]
     with _parsed(path):

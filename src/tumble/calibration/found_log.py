@@ -25,7 +25,7 @@ from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_cl
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, columns_by_name
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
-from tumble.recording.readers import ENDINGS, Source, opened, readable, source_of, text_tables
+from tumble.recording.readers import ENDINGS, LogSource, opened, readable, source_of, text_tables
 from tumble.recording.writer import write_tables
 from tumble.units import TIME_UNITS, Array
 
@@ -56,7 +56,7 @@ class FoundLog:
     said: tuple[str, ...] = ()
     dialect: Dialect | None = None
 
-    def sources(self) -> Iterator[Source]:
+    def sources(self) -> Iterator[LogSource]:
         for file in self.files:
             yield source_of(file, self.dialect)
 
@@ -303,7 +303,7 @@ def _copied(
     clock = log.columns.time if log.columns.time is not None and log.is_clock(log.columns.time) else None
     stamp = log.columns.time if time is None else TIME
 
-    def tables(source: Source) -> Iterator[pl.DataFrame]:
+    def tables(source: LogSource) -> Iterator[pl.DataFrame]:
         for read, _ in source.tables(used, clock):
             table = read.with_columns(pl.Series(c, unwrapped(read[c].to_numpy())) for c in signed)
             if time is not None:
@@ -371,7 +371,7 @@ def _label_changes(log: FoundLog, label: str) -> list[int] | None:
     return (np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())).tolist()
 
 
-def _text_columns(source: Source, label: str) -> Iterator[pl.DataFrame]:
+def _text_columns(source: LogSource, label: str) -> Iterator[pl.DataFrame]:
     for table in text_tables(source, ()):
         yield table.select(pl.col(label).cast(pl.String))
 

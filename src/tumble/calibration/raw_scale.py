@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from tumble.reduction.observations import Observations
+from tumble.reduction.sphere import sphere_through
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
 
@@ -80,18 +81,14 @@ def accel_scale(means: Array) -> tuple[float, list[float]] | None:
 
 
 def _sphere(points: Array) -> tuple[float, Array] | None:
-    """Radius and centre (3,) of the sphere through points (N, 3), |a|² = 2 a·c + r² − |c|² by least squares; None where
-    they do not tell."""
-    about = points.mean(axis=0) if len(points) else np.zeros(3)
-    size = float(np.linalg.norm(points - about, axis=1).max(initial=0.0))
-    if len(points) < 4 or not size > 0.0:
+    """Radius and centre (3,) of the sphere through points (N, 3); None where they do not tell."""
+    if len(points) < 4:
         return None
-    unit = (points - about) / size
-    rows = np.column_stack([2.0 * unit, np.ones(len(unit))])
-    (*centre, rest), _, rank, singular = np.linalg.lstsq(rows, (unit**2).sum(axis=1), rcond=None)
-    if rank < 4 or singular[-1] < _LEAST_SINGULAR:
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if not spread[2] > _LEAST_SINGULAR * spread[0]:
         return None
-    return size * float(np.sqrt(rest + np.dot(centre, centre))), about + size * np.array(centre)
+    centre, radius = sphere_through(points)
+    return radius, centre
 
 
 def gyro_factor(observations: Observations) -> float | None:

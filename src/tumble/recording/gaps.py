@@ -27,7 +27,7 @@ import numpy.typing as npt
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.readers import Kind, Source, Unread, unread_error
+from tumble.recording.readers import Kind, LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
 from tumble.units import Array, IntArray
 
@@ -60,7 +60,7 @@ class Gap:
     integrable: bool = True
 
 
-def check_time(source: Source, spec: LogSpec, numbers: IntArray, time: Array) -> None:
+def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> None:
     """Times (m,) of these data rows must be finite and increase."""
     if not np.isfinite(time).all():
         at = int(np.argmin(np.isfinite(time)))
@@ -78,7 +78,7 @@ def check_time(source: Source, spec: LogSpec, numbers: IntArray, time: Array) ->
         )
 
 
-def check_head(source: Source, spec: LogSpec, time: Array) -> Array:
+def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
     """The first times of a file without those that cannot be read or are repeated, if these are few."""
     found = np.isfinite(time)
     kept = time[found]
@@ -90,7 +90,7 @@ def check_head(source: Source, spec: LogSpec, time: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Rows:
+class LogRows:
     """Rows of a file in order: their numbers (m,), times (m,), s, and the numbers of accelerometers (m, na), gyros
     (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them. `unread`: what was found in rows of which
     something could not be read, by the number of the row."""
@@ -100,16 +100,16 @@ class Rows:
     values: tuple[Array, ...]
     unread: Mapping[int, Unread] = field(default_factory=dict)
 
-    def part(self, rows: slice | npt.NDArray[np.bool_]) -> Rows:
-        return Rows(
+    def part(self, rows: slice | npt.NDArray[np.bool_]) -> LogRows:
+        return LogRows(
             numbers=self.numbers[rows],
             time=self.time[rows],
             values=tuple(v[rows] for v in self.values),
             unread=self.unread,
         )
 
-    def followed_by(self, other: Rows) -> Rows:
-        return Rows(
+    def followed_by(self, other: LogRows) -> LogRows:
+        return LogRows(
             numbers=np.concatenate([self.numbers, other.numbers]),
             time=np.concatenate([self.time, other.time]),
             values=tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True)),
@@ -131,7 +131,7 @@ class Grid:
     interval: float
 
 
-def rows_of(source: Source, spec: LogSpec, file: int, grid: Grid | None, gaps: list[Gap]) -> Iterator[Rows]:
+def rows_of(source: LogSource, spec: LogSpec, file: int, grid: Grid | None, gaps: list[Gap]) -> Iterator[LogRows]:
     """The rows of a file that have a time; on a grid, row k, counted from 0, has its k-th time. Lines that are left out
     are added to `gaps`."""
     groups = [spec.accel.columns]
@@ -144,7 +144,7 @@ def rows_of(source: Source, spec: LogSpec, file: int, grid: Grid | None, gaps: l
         numbers = np.arange(first, first + table.height)
         time = table[spec.time].to_numpy() * spec.time_factor if spec.time is not None else np.empty(table.height)
         values = tuple(_matrix(table, group) for group in groups)
-        rows = Rows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread})
+        rows = LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread})
         yield sieve.kept(rows)
         first += table.height
     sieve.check_end(first - 1)
@@ -155,7 +155,7 @@ class _Sieve:
     """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
     the last of them; `shift`: what midnights have added to a clock, s."""
 
-    source: Source
+    source: LogSource
     spec: LogSpec
     file: int
     grid: Grid | None
@@ -166,7 +166,7 @@ class _Sieve:
     left_out: int = 0
     first: Gap | None = None
 
-    def kept(self, rows: Rows) -> Rows:
+    def kept(self, rows: LogRows) -> LogRows:
         lines = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or self._untimed(u)]
         if lines:
             keep = np.ones(len(rows.numbers), dtype=bool)
@@ -186,7 +186,7 @@ class _Sieve:
         """Whether a row has lost the time that it had."""
         return self.grid is None and (unread.column is None or unread.column == self.spec.time)
 
-    def _timed(self, rows: Rows) -> Rows:
+    def _timed(self, rows: LogRows) -> LogRows:
         if self.grid is not None:
             number = np.arange(self.count, self.count + len(rows.time), dtype=float)
             return replace(rows, time=np.asarray(self.grid.start + self.grid.interval * number, dtype=float))
@@ -202,7 +202,7 @@ class _Sieve:
             self._leave_out(number, "the time stamp of the row before", rows)
         return rows.part(~again)
 
-    def _leave_out(self, row: int, what: str, rows: Rows) -> None:
+    def _leave_out(self, row: int, what: str, rows: LogRows) -> None:
         self.left_out += 1
         before = int(np.searchsorted(rows.numbers, row)) - 1
         time = float(rows.time[before]) if before >= 0 else max(self.last, 0.0)
@@ -241,19 +241,19 @@ class Bridge:
     `last`: the last row that went out, always a sound one; `held`: lost rows after it, whose end is not yet
     known, the first of them if they are too many to be bridged."""
 
-    source: Source
+    source: LogSource
     file: int
     spec: LogSpec
     interval: float
     gaps: list[Gap]
-    last: Rows | None = None
-    held: Rows | None = None
+    last: LogRows | None = None
+    held: LogRows | None = None
     start: float = 0.0
     found: int = 0
     first: Gap | None = None
     rows: int = 0
 
-    def samples(self, stream: Iterator[Rows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
+    def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
         """Times, intervals, s, and numbers of all samples, those of lost ones interpolated."""
         for new in stream:
             self.rows += len(new.time)
@@ -271,7 +271,7 @@ class Bridge:
                 yield self._repaired(rows.part(slice(0, sound)), lost[:sound])
         self._check_end()
 
-    def _repaired(self, rows: Rows, lost: npt.NDArray[np.bool_]) -> tuple[Array, Array, tuple[Array, ...]]:
+    def _repaired(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> tuple[Array, Array, tuple[Array, ...]]:
         """Samples of rows of which the last is sound; the row before them went out already, or is none."""
         before, self.last = self.last, rows.part(slice(-1, None))
         whole = rows if before is None else before.followed_by(rows)
@@ -289,7 +289,7 @@ class Bridge:
             dt[broken - (before is not None)] = self.interval
         return time[before is not None :], dt, values
 
-    def _filled(self, rows: Rows, steps: Array) -> tuple[Array, tuple[Array, ...], IntArray]:
+    def _filled(self, rows: LogRows, steps: Array) -> tuple[Array, tuple[Array, ...], IntArray]:
         """Times and numbers of rows of which the first and the last are sound: short gaps filled, every number finite,
         long ones left out; and the places of the first samples after these."""
         missing = self._missing(steps)
@@ -311,7 +311,7 @@ class Bridge:
         missing = np.where(steps > _JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
         return np.minimum(missing, _BRIDGED_SAMPLES + 1).astype(np.int64)
 
-    def _report(self, rows: Rows, place: IntArray, time: Array, start: int, stop: int) -> None:
+    def _report(self, rows: LogRows, place: IntArray, time: Array, start: int, stop: int) -> None:
         """Add a run of lost samples, start … stop − 1, to the gaps; row i of `rows` is sample place[i]."""
         first, end = np.searchsorted(place, [start, stop]).tolist()
         lost = rows.part(slice(first, end))
@@ -334,14 +334,14 @@ class Bridge:
         if self.found > _MOST:
             raise self._too_many(f"{_MOST}", "a file")
 
-    def _doubtful(self, lost: Rows) -> bool:
+    def _doubtful(self, lost: LogRows) -> bool:
         """Whether rows without times may have been no samples."""
         if self.spec.time is not None and not self.spec.regular:
             return False
         unread = [lost.unread.get(int(n)) for n in lost.numbers]
         return any(u is not None and u.column is None for u in unread)
 
-    def _found_in(self, rows: Rows) -> list[str]:
+    def _found_in(self, rows: LogRows) -> list[str]:
         """What was found in lost rows, in words: of the first that could not be read, and of each column the first
         number that is not finite."""
         unread = [rows.unread[int(n)] for n in rows.numbers if int(n) in rows.unread]
@@ -351,18 +351,18 @@ class Bridge:
             f"{value} in '{column}'" for column, value in self._not_finite(rows) if not known & {column, None}
         ]
 
-    def _not_finite(self, rows: Rows) -> list[tuple[str, float]]:
+    def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
         """Columns with numbers that are not finite, and the first such number of each."""
         numbers = np.hstack(rows.values)
         bad = ~np.isfinite(numbers)
         columns = [column for column in self.spec.columns if column != self.spec.time]
         return [(columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
 
-    def _check_begins_sound(self, rows: Rows, lost: npt.NDArray[np.bool_]) -> None:
+    def _check_begins_sound(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> None:
         if lost[0]:
             raise self._unsound(rows, "a finite number in the first row", "remove the row")
 
-    def _unsound(self, rows: Rows, expected: str, advice: str) -> LogError:
+    def _unsound(self, rows: LogRows, expected: str, advice: str) -> LogError:
         """A message about the first of lost rows, where it cannot be bridged."""
         number = int(rows.numbers[0])
         unread = rows.unread.get(number)

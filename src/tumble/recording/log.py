@@ -18,12 +18,12 @@ import numpy as np
 from tumble.errors import LogError
 from tumble.recording.dialect import LINE_BYTES
 from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
-from tumble.recording.readers import Kind, Source, readable, source_of
+from tumble.recording.readers import Kind, LogSource, readable, source_of
 from tumble.recording.session import LogSpec, Session
 from tumble.units import Array
 
 _HEAD_ROWS = 1000
-"""Rows from which the interval of a file is taken, their median."""
+"""LogRows from which the interval of a file is taken, their median."""
 
 _SHORTEST_ROWS = 50
 _RATE_TOLERANCE = 0.1
@@ -51,7 +51,7 @@ class Log:
 
     session: Session
     rate: float
-    _sources: tuple[Source, ...] = field(repr=False)
+    _sources: tuple[LogSource, ...] = field(repr=False)
     _grids: tuple[Grid, ...] = field(repr=False)
     _gaps: list[Gap] = field(default_factory=list, repr=False)
 
@@ -144,7 +144,7 @@ def _part(chunk: Chunk, rows: slice) -> Chunk:
 # -------------------- what is checked when a log is opened --------------------
 
 
-def _check_columns(source: Source, spec: LogSpec) -> None:
+def _check_columns(source: LogSource, spec: LogSpec) -> None:
     names = source.names
     for column in spec.columns:
         if column not in names:
@@ -156,7 +156,7 @@ def _check_columns(source: Source, spec: LogSpec) -> None:
             raise LogError(f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one")
 
 
-def _grid(source: Source, spec: LogSpec) -> Grid:
+def _grid(source: LogSource, spec: LogSpec) -> Grid:
     """The first time of a file and the interval of its samples, s: the median over its first rows, that of the nominal
     rate, or, of regular rows, the mean over all of them."""
     head = source.head(spec.time or spec.accel.columns[0], _HEAD_ROWS, clock=spec.clock)
@@ -172,7 +172,7 @@ def _grid(source: Source, spec: LogSpec) -> Grid:
     return Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
 
 
-def _regular_grid(source: Source, spec: LogSpec) -> Grid:
+def _regular_grid(source: LogSource, spec: LogSpec) -> Grid:
     """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution
     and their delays."""
     assert spec.time is not None

@@ -79,7 +79,7 @@ class Unread:
         return shown if self.kind is Kind.ROW or shown == "a blank line" else repr(shown)
 
 
-class Source(Protocol):
+class LogSource(Protocol):
     """A file of a log as tables."""
 
     @property
@@ -113,7 +113,7 @@ def readable(path: Path) -> Iterator[None]:
         ) from None
 
 
-def source_of(path: Path, dialect: Dialect | None = None) -> Source:
+def source_of(path: Path, dialect: Dialect | None = None) -> LogSource:
     """The reader of a file; with a dialect, of a text file of any name. Raises LogError for a format that cannot be
     read and an empty or damaged file."""
     ending = _ending(path)
@@ -196,7 +196,7 @@ def _open_parquet(path: Path) -> _Parquet:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Csv:
-    """A text log. Rows that cannot be read come as NaN, with what was found in them."""
+    """A text log. LogRows that cannot be read come as NaN, with what was found in them."""
 
     path: Path
     names: tuple[str, ...]
@@ -409,7 +409,7 @@ def _empty_value(place: str) -> LogError:
     )
 
 
-def unread_error(source: Source, unread: Unread) -> LogError:
+def unread_error(source: LogSource, unread: Unread) -> LogError:
     """What is said of a row that cannot be read where it cannot be left out either."""
     width, shown = len(source.names), unread.found[:_SHOWN]
     expected, found = "a number", repr(shown) if shown.strip() else "an empty value"
@@ -427,7 +427,7 @@ def _in_column(column: str | None) -> str:
 # -------------------- every column of a text log --------------------
 
 
-def text_tables(source: Source, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+def text_tables(source: LogSource, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
     """The rows of a text log with all columns, these as numbers and the others as the text they are. Of a log of a
     stated dialect, what cannot be read is NaN, and lines that are no rows are left out; else polars' errors are
     raised."""

@@ -22,11 +22,11 @@ from tumble.files import whole_file
 from tumble.recording.dialect import Dialect
 from tumble.recording.session_keys import (
     CLOCK,
-    Document,
     LogTable,
     MagnetometerTable,
     ProgrammeTable,
     SensorsTable,
+    SessionDocument,
     SiteTable,
     faults_of,
 )
@@ -129,7 +129,7 @@ class LogSpec:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Position:
+class ListedPosition:
     """A position of the programme: its attitude code, and the rest's start and stop, s, where given."""
 
     attitude: str
@@ -142,7 +142,7 @@ class ProgrammeSpec:
     """Either the name of a built-in programme, or positions in order."""
 
     name: str | None
-    positions: tuple[Position, ...]
+    positions: tuple[ListedPosition, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -213,9 +213,9 @@ def _parsed(path: Path) -> dict[str, Any]:
         raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
 
 
-def _checked(content: Mapping[str, Any], path: Path) -> Document:
+def _checked(content: Mapping[str, Any], path: Path) -> SessionDocument:
     try:
-        return Document.model_validate(content)
+        return SessionDocument.model_validate(content)
     except ValidationError as error:
         faults = faults_of(error, content)
     said = faults[:_FAULTS_SHOWN]
@@ -236,7 +236,7 @@ def _check_files(session: Session, path: Path) -> None:
 # -------------------- from the tables to SI --------------------
 
 
-def _session(document: Document, folder: Path) -> Session:
+def _session(document: SessionDocument, folder: Path) -> Session:
     device = document.device
     return Session(
         folder=folder,
@@ -308,7 +308,7 @@ def _channels(sensors: SensorsTable, rate: float | None) -> Channels:
 
 def _programme(given: ProgrammeTable) -> ProgrammeSpec:
     positions = [
-        Position(attitude=position.attitude, start=position.start, stop=position.stop)
+        ListedPosition(attitude=position.attitude, start=position.start, stop=position.stop)
         for position in given.position or []
     ]
     return ProgrammeSpec(name=given.name, positions=tuple(positions))
