@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.reduction.kernels import _compiled, _matrix_of
+from tumble.reduction.kernels import _compiled
 from tumble.units import Array, IntArray
 
 STRETCH = 500
@@ -620,3 +620,17 @@ def finish(sums: Sums, C: Array) -> None:
                 Psi[j] = y * V[k, 2] - z * V[k, 1] - Psi[j]
                 Psi[3 + j] = z * V[k, 0] - x * V[k, 2] - Psi[3 + j]
                 Psi[6 + j] = x * V[k, 1] - y * V[k, 0] - Psi[6 + j]
+
+
+@_compiled(error_model="numpy")
+def _matrix_of(q: Array, C: Array) -> None:
+    """Write the matrix of a unit quaternion, scalar first, to C (3, 3)."""
+    C[0, 0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
+    C[0, 1] = 2.0 * (q[1] * q[2] - q[3] * q[0])
+    C[0, 2] = 2.0 * (q[1] * q[3] + q[2] * q[0])
+    C[1, 0] = 2.0 * (q[1] * q[2] + q[3] * q[0])
+    C[1, 1] = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3])
+    C[1, 2] = 2.0 * (q[2] * q[3] - q[1] * q[0])
+    C[2, 0] = 2.0 * (q[1] * q[3] - q[2] * q[0])
+    C[2, 1] = 2.0 * (q[2] * q[3] + q[1] * q[0])
+    C[2, 2] = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])

@@ -401,7 +401,7 @@ _BODY = Block(kind="gyro", axes=np.eye(3))
 def velocity_floor(moments: Moments, samples: IntArray) -> Array:
     """Standard deviation (K,), m/s, of the velocities of turns of so many samples (K,) from rounding and from the error
     of the integration, which is of third order in the angle of a step (A1)."""
-    mean_square = (moments.body_W[:, [0, 3, 5]]).sum(axis=1) * moments.T
+    mean_square = (moments.body_rates[:, [0, 3, 5]]).sum(axis=1) * moments.T
     step = np.sqrt(mean_square) / np.maximum(samples, 1)
     return np.asarray(VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * step**3)
 
