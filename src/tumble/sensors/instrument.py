@@ -94,6 +94,18 @@ class Instrument:
         """Where the parameters stand that a turn alone sees in this way."""
         return next((self.members[g.name] for g in self.further if g.motion == motion), None)
 
+    def levers(self, values: Array) -> Array:
+        """Lever arms (n, 3), m, of the accelerometers by channel; zero where there are none."""
+        out, where = np.zeros((self.accel.size, 3)), self.in_motion("lever")
+        if where is not None:
+            out[self.accel.channels[:-1]] = values[where].reshape(-1, 3)
+        return out
+
+    def delay(self, values: Array) -> float:
+        """By how much the accelerometers are late, s; zero where they have no delay."""
+        where = self.in_motion("delay")
+        return 0.0 if where is None else float(values[where][0])
+
     def model(self, block: Block, values: Array) -> SensorModel:
         """Sensitivity matrix and bias of a block."""
         return block.model(values[self.own(block)])
@@ -160,6 +172,20 @@ def functions(block: Block, force: Array, rate: Array) -> Array:
     out[:, :, PRODUCTS] = (force[:, _FIRST] * force[:, _SECOND])[:, None]
     out[:, :, OWN_SIZE], out[:, :, OWN_CUBE] = np.abs(own), own**3
     return out
+
+
+def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
+    """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces and rates of the body, (N, 3), or (N, n, 3) where those
+    at each sensor are others."""
+    force, rate = (x[:, None] if x.ndim == 2 else x for x in (force, rate))
+    out = np.einsum("npk,pk->np", *((force, K[:, FORCE]) if block.kind == "accel" else (rate, K[:, RATE])))
+    out += K[:, CONSTANT]
+    if not np.any(np.delete(K, np.r_[CONSTANT, _measured(block)], axis=1)):
+        return out
+    own = np.einsum("npk,pk->np", force if block.kind == "accel" else rate, block.axes)
+    out += np.einsum("npk,pk->np", *((rate, K[:, RATE]) if block.kind == "accel" else (force, K[:, FORCE])))
+    out += np.einsum("npb,pb->np", force[..., _FIRST] * force[..., _SECOND], K[:, PRODUCTS])
+    return np.asarray(out + np.abs(own) * K[:, OWN_SIZE] + own**3 * K[:, OWN_CUBE])
 
 
 def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Array]:
