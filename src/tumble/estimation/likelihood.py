@@ -434,8 +434,11 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     at_rest = (selected[:, :, :n], selected[:, :, n:stop], none, none, none)
     turns = observations.turns
     if turns is None or not len(turns):
-        empty = np.zeros((0, r + rows.turn.shape[1], 0))
-        return Noise(rest=rest, merged=np.zeros((0, r, r)), rest_directions=at_rest, merged_directions=(empty,) * 5)
+        both = r + rows.turn.shape[1]
+        none = np.zeros((0, both, 0))
+        return Noise(
+            rest=rest, merged=np.zeros((0, both, both)), rest_directions=at_rest, merged_directions=(none,) * 5
+        )
     bias = np.zeros((len(turns), r + rows.turn.shape[1], stop))
     bias[:, :stop] = np.eye(stop)
     bias[:, r:] = rows.bias
