@@ -15,7 +15,6 @@ from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, sol
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.observability import in_words
-from tumble.planning import bounds
 from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of
 from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import NAMES
@@ -85,13 +84,6 @@ def test_faces_or_vertices_alone_do_not_determine_nine_parameters(chosen: range,
     assert np.isinf(found.condition)
 
 
-@pytest.fixture
-def rotation_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Velocities of the turns say nothing, as in the turntable method."""
-    monkeypatch.setattr(bounds, "VELOCITY_FLOOR", 1e3)
-
-
-@pytest.mark.usefixtures("rotation_only")
 def test_the_bound_of_the_rough_table_is_the_published_one() -> None:
     """§8, with the nine programme turns: to 0.5 %, as it was printed to three digits from one tilted table."""
     found, all_moves = bound_of(programmed(SETUP), SETUP), bound(SETUP)
@@ -256,7 +248,6 @@ def test_what_six_faces_do_not_determine_is_named() -> None:
     assert all("accel.scale" in words and "−" in words for words in said)
 
 
-@pytest.mark.usefixtures("rotation_only")
 def test_turns_show_the_angles_that_upright_rests_do_not() -> None:
     """§6.3 of the turntable method: without the 45° rests, from the turns, 0.53″; with them 0.34″."""
     whole = SETUP.programme

@@ -1,20 +1,20 @@
 """Compiled loops that eliminate what belongs to single rests from the rows of a chain of rests linked by turns, and put
 it back.
 
-Rows are whitened and in the form [coefficients | right-hand side]; unknowns are d numbers of every rest (the three angles
-of its attitude first, then the states of its sensors) and p parameters common to all. With δᵢ the unknowns of rest i, the
-rows of rest i and of the turn that follows it are
+Rows are whitened and in the form [coefficients | right-hand side]; unknowns are d numbers of every rest (the three
+angles of its attitude first, then the states of its sensors) and p parameters common to all. With δᵢ the unknowns of
+rest i, the rows of rest i and of the turn that follows it are
 
     [ δᵢ (d) | parameters (p) | right-hand side ]             rest, (N, r, d + p + 1)
     [ δᵢ (d) | δᵢ₊₁ (d) | parameters (p) | right-hand side ]   turn, (K, t, 2d + p + 1)
 
-and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. Rows of a turn may contain those of the
-rest before it, with which they may be correlated: `counts` (N,) says whether a rest's own rows count. The elimination is orthogonal (a
-square-root information filter): Householder reflections of what involves δᵢ leave d rows that give δᵢ once the rest is
-known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one triangle. Nothing is squared, and the
-cost is linear in the number of rests. A column of which nothing but rounding is left is no information: its unknown, a
-heading that nothing shows, stays where it is. Rows stand in memory column by column, so that the loops over them are
-vector instructions.
+and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. Rows of a turn may contain those of
+the rest before it, with which they may be correlated: `counts` (N,) says whether a rest's own rows count. The
+elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
+rows that give δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one
+triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
+is left is no information: its unknown, a heading that nothing shows, stays where it is. Rows stand in memory column
+by column, so that the loops over them are vector instructions.
 
 Nothing is compiled when this module is imported; see `tumble.reduction.kernels`, whose rules hold here.
 """
@@ -35,8 +35,8 @@ BUFFER = 96
 
 @_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
 def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
-    """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on the
-    parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
+    """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
+    the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
     N, r = rest.shape[:2]
     t, d, p = turn.shape[1], factor.shape[1], len(triangle) - 1
     rows_most, columns = d + r + t, 2 * d + p + 1
@@ -204,7 +204,8 @@ def left_over(
     covariances: tuple[Array, Array, Array],
 ) -> tuple[Array, Array, Array, Array]:
     """Residuals that the rows leave, and their covariances where the noise of the rows is 1: (N, r) and (N, r, r) of
-    the rests, zero where they do not count, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and what `put_back` returns."""
+    the rests, zero where they do not count, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and
+    what `put_back` returns."""
     N, r = rest.shape[:2]
     K, t = turn.shape[:2]
     covariance, own, shared = covariances

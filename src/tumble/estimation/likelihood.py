@@ -6,16 +6,16 @@ Minimised is the sum of squares, each over its covariance (turntable method §8;
 
     ŷ − Σ_b K_b(θ) β_b(f, ω)                   at rest, of both blocks: f = g u, u = Lᵀ e_U; ω = Lᵀ Ω
     log( C(θ) L_jᵀ e^{−[Ω×]T} L_i )            the turn from rest i to rest j, resolved in the body at its start
-    V(θ) − L_iᵀ ∫ e^{[Ω×]s} g e_U ds           its velocity, likewise                                            (9)
+    V(θ) − L_iᵀ ∫ e^{[Ω×]s} g e_U ds           its velocity, likewise, where levers and delay are unknowns        (9)
     g − g₀                                     the measured gravity
 
 C(θ) = exp([φ×]) C and V(θ) are about the parameters the turn was integrated with: φ and V change with the coefficients
-K by what `tumble.reduction.moments` has of the turn, to first order; levers and delays enter V linearly. The turn's rows
-are (9) in other axes, those in which its covariance is given. The Coriolis term of (9) is left out: it is below 0.1 σ
-for a table whose axes are within a metre. Gravity is the same for all rests, so it is an unknown that has been measured;
-no table angle has a prior unless a `Prior` is given. Parameters have priors: those of the linear model their limits,
-which decide what the data leave open and are nothing beside what they show; the others what instruments usually have.
-What n > 3 gyros say of a turn beyond its rotation is n − 3 rows more.
+K by what `tumble.reduction.moments` has of the turn, to first order; levers and delays enter V linearly. The turn's
+rows are (9) in other axes, those in which its covariance is given. The Coriolis term of (9) is left out: it is below
+0.1 σ for a table whose axes are within a metre. Gravity is the same for all rests, so it is an unknown that has been
+measured; no table angle has a prior unless a `Prior` is given. Parameters have priors: those of the linear model
+their limits, which decide what the data leave open and are nothing beside what they show; the others what
+instruments usually have. What n > 3 gyros say of a turn beyond its rotation is n − 3 rows more.
 
 Attitudes change in the body, L → L exp([δ×]), with δ in the basis t₁, t₂, u of the rest, so that
 
@@ -69,8 +69,8 @@ NO_PRIOR = Prior()
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scatter:
     """Standard deviations on top of the noise within rests: of a bias of the accelerometers (m/s²) and gyros (rad/s)
-    from rest to rest, of the rotations (rad) and velocities (m/s) of turns, and c of (A3), the error of the integral over
-    a jump between samples in parts of its size times the interval."""
+    from rest to rest, of the rotations (rad) and velocities (m/s) of turns, and c of (A3), the error of the integral
+    over a jump between samples in parts of its size times the interval."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -162,8 +162,8 @@ def _whitening(noise: Array, directions: tuple[Array, ...], scatter: Scatter) ->
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Weights:
-    """Inverses of the Cholesky factors of the covariances of the rows: of the rests (N, r, r), which count where no turn
-    follows, and of the merged rows of rests and turns (K, r + t, r + t)."""
+    """Inverses of the Cholesky factors of the covariances of the rows: of the rests (N, r, r), which count where no
+    turn follows, and of the merged rows of rests and turns (K, r + t, r + t)."""
 
     rest: Array
     merged: Array
@@ -193,9 +193,9 @@ class Left:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Problem:
-    """A session as the likelihood sees it: `link` (N,), the turn after each rest or −1, `chain` (N,), the number of each
-    rest's chain, the Earth's rate (3,), zero where the latitude is not known, and `measured`, gravity and the parameters
-    (1 + m,) as they were known before, with standard deviations; zero where gravity is taken as exact."""
+    """A session as the likelihood sees it: `link` (N,), the turn after each rest or −1, `chain` (N,), the number of
+    each rest's chain, the Earth's rate (3,), zero where the latitude is not known, and `measured`, gravity and the
+    parameters (1 + m,) as they were known before, with standard deviations; zero where gravity is taken as exact."""
 
     observations: Observations
     instrument: Instrument
@@ -204,6 +204,8 @@ class Problem:
     chain: IntArray
     earth: Array
     measured: tuple[Array, Array]
+    variables: Mapping[str, tuple[Array, Array]]
+    """What parameters may change with, in the middle of the rests (N,) and of the turns (K,)."""
 
     @staticmethod
     def of(
@@ -236,6 +238,7 @@ class Problem:
             chain=np.append(0, np.cumsum(link[:-1] < 0)),
             earth=np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude)),
             measured=(np.append(site.gravity, start), np.append(site.gravity_u, known)),
+            variables=variables_of(observations),
         )
 
     @property
@@ -251,6 +254,19 @@ class Problem:
         """The gyros of parameters (m,)."""
         assert self.observations.gyro_block is not None
         return self.instrument.model(self.observations.gyro_block, values)
+
+
+def variables_of(observations: Observations) -> dict[str, tuple[Array, Array]]:
+    """What parameters may change with: time from the middle of the session, s, and temperature from its mean, K, in the
+    middle of the rests (N,) and of the turns (K,)."""
+    rests, turns = observations.rests, observations.turns
+    time = 0.5 * (rests.start + rests.stop)
+    at_rest = {"time": time - 0.5 * (time.min() + time.max())}
+    if rests.temperature is not None:
+        at_rest["temperature"] = rests.temperature - rests.temperature.mean()
+    if turns is None:
+        return {name: (values, np.zeros(0)) for name, values in at_rest.items()}
+    return {name: (v, 0.5 * (v[turns.first] + v[turns.last])) for name, v in at_rest.items()}
 
 
 # Residuals and Jacobians
@@ -286,6 +302,9 @@ def _rest_rows(problem: Problem, point: Point, block: Block, observed: Array) ->
     D = instrument.derivative(block, point.values)
     rows[:, :, 4:-1] = np.einsum("npb,pbm->npm", beta[:, :, used], D[:, used], optimize=True)
     rows[:, :, -1] = observed - np.einsum("npb,pb->np", beta, K)
+    for own, base, variable in instrument.changes:
+        rows[:, :, 4:-1][:, :, own] = problem.variables[variable][0][:, None, None] * rows[:, :, 4:-1][:, :, base]
+        rows[:, :, -1] -= rows[:, :, 4:-1][:, :, own] @ point.values[own]
     return rows
 
 
@@ -298,11 +317,15 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     assert gyro is not None
     basis, start, end = bases(point.attitudes), point.attitudes[turns.first], point.attitudes[turns.last]
     phi, V = about.moved(instrument, point.values)
+    by_phi, by_V = about.columns(instrument, point.values)
+    for own, base, variable in instrument.changes:
+        for by, changed in ((by_phi, phi), (by_V, V)):
+            by[:, :, own] = problem.variables[variable][1][:, None, None] * by[:, :, base]
+            changed -= by[:, :, own] @ point.values[own]
     C = rotation_matrix(phi) @ about.C
     earth = rotation_matrix(-turns.duration[:, None] * problem.earth)
     r = rotation_vector(C @ np.swapaxes(end, 1, 2) @ earth @ start)
     left = inverse_left_jacobian(r)
-    by_phi, by_V = about.columns(instrument, point.values)
     phi_bias, V_bias = about.bias_columns()
     rows = np.zeros((len(turns), 6, 8 + len(point.values)))
     rows[:, :3, :3] = -np.swapaxes(left, 1, 2) @ basis[turns.first]
@@ -311,11 +334,14 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     rows[:, :3, -1] = r
     bias = np.zeros((len(turns), 6, phi_bias.shape[2]))
     bias[:, :3], bias[:, 3:] = left @ left_jacobian(phi) @ phi_bias, V_bias
-    predicted, by_turning = _velocity(problem, point, turns.duration)
-    rows[:, 3:, :3] = by_turning
-    if observations.site.gravity_u > 0.0:
-        rows[:, 3:, 6] = predicted / point.gravity
-    rows[:, 3:, 7:-1], rows[:, 3:, -1] = by_V, V - predicted
+    if instrument.in_velocities:
+        predicted, by_turning = _velocity(problem, point, turns.duration)
+        rows[:, 3:, :3] = by_turning
+        if observations.site.gravity_u > 0.0:
+            rows[:, 3:, 6] = predicted / point.gravity
+        rows[:, 3:, 7:-1], rows[:, 3:, -1] = by_V, V - predicted
+    else:
+        rows, bias = rows[:, :3], bias[:, :3]
     if observations.turn_readings is None:
         return rows, bias
     spare, spare_bias = _spare_rows(problem, point)
@@ -434,25 +460,24 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     at_rest = (selected[:, :, :n], selected[:, :, n:stop], none, none, none)
     turns = observations.turns
     if turns is None or not len(turns):
-        both = r + rows.turn.shape[1]
-        none = np.zeros((0, both, 0))
-        return Noise(
-            rest=rest, merged=np.zeros((0, both, both)), rest_directions=at_rest, merged_directions=(none,) * 5
-        )
+        t = r + rows.turn.shape[1]
+        empty = (np.zeros((0, t, 0)),) * len(COMPONENTS)
+        return Noise(rest=rest, merged=np.zeros((0, t, t)), rest_directions=at_rest, merged_directions=empty)
     bias = np.zeros((len(turns), r + rows.turn.shape[1], stop))
     bias[:, :stop] = np.eye(stop)
     bias[:, r:] = rows.bias
-    of_turn = np.zeros((3, len(turns), r + rows.turn.shape[1], rows.turn.shape[1] - 3))
-    rotation, velocity, jumps = of_turn
+    v = 3 if problem.instrument.in_velocities else 0
+    spare = rows.turn.shape[1] - 3 - v
+    rotation, velocity, jumps = (np.zeros((len(turns), bias.shape[1], q)) for q in (3 + spare, v, v))
     rotation[:, r : r + 3, :3] = np.eye(3)
-    rotation[:, r + 6 :, 3:] = np.eye(rows.turn.shape[1] - 6)
-    velocity[:, r + 3 : r + 6, :3] = np.eye(3)
-    jumps[:, r + 3 : r + 6, :3] = np.sqrt(turns.jumps)[:, None, None] * np.eye(3)
+    rotation[:, r + 3 + v :, 3:] = np.eye(spare)
+    velocity[:, r + 3 : r + 3 + v] = np.eye(v)
+    jumps[:, r + 3 : r + 3 + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
     return Noise(
         rest=rest,
         merged=_diagonal([rest[turns.first], _turn_noise(problem, unseen)]),
         rest_directions=at_rest,
-        merged_directions=(bias[:, :, :n], bias[:, :, n:], rotation, velocity[:, :, :3], jumps[:, :, :3]),
+        merged_directions=(bias[:, :, :n], bias[:, :, n:], rotation, velocity, jumps),
     )
 
 
@@ -470,6 +495,8 @@ def _turn_noise(problem: Problem, unseen: float) -> Array:
     out[:, 3:, :3] = across @ rotation
     out[:, :3, 3:] = np.swapaxes(out[:, 3:, :3], 1, 2)
     out[:, 3:, 3:] = turns.velocity_covariance + 4.0 / 3.0 * third
+    if not problem.instrument.in_velocities:
+        out = out[:, :3, :3]
     if readings is None:
         return out
     assert problem.observations.gyro_block is not None

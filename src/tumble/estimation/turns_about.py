@@ -1,9 +1,10 @@
 """The turns of a session about the parameters they were integrated with: how rotation and velocity change with others.
 
-With the moments of a turn (`tumble.reduction.moments`) and s_p the column of sensor p in the left inverse, a change ΔK of
-the coefficients of a reading turns C into exp([φ×]) C and adds to V,
+With the moments of a turn (`tumble.reduction.moments`) and s_p the column of sensor p in the left inverse, a change
+ΔK of the coefficients of a reading turns C into exp([φ×]) C and adds to V,
 
-    φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers     (A6)
+    φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers
+    (A6)
 
 for every function b of every sensor p. Lever arms and delays enter V alone, Eqs. (6) and (7).
 """
@@ -37,10 +38,10 @@ VELOCITY_SHARE = 0.1  # of the noise of its velocity
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnsAbout:
-    """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and accelerometers
-    and a `lateness` of these, s. Their moments, and by_phi (K, 3, n, 15) and by_V (K, 3, n, 15) of the gyros and by_force
-    (K, 3, n, 15) of the accelerometers, P and Q of the module's docstring; `levers` (K, 3, 3(n − 1)) and `delay` (K, 3)
-    are −∂V of lever arms and of the delay."""
+    """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and
+    accelerometers and a `lateness` of these, s. Their moments, and by_phi (K, 3, n, 15) and by_V (K, 3, n, 15) of
+    the gyros and by_force (K, 3, n, 15) of the accelerometers, P and Q of the module's docstring; `levers` (K, 3,
+    3(n − 1)) and `delay` (K, 3) are −∂V of lever arms and of the delay."""
 
     rate: Array
     force: Array
@@ -126,10 +127,8 @@ class TurnsAbout:
         gyro, accel = instrument.gyro, instrument.accel
         assert gyro is not None
         of_gyro, of_accel = instrument.derivative(gyro, values), instrument.derivative(accel, values)
-        m = len(values)
-        flat_gyro, flat_accel = of_gyro.reshape(-1, m), of_accel.reshape(-1, m)
-        phi = self.by_phi.reshape(len(self.C), 3, -1) @ flat_gyro
-        V = self.by_V.reshape(len(self.C), 3, -1) @ flat_gyro + self.by_force.reshape(len(self.C), 3, -1) @ flat_accel
+        phi = np.tensordot(self.by_phi, of_gyro, axes=2)
+        V = np.tensordot(self.by_V, of_gyro, axes=2) + np.tensordot(self.by_force, of_accel, axes=2)
         levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
         if levers is not None:
             V[:, :, levers] = self.levers

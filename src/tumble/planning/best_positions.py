@@ -102,6 +102,13 @@ class Criterion:
         return np.asarray(np.sqrt((u**2).sum(axis=(1, 2)) / np.isfinite(self.weight).sum()))
 
 
+def _timeless(setup: Setup) -> Setup:
+    """A set-up whose instrument does not change with time, for positions are sought without when they are taken."""
+    instrument = instrument_of(setup, gyros=True)
+    timeless = {group.name for group in instrument.further if group.variable is None}
+    return replace(setup, further={name: spread for name, spread in setup.further.items() if name in timeless})
+
+
 # What a programme and its candidates show
 
 

@@ -287,11 +287,13 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
     accel = noise.accel_white**2 / setup.rest + ACCEL_FLOOR**2
     gyro = noise.gyro_white**2 / setup.rest + GYRO_FLOOR**2
     n = 3 if gyros else 0
-    none = np.zeros(N)
+    moved = np.zeros(N)
+    moved[course.first + 1] = course.seconds
+    start = setup.rest * np.arange(N) + np.cumsum(moved)
     return Rests(
         file=np.zeros(N, dtype=np.int64),
-        start=none,
-        stop=none + setup.rest,
+        start=start,
+        stop=start + setup.rest,
         accel=setup.gravity * course.attitudes[:, 1],
         accel_covariance=np.broadcast_to(accel * np.eye(3), (N, 3, 3)),
         accel_drift=np.zeros((N, 3)),

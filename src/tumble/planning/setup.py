@@ -19,7 +19,7 @@ from tumble.earth import normal_gravity
 from tumble.errors import InputError
 from tumble.programme.positions import Programme
 from tumble.programme.positions import programme as built_in
-from tumble.sensors.grades import GRADES, NoiseModel, Spread, guessed_grade
+from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_of
 from tumble.units import DEGREE
@@ -125,15 +125,6 @@ class Setup:
             gravity=normal_gravity(latitude, HEIGHT) if gravity is None else gravity,
             gravity_u=gravity_u,
         )
-
-
-def priors_of(setup: Setup) -> dict[str, float]:
-    """What is usual of the groups beyond the linear model, SI, in instruments like that of a set-up: its own spreads, else
-    those of its grade, of the one with the nearest noise where it is called otherwise."""
-    name, noise = setup.instrument, setup.noise
-    if name not in GRADES:
-        name = guessed_grade(noise.accel_white, noise.gyro_white)
-    return usual_of(name) | dict(setup.further)
 
 
 def check_setup(setup: Setup, iterations: int) -> None:

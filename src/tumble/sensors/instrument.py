@@ -2,12 +2,13 @@
 
 The vector holds bias, scale-factor error and axis angles of the accelerometers, then of the gyros, then the further
 groups in the order of the table (`tumble.sensors.parameters`). `coefficients` makes of it the arrays K of both blocks,
-with which a reading is y_p = Σ_b K_pb β_pb(f, ω); `derivatives` their derivatives. Lever arms and delays are in neither.
+with which a reading is y_p = Σ_b K_pb β_pb(f, ω); `derivatives` their derivatives. Lever arms and delays are in
+neither.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,7 +26,9 @@ from tumble.sensors.parameters import (
     RATE,
     Motion,
     ParameterGroup,
+    Variable,
     groups,
+    positions_by_group,
 )
 from tumble.units import Array, IntArray
 
@@ -41,8 +44,11 @@ class Instrument:
     further: tuple[ParameterGroup, ...] = ()
 
     @staticmethod
-    def of(accel: Block, gyro: Block | None, names: Sequence[str] | None = None) -> Instrument:
-        """The instrument with the further groups of these names, all of the table that fit its sensors where None."""
+    def of(
+        accel: Block, gyro: Block | None, names: Container[str] | None = None, variables: Container[str] = ("time",)
+    ) -> Instrument:
+        """The instrument with the further groups of these names, all of the table that fit its sensors where None;
+        changes only with `variables` that are known."""
         blocks = {"accel": accel} | ({} if gyro is None else {"gyro": gyro})
         chosen = [
             group
@@ -51,6 +57,7 @@ class Instrument:
             and group.kind in blocks
             and (names is None or group.name in names)
             and (gyro is not None or group.motion is None)
+            and (group.variable is None or group.variable in variables)
         ]
         return Instrument(accel=accel, gyro=gyro, further=tuple(chosen))
 
@@ -93,6 +100,35 @@ class Instrument:
     def in_motion(self, motion: Motion) -> slice | None:
         """Where the parameters stand that a turn alone sees in this way."""
         return next((self.members[g.name] for g in self.further if g.motion == motion), None)
+
+    @cached_property
+    def changes(self) -> list[tuple[slice, slice, Variable]]:
+        """Where the parameters stand that are changes of others, where these stand, and what they go with."""
+        return [
+            (self.members[group.name], self.group_columns(group.base), group.variable)
+            for group in self.further
+            if group.base is not None and group.variable is not None
+        ]
+
+    def group_columns(self, name: str) -> slice:
+        """Where the parameters of a group stand."""
+        if name in self.members:
+            return self.members[name]
+        places = positions_by_group(self.names)[name]
+        return slice(places[0], places[-1] + 1)
+
+    def drift(self, block: Block, values: Array) -> Array:
+        """∂K/∂t (n, 15), 1/s, of a block from the parameters that change with time."""
+        out = np.zeros((block.size, FUNCTIONS))
+        for own, base, variable in self.changes:
+            if variable == "time":
+                out += self.derivative(block, values)[:, :, base] @ values[own]
+        return out
+
+    @cached_property
+    def in_velocities(self) -> bool:
+        """Whether the velocities of turns can be predicted: lever arms and delays enter them as much as all else."""
+        return self.gyro is not None and None not in (self.in_motion("lever"), self.in_motion("delay"))
 
     def levers(self, values: Array) -> Array:
         """Lever arms (n, 3), m, of the accelerometers by channel; zero where there are none."""
@@ -175,17 +211,24 @@ def functions(block: Block, force: Array, rate: Array) -> Array:
 
 
 def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
-    """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces and rates of the body, (N, 3), or (N, n, 3) where those
-    at each sensor are others."""
-    force, rate = (x[:, None] if x.ndim == 2 else x for x in (force, rate))
-    out = np.einsum("npk,pk->np", *((force, K[:, FORCE]) if block.kind == "accel" else (rate, K[:, RATE])))
-    out += K[:, CONSTANT]
-    if not np.any(np.delete(K, np.r_[CONSTANT, _measured(block)], axis=1)):
+    """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
+    others, and rates (N, 3) of the body."""
+    shape = (len(rate), block.size, 3)
+    force, rate = np.broadcast_to(force[:, None] if force.ndim == 2 else force, shape), np.broadcast_to(rate[:, None], shape)
+    measured, other = (force, rate) if block.kind == "accel" else (rate, force)
+    linear = _measured(block)
+    out = np.einsum("npk,pk->np", measured, K[:, linear]) + K[:, CONSTANT]
+    if is_linear(block, K):
         return out
-    own = np.einsum("npk,pk->np", force if block.kind == "accel" else rate, block.axes)
-    out += np.einsum("npk,pk->np", *((rate, K[:, RATE]) if block.kind == "accel" else (force, K[:, FORCE])))
+    own = np.einsum("npk,pk->np", measured, block.axes)
+    out += np.einsum("npk,pk->np", other, K[:, RATE if linear == FORCE else FORCE])
     out += np.einsum("npb,pb->np", force[..., _FIRST] * force[..., _SECOND], K[:, PRODUCTS])
     return np.asarray(out + np.abs(own) * K[:, OWN_SIZE] + own**3 * K[:, OWN_CUBE])
+
+
+def is_linear(block: Block, K: Array) -> bool:
+    """Whether the readings of a block are linear in what it measures, and of nothing else."""
+    return not np.any(np.delete(K, np.r_[CONSTANT, _measured(block)], axis=1))
 
 
 def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Array]:

@@ -32,7 +32,10 @@ CONSTANT, RATE, FORCE, PRODUCTS, OWN_SIZE, OWN_CUBE = 0, slice(1, 4), slice(4, 7
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """k and l of the products f_k f_l."""
 
-Motion = Literal["lever", "delay", "single delay"]
+Motion = Literal["lever", "delay"]
+Variable = Literal["time", "temperature", "temperature²"]
+"""What the change of a parameter within a session goes with: time from its middle, s, or temperature from the
+reference, K, and its square."""
 Regressors = Callable[[Block], Array]
 """∂K/∂θ (n, 15, m) of a block for a group's parameters."""
 
@@ -43,11 +46,12 @@ MICRO_G = 1e-6 * G_STANDARD
 class ParameterGroup:
     """A group of parameters such as "accel.quadratic", which `kind` of sensors has.
 
-    `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what reports
-    call it. `suffixes` makes the names of its parameters for a block. `limit`, SI, is how far from nominal a value may
-    reasonably be; `usual` the standard deviation over instruments of a grade, the prior where a parameter has one.
-    `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where `motion` says
-    how a turn sees the group."""
+    `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what
+    reports call it. `suffixes` makes the names of its parameters for a block. `limit`, SI, is how far from nominal a
+    value may reasonably be; `usual` the standard deviation over instruments of a grade, the prior where a parameter
+    has one. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where
+    `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
+    `variable`."""
 
     name: str
     kind: SensorKind
@@ -59,15 +63,22 @@ class ParameterGroup:
     usual: Mapping[str, float] = field(default_factory=dict)
     regressors: Regressors | None = None
     motion: Motion | None = None
+    base: str | None = None
+    variable: Variable | None = None
 
     @property
     def linear(self) -> bool:
         """Whether the group belongs to the 21 of the linear model: bias, scale factor and axis angles."""
-        return self.regressors is None and self.motion is None
+        return self.regressors is None and self.motion is None and self.base is None
 
     def names(self, block: Block) -> tuple[str, ...]:
         """Parameter names for a block of sensors."""
-        return tuple(f"{self.name}.{suffix}" if suffix else self.name for suffix in self.suffixes(block))
+        stem, ending = (self.name, "") if self.base is None else (self.base, f".{_ENDINGS[self.variable]}")
+        return tuple(f"{stem}.{suffix}{ending}" if suffix else f"{stem}{ending}" for suffix in self.suffixes(block))
+
+
+_ENDINGS: dict[Variable | None, str] = {"time": "drift", "temperature": "t1", "temperature²": "t2"}
+"""How the name of a parameter ends that is the change of another."""
 
 
 def _every_sensor(block: Block) -> tuple[str, ...]:
@@ -236,6 +247,54 @@ FURTHER: list[ParameterGroup] = [
 """The groups beyond the linear model, in the order of the calibration file."""
 
 
+def _changing(base: str, variable: Variable, usual: dict[str, float], shown: tuple[tuple[float, str], ...]) -> None:
+    """Add the change of a group of the linear model with a variable to the table."""
+    group = next(group for group in LINEAR if group.name == base)
+    per, said = {"time": ("s", "drift of the "), "temperature": ("K", "slope over temperature of the ")}.get(
+        variable, ("K^2", "curvature over temperature of the ")
+    )
+    FURTHER.append(
+        ParameterGroup(
+            name=f"{base}.{_ENDINGS[variable]}",
+            kind=group.kind,
+            unit=f"{group.unit}/{per}" if group.unit != "1" else f"1/{per}",
+            words=said + group.words,
+            suffixes=group.suffixes,
+            limit=group.limit,
+            shown=shown,
+            usual=usual,
+            base=base,
+            variable=variable,
+        )
+    )
+
+
+def _scaled(values: dict[str, float], factor: float) -> dict[str, float]:
+    return {grade: factor * value for grade, value in values.items()}
+
+
+_HOUR = 3600.0
+for _base, _units, _per_hour, _per_kelvin in (
+    (
+        "accel.bias",
+        _MASS,
+        _scaled(_grades(20.0, 200.0, 2e3, 5e3), MICRO_G),
+        _scaled(_grades(20.0, 50.0, 300.0, 1e3), MICRO_G),
+    ),
+    ("accel.scale", _PARTS, _grades(10e-6, 50e-6, 200e-6, 500e-6), _grades(20e-6, 30e-6, 150e-6, 300e-6)),
+    (
+        "gyro.bias",
+        _TURN_RATE,
+        _scaled(_grades(0.005, 0.5, 50.0, 200.0), DEGREE_PER_HOUR),
+        _scaled(_grades(0.01, 1.0, 80.0, 200.0), DEGREE_PER_HOUR),
+    ),
+    ("gyro.scale", _PARTS, _grades(5e-6, 50e-6, 200e-6, 500e-6), _grades(10e-6, 30e-6, 200e-6, 400e-6)),
+):
+    _hourly = tuple((size / _HOUR, f"{name}/h") for size, name in _units)
+    _changing(_base, "time", _scaled(_per_hour, 1.0 / _HOUR), _hourly)
+    _changing(_base, "temperature", _per_kelvin, tuple((size, f"{name}/°C") for size, name in _units))
+
+
 def groups() -> tuple[ParameterGroup, ...]:
     """All groups, in the order of the calibration file."""
     return (*LINEAR, *FURTHER)
@@ -247,8 +306,9 @@ def usual_of(grade: str) -> dict[str, float]:
 
 
 def group_name(parameter: str) -> str:
-    """The group of a parameter: "accel.bias" of "accel.bias.x"."""
-    return ".".join(parameter.split(".")[:2])
+    """The group of a parameter: "accel.bias" of "accel.bias.x", "accel.bias.t1" of "accel.bias.x.t1"."""
+    parts = parameter.split(".")
+    return ".".join([*parts[:2], *(parts[-1:] if parts[-1] in _ENDINGS.values() else [])])
 
 
 def sensor_kind(parameter: str) -> str:

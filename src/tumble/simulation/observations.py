@@ -12,7 +12,8 @@ gyro model without an error of discretisation. These samples (SAMPLES a turn, wi
 `Observations.turns_about` works as it does for a log, and with them readings of the accelerometers: the exact mean of
 gravity over each interval through their model, with bias and white noise. The sensitivities M and B are midpoint sums
 over the samples, right to about 1e-4. A log made by `simulate` differs in that its turns have ramps and geographic
-axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are the true ones.
+axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are
+the true ones.
 
 What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than a bias that is
 drawn anew at every rest and held through the move that follows (`NoiseModel`), of which the covariances know nothing.
@@ -36,6 +37,7 @@ from tumble.reduction.observations import (
     GYRO_FLOOR,
     TURN_FLOOR,
     VELOCITY_FLOOR,
+    VELOCITY_STEP,
     Observations,
     Rests,
     TurnReadings,
@@ -90,11 +92,12 @@ def simulate_observations(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _NoisyBlock:
-    """A block at work: its coefficients K (n, 15), the change (N, n) that its bias has at each rest and in the move that
-    follows, and the density of its white noise."""
+    """A block at work: its coefficients K (n, 15) in the middle of the session and their drift, 1/s, the change (N, n) that
+    its bias has at each rest and in the move that follows, and the density of its white noise."""
 
     block: Block
     coefficients: Array
+    drift: Array
     bias: Array
     white: float
 
@@ -109,26 +112,27 @@ class _NoisyBlock:
         return _NoisyBlock(
             block=block,
             coefficients=scenario.instrument.coefficients(block, scenario.values),
+            drift=scenario.instrument.drift(block, scenario.values),
             bias=instability * rng.standard_normal((rests, block.size)),
             white=white,
         )
 
-    def mean(self, force: Array, rate: Array, seconds: Array, rng: np.random.Generator) -> Array:
-        """Mean readings (N, n) in constant forces and rates (N, 3) over so many seconds (N,)."""
+    def mean(self, force: Array, rate: Array, when: Array, seconds: Array, rng: np.random.Generator) -> Array:
+        """Mean readings (N, n) in constant forces and rates (N, 3) over so many seconds (N,) about times (N,)."""
         noise = self.white / np.sqrt(seconds)[:, None] * rng.standard_normal(self.bias.shape)
-        return readings(self.block, self.coefficients, force, rate) + self.bias + noise
+        return self._read(force, rate, when) + self.bias + noise
 
-    def sampled(self, force: Array, rate: Array, first: IntArray) -> Array:
-        """Readings (K, S, n) without white noise in the moves after the rests `first` (K,), for forces (K, S, n, 3) at the
-        sensors and rates (K, S, 3) of the body."""
+    def sampled(self, force: Array, rate: Array, when: Array, first: IntArray) -> Array:
+        """Readings (K, S, n) without white noise in the moves after the rests `first` (K,) about times (K,), for forces
+        (K, S, 3), or (K, S, n, 3) where those at each sensor are others, and rates (K, S, 3) of the body."""
         K, S = rate.shape[:2]
-        flat = readings(
-            self.block,
-            self.coefficients,
-            force.reshape(K * S, *force.shape[2:]),
-            rate.reshape(K * S, 3) if force.ndim == 3 else np.repeat(rate.reshape(K * S, 1, 3), force.shape[2], axis=1),
-        )
-        return np.asarray(flat.reshape(K, S, -1) + self.bias[first][:, None])
+        flat = force.reshape(K * S, *force.shape[2:]), rate.reshape(K * S, 3)
+        return np.asarray(self._read(*flat, np.repeat(when, S)).reshape(K, S, -1) + self.bias[first][:, None])
+
+    def _read(self, force: Array, rate: Array, when: Array) -> Array:
+        """Readings (N, n) at times (N,), s, from the middle of the session."""
+        out = readings(self.block, self.coefficients, force, rate)
+        return out + when[:, None] * readings(self.block, self.drift, force, rate) if np.any(self.drift) else out
 
     def covariance(self, seconds: Array, floor: float) -> Array:
         """Covariance (N, n, n) of the means over so many seconds."""
@@ -143,15 +147,16 @@ def _rests(
     seconds = stop - start
     force = scenario.site.gravity * way.attitudes[:, 1]
     rate = np.array(earth_rate(scenario.latitude)) @ way.attitudes
+    when = way.times
     return Rests(
         file=np.zeros(len(start), dtype=np.int64),
         start=start,
         stop=stop,
-        accel=accel.mean(force, rate, seconds, rng),
+        accel=accel.mean(force, rate, when, seconds, rng),
         accel_covariance=accel.covariance(seconds, ACCEL_FLOOR),
         accel_drift=np.zeros_like(accel.bias),
         accel_noise=np.full_like(accel.bias, accel.white),
-        gyro=gyro.mean(force, rate, seconds, rng),
+        gyro=gyro.mean(force, rate, when, seconds, rng),
         gyro_covariance=gyro.covariance(seconds, GYRO_FLOOR),
         gyro_drift=np.zeros_like(gyro.bias),
         gyro_noise=np.full_like(gyro.bias, gyro.white),
@@ -170,14 +175,14 @@ def _turns(
     before, after = way.attitudes[first], way.attitudes[first + 1]
     vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
     dt = T / SAMPLES
-    late = scenario.instrument.delay(scenario.values)
+    late, when = scenario.instrument.delay(scenario.values), 0.5 * (way.times[first] + way.times[first + 1])
     rate = np.repeat((vector / T[:, None])[:, None], SAMPLES + AHEAD, axis=1)
     force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
-    sampled = gyro.sampled(force, rate, first)
+    sampled = gyro.sampled(force, rate, when, first)
     sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
     if late != 0.0:
         force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T, late)
-    felt = accel.sampled(_with_levers(scenario, way, first, force, vector, T), rate, first)
+    felt = accel.sampled(_with_levers(scenario, way, first, force, vector, T), rate, when, first)
     felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     stored = MotionSamples()
     stored.append(
@@ -188,6 +193,8 @@ def _turns(
     start = AHEAD + (SAMPLES + AHEAD) * np.arange(K)
     to_force = np.linalg.pinv(scenario.accel.axes)
     spread = np.trace(to_force @ to_force.T) / 3.0
+    step = np.linalg.norm(vector, axis=1) / SAMPLES
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
     turns = Turns(
         first=first,
         last=first + 1,
@@ -197,7 +204,7 @@ def _turns(
         B=np.zeros((K, 3, 3)),
         covariance=gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3),
         velocity=np.zeros((K, 3)),
-        velocity_covariance=(accel.white**2 * T * spread + VELOCITY_FLOOR**2)[:, None, None] * np.eye(3),
+        velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
         jumps=np.zeros(K),
     )
     variance = gyro.white**2 * T + TURN_FLOOR**2

@@ -27,9 +27,8 @@ import numpy as np
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.rotation import UP, skew
-from tumble.sensors.instrument import readings
+from tumble.sensors.instrument import is_linear, readings
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import CONSTANT, FORCE, RATE
 from tumble.simulation.scenario import Scenario, itinerary
 from tumble.units import Array
 
@@ -39,7 +38,6 @@ _NODES, _WEIGHTS = 0.5 * (_LEGENDRE[0] + 1.0), 0.5 * _LEGENDRE[1]
 _PANELS_PER_CYCLE = 4.0
 _MAX_SAMPLES = 30_000_000
 """Eight hours at 1 kHz, 1.5 GB."""
-_MEASURED = {"accel": FORCE, "gyro": RATE}
 _CHUNK = 1 << 13
 """Samples made at a time."""
 
@@ -89,7 +87,7 @@ def _readings(
     N = int(math.floor(rests[-1, 1] * fs + 1e-6))
     late = scenario.instrument.delay(scenario.values)
     made = [
-        _block_readings(_SampledBlock.of(block, scenario, N, own, behind), attitudes, moves, rests)
+        _block_readings(_SampledBlock.of(block, scenario, rests, own, behind), attitudes, moves, rests)
         for block, own, behind in zip((scenario.accel, scenario.gyro), rng.spawn(2), (late, 0.0), strict=True)
     ]
     return np.arange(1, N + 1) / fs, made[0].T, made[1].T
@@ -119,12 +117,15 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _SampledBlock:
-    """One block at work: its coefficients K (n, 15) and lever arms (n, 3), by how much it is `late`, s, the noise `sigma`
-    of a sample, its readings (n, N) as they fill up, and the change that its bias has in the current rest and move."""
+    """One block at work: its coefficients K (n, 15) and their drift, 1/s, from the `middle` of the session, s, lever arms
+    (n, 3), by how much it is `late`, s, the noise `sigma` of a sample, its readings (n, N) as they fill up, and the change
+    that its bias has in the current rest and move."""
 
     block: Block
     scenario: Scenario
     coefficients: Array
+    drift: Array
+    middle: float
     arms: Array
     late: float
     sigma: float
@@ -134,14 +135,16 @@ class _SampledBlock:
     readings: Array
 
     @staticmethod
-    def of(block: Block, scenario: Scenario, samples: int, rng: np.random.Generator, late: float) -> _SampledBlock:
+    def of(block: Block, scenario: Scenario, rests: Array, rng: np.random.Generator, late: float) -> _SampledBlock:
         """A block, ready to fill."""
         noise, root, instrument = scenario.noise, math.sqrt(scenario.profile.sample_rate), scenario.instrument
-        accel = block.kind == "accel"
+        accel, samples = block.kind == "accel", math.floor(rests[-1, 1] * scenario.profile.sample_rate + 1e-6)
         return _SampledBlock(
             block=block,
             scenario=scenario,
             coefficients=instrument.coefficients(block, scenario.values),
+            drift=instrument.drift(block, scenario.values),
+            middle=0.25 * float(rests[0].sum() + rests[-1].sum()),
             arms=instrument.levers(scenario.values) if accel else np.zeros((block.size, 3)),
             late=late,
             sigma=root * (noise.accel_white if accel else noise.gyro_white),
@@ -154,8 +157,7 @@ class _SampledBlock:
     @property
     def linear(self) -> bool:
         """Whether the mean reading of a sample is that of the mean of what the block measures."""
-        own = _MEASURED[self.block.kind]
-        return not (np.any(self.arms) or np.any(np.delete(self.coefficients, np.r_[CONSTANT, own], axis=1)))
+        return not np.any(self.arms) and is_linear(self.block, self.coefficients)
 
     def draw_bias(self) -> None:
         self.bias = self.instability * self.rng.standard_normal(self.block.size)
@@ -167,26 +169,30 @@ class _SampledBlock:
         if self.sigma > 0.0:
             out += self.sigma * self.rng.standard_normal(out.shape)
 
-    def read(self, force: Array, rate: Array, change: Array) -> Array:
-        """Readings (N, n) in forces, rates and angular accelerations (N, 3) of the body: at a lever arm r the force is
-        f + [ω̇×]r + [ω×]²r."""
-        if not np.any(self.arms):
-            return readings(self.block, self.coefficients, force, rate)
-        around = skew(change) + skew(rate) @ skew(rate)
-        at_sensors = force[:, None] + np.einsum("nij,pj->npi", around, self.arms)
-        return readings(self.block, self.coefficients, at_sensors, np.broadcast_to(rate[:, None], at_sensors.shape))
+    def read(self, force: Array, rate: Array, change: Array, when: Array) -> Array:
+        """Readings (N, n) in forces, rates and angular accelerations (N, 3) of the body at times (N,), s: at a lever arm r
+        the force is f + [ω̇×]r + [ω×]²r."""
+        if np.any(self.arms):
+            around = skew(change) + skew(rate) @ skew(rate)
+            force = force[:, None] + np.einsum("nij,pj->npi", around, self.arms)
+        out = readings(self.block, self.coefficients, force, rate)
+        if np.any(self.drift):
+            out = out + (when - self.middle)[:, None] * readings(self.block, self.drift, force, rate)
+        return out
 
     def at_rest(self, L: Array, first: int, last: int) -> Array:
-        """Mean readings of samples [first, last) at rest: (1, n), or with vibration those of every sample."""
+        """Mean readings of samples [first, last) at rest: (1, n), or with vibration or drift those of every sample."""
         scenario = self.scenario
         site, vibration, fs = scenario.site, scenario.vibration, scenario.profile.sample_rate
-        force, rate = np.full(1, site.gravity), np.array(earth_rate(scenario.latitude)) @ L
+        rate = np.array(earth_rate(scenario.latitude)) @ L
+        still = vibration.amplitude == 0.0 and not np.any(self.drift)
+        middle = (np.arange(first, first + 1 if still else last) + 0.5) / fs - self.late
+        force = np.full(len(middle), site.gravity)
         if vibration.amplitude > 0.0:
-            middle = (np.arange(first, last) + 0.5) / fs - self.late
             mean = vibration.amplitude * np.sinc(vibration.frequency / fs)
             force = site.gravity + mean * np.sin(2.0 * np.pi * vibration.frequency * middle)
         rates = np.broadcast_to(rate, (len(force), 3))
-        return self.read(force[:, None] * L[1], rates, np.zeros_like(rates))
+        return self.read(force[:, None] * L[1], rates, np.zeros_like(rates), middle)
 
     def in_move(self, L: Array, move: Array, start: float, first: int, last: int) -> Array:
         """Mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`. The formulas are
@@ -209,14 +215,16 @@ class _SampledBlock:
                 (np.moveaxis(vertical * waves, 0, -1) @ _turning(n, UP) @ L).reshape(-1, 3),
                 (earth_b + rate[..., None] * axis_b).reshape(-1, 3),
                 (change[..., None] * axis_b - rate[..., None] * np.cross(axis_b, earth_b)).reshape(-1, 3),
+                (first + nodes).ravel() / fs,
             )
             return _means(np.moveaxis(means.reshape(*theta.shape, -1), -1, 0), panels, samples)
+        when = (first + samples[:-1] + 0.5) / fs
         if self.block.kind == "accel":
             force = _means(vertical * waves, panels, samples) @ _turning(n, UP) @ L
-            return readings(self.block, self.coefficients, force, np.zeros_like(force))
+            return self.read(force, np.zeros_like(force), np.zeros_like(force), when)
         turned = np.diff(profile.angle((samples + passed) / fs, total)) * fs
         mean_rate = (_means(waves, panels, samples) @ _turning(n, earth) + np.outer(turned, n)) @ L
-        return readings(self.block, self.coefficients, np.zeros_like(mean_rate), mean_rate)
+        return self.read(np.zeros_like(mean_rate), mean_rate, np.zeros_like(mean_rate), when)
 
 
 def _turning(n: Array, vector: Array) -> Array:

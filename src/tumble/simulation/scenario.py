@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.planning.setup import Setup, priors_of
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
 from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vector_near
@@ -147,7 +147,7 @@ def scenario_of(
         site=Site(latitude=setup.latitude, height=setup.height, gravity=setup.gravity, gravity_u=setup.gravity_u),
         vibration=vibration,
         serial=serial,
-        usual=priors_of(setup),
+        usual=setup.further,
     )
 
 
@@ -200,6 +200,12 @@ class Itinerary:
     moves: Array
     positions: tuple[int, ...]
     programmed: tuple[bool, ...]
+
+    @property
+    def times(self) -> Array:
+        """Times (R,) of the rests, s, from the middle of the session."""
+        middle = self.rests.mean(axis=1)
+        return np.asarray(middle - 0.5 * (middle[0] + middle[-1]))
 
 
 def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
