@@ -4,7 +4,8 @@ How good a programme is (`Criterion`), smaller being better: by "A" the root mea
 are the spreads of `tumble.estimation.estimate` or wanted accuracies; by "D" the geometric mean of the semi-axes of
 the ellipsoid of uncertainty, which does not depend on weights. A prior as wide as the spreads makes either finite
 while positions are too few; afterwards it counts for nothing. Groups of parameters beyond the linear model have their
-usual spreads as prior; they count by A only where an accuracy of them is wanted.
+usual spreads as prior; they count by A only where an accuracy of them is wanted. Drifts with time are left out, as a
+position is sought before it is known when it comes.
 
 A position costs little to add or to exchange. Eliminating the attitudes of all rests before it leaves three rows on the
 attitude of the last of them and a triangle on the parameters (`tumble.estimation.elimination`), and those after it
@@ -249,6 +250,7 @@ def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: TurnTable =
     Raises InputError for fewer than two positions, for values that make no sense, and where there is no noise."""
     if positions < 2:
         raise InputError(f"positions: expected at least 2, found {positions}")
+    setup = _timeless(setup)
     places = Places.of(table, setup, gyros=aim.gyros)
     starts = [int(np.argmax(places.attitudes[:, 1, p] > UPRIGHT)) for p in range(3)]
     found = [_from(start, positions, places, setup, aim, first) for start in starts for first in _FIRST[aim.letter]]
@@ -298,8 +300,9 @@ def next_positions(setup: Setup, aim: Aim = Aim(), table: TurnTable = ANY, *, co
     """The positions that a set-up's programme gains most by, the best first; of equally good ones the first.
 
     Raises InputError for values that make no sense, and where there is no noise."""
-    places = Places.of(table, setup, gyros=aim.gyros, last=setup.programme.positions[-1])
-    before, values, legs = candidates(setup, aim, places)
+    timeless = _timeless(setup)
+    places = Places.of(table, timeless, gyros=aim.gyros, last=setup.programme.positions[-1])
+    before, values, legs = candidates(timeless, aim, places)
     order = np.argsort(values, kind="stable")
     steps = np.flatnonzero(np.diff(np.log(values[order])) > ALIKE)
     found = []
@@ -365,7 +368,7 @@ class Compared:
 def compared(setup: Setup, programmes: Sequence[Programme], aim: Aim = Aim()) -> tuple[Compared, ...]:
     """Programmes beside each other in the same set-up. Raises InputError."""
     return tuple(
-        Compared(programme=listed, bound=bound(one, gyros=aim.gyros), value=value_of(one, aim))
+        Compared(programme=listed, bound=bound(one, gyros=aim.gyros), value=value_of(_timeless(one), aim))
         for listed, one in ((listed, replace(setup, programme=listed)) for listed in programmes)
     )
 

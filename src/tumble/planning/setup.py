@@ -10,7 +10,7 @@ What is usual stands in `tumble.usual_setup` alone.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from collections.abc import Mapping
 from typing import Literal
@@ -125,6 +125,13 @@ class Setup:
             gravity=normal_gravity(latitude, HEIGHT) if gravity is None else gravity,
             gravity_u=gravity_u,
         )
+
+
+def with_all_groups(setup: Setup) -> Setup:
+    """A set-up whose instrument has all groups of parameters, of the usual spreads of its grade, or of navigation
+    grade where it is called otherwise."""
+    grade = setup.instrument if setup.instrument in GRADES else GRADE
+    return replace(setup, further=usual_of(grade) | dict(setup.further))
 
 
 def check_setup(setup: Setup, iterations: int) -> None:

@@ -81,7 +81,7 @@ def steady_moments(vector: Array, T: Array, start: Array, setup: Setup, own: Own
         Psi_gyro=_sums(dt, crossed, of_gyro),
         Phi_accel=_sums(dt, C, own_accel).reshape(K, 3, 3, 2, m),
         body=np.einsum("kn,knb->kb", dt, beta).reshape(K, REGRESSORS),
-        body_W=np.einsum("kn,knb->kb", dt, squares),
+        body_rates=np.einsum("kn,knb->kb", dt, squares),
         body_gyro=np.einsum("kn,knb->kb", dt, of_gyro),
         body_accel=np.einsum("kn,knb->kb", dt, own_accel).reshape(K, 2, m),
         jumps=np.zeros(K),
