@@ -27,8 +27,8 @@ from tumble.errors import InputError
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import DETERMINED
 from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
