@@ -14,7 +14,6 @@ first two that are named.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,8 +21,9 @@ from scipy.signal import lfilter
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.estimation.diagnosis import verdict
-from tumble.estimation.estimate import Estimate, Outcome
+from tumble.estimation.estimate import Outcome
 from tumble.estimation.methods.joint import joint
+from tumble.estimation.misfit import misfit
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.moments import BlockCompensation, Compensation, integrate
@@ -43,7 +43,7 @@ STILL = 0.5  # s, at both ends of a turn
 RAMP = 2.0  # s, from rest to the full rate of the table
 NODES = np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])  # of the middle of the interval, in intervals
 SHARES = np.array([5.0, 8.0, 5.0]) / 18.0
-CHANGED = "accel.bias", "accel.scale", "gyro.bias", "gyro.scale"
+PLAY = 0.1 * G_STANDARD / 2.0  # m/s²: half the width of the play of a hysteresis
 
 
 # ---------------------------------------------------------------- settings and departures
@@ -79,7 +79,7 @@ SETTINGS = (
 class Departure:
     """What an instrument or a log has beyond the model; SI. `quadratic` K₂ and `cubic` K₃ of the accelerometers, halves
     of the differences between + and − scale factors, `nonlinearity` of the gyros: ν in ω (1 + ν (ω/10 °/s)²),
-    `hysteresis` with the sign of the last change of the own force, `memory` of the own force over 60 s, changes over
+    `hysteresis` by the play of the own force, `memory` of the own force over 60 s, changes over
     the session, the noise of a gyro in steps of its `resolution` (0: fine), shares of samples `lost` and `held`."""
 
     name: str
@@ -302,7 +302,7 @@ def departed(setting: Setting, samples: Samples, off: Departure, rng: np.random.
     accel = accel * (1.0 + off.scale_drift * passed) + off.accel_bias_drift * passed
     gyro = gyro * (1.0 + off.scale_drift * passed) + off.gyro_bias_drift * passed
     if off.hysteresis:
-        accel = accel + off.hysteresis * _last_sign(np.diff(own, axis=0, prepend=own[:1]))
+        accel = accel + off.hysteresis * _played(own)
     if off.memory:
         share = 1.0 / (60.0 * setting.rate)
         slow = lfilter([share], [1.0, share - 1.0], own - own[0], axis=0) + own[0]
@@ -321,11 +321,18 @@ def departed(setting: Setting, samples: Samples, off: Departure, rng: np.random.
     return Samples(accel=accel[kept], gyro=gyro[kept], own=own[kept], part=part[kept])
 
 
-def _last_sign(change: Array) -> Array:
-    """The sign of the last change (S, 3) that was one, 0 before the first."""
-    sign = np.where(np.abs(change) > 1e-9, np.sign(change), 0.0)
-    last = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign))[:, None], 0), axis=0)
-    return np.take_along_axis(sign, last, axis=0)
+def _played(own: Array) -> Array:
+    """Where in a play of ±PLAY the own forces (S, 3) are, −1 … 1."""
+    out = np.empty_like(own)
+    for p in range(3):
+        middle, column, moving = float(own[0, p]), out[:, p], np.flatnonzero(np.diff(own[:, p], prepend=np.inf))
+        values = own[:, p].tolist()
+        found = []
+        for i in moving.tolist():
+            middle = min(max(middle, values[i] - PLAY), values[i] + PLAY)
+            found.append((values[i] - middle) / PLAY)
+        column[:] = np.repeat(found, np.diff(np.append(moving, len(own))))
+    return out
 
 
 def observed(setting: Setting, samples: Samples) -> Observations:
@@ -381,6 +388,8 @@ def _rests(samples: Samples, spans: list[IntArray], start: Array, stop: Array) -
         values = getattr(samples, kind)
         mean = np.array([values[s].mean(axis=0) for s in spans])
         variance = np.mean([values[s].var(axis=0, ddof=1) for s in spans], axis=0)
+        if np.mean(np.diff(values[samples.part >= 0], axis=0) == 0.0) > 0.5:  # as the reduction has it
+            variance = variance + np.diff(np.unique(values[:, 0])).min() ** 2 / 12.0 * len(spans[0])
         covariance = np.array([np.diag(variance / len(s)) for s in spans])
         read |= {
             kind: mean,
@@ -396,3 +405,93 @@ def session(setting: Setting, off: Departure, seed: int) -> tuple[Observations, 
     rng = np.random.default_rng([SETTINGS.index(setting), seed])
     truth, ways = truth_of(setting, rng), ways_of(setting, rng)
     return observed(setting, departed(setting, sampled(setting, ways, truth, off), off, rng)), truth
+
+
+# ---------------------------------------------------------------- what tumble says
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Said:
+    """Of one session: normalised errors (21,) of the linear parameters, the outcome, and the causes named."""
+
+    error: Array
+    outcome: Outcome
+    causes: tuple[str, ...]
+
+
+def said_of(setting: Setting, off: Departure, seed: int) -> Said:
+    """What is said of one session."""
+    observations, truth = session(setting, off, seed)
+    estimate = joint(observations)
+    found = misfit(estimate, observations)
+    count = len(ACCEL.names) + len(GYRO.names)
+    true = np.array([truth[name] for name in estimate.names[:count]])
+    return Said(
+        error=(estimate.values[:count] - true) / estimate.u[:count],
+        outcome=verdict(estimate, observations),
+        causes=() if found is None else found.causes,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Line:
+    """One line of the result: shares of sessions that are accepted, accepted with scatter and refused; of those
+    accepted the rms normalised error and the share beyond 3 u; of those with scatter the share with the right cause
+    among the first two."""
+
+    accepted: float
+    scatter: float
+    refused: float
+    rms: float
+    beyond: float
+    right: float
+
+    @staticmethod
+    def of(sessions: list[Said], off: Departure) -> Line:
+        """The line of some sessions."""
+        by = {v: [s for s in sessions if s.outcome.verdict == v] for v in VERDICTS}
+        errors = np.array([s.error for s in by["accepted"]]).ravel()
+        with_scatter = by["accepted with scatter"]
+        right = [any(cause in off.causes for cause in s.causes[:2]) for s in with_scatter]
+        return Line(
+            accepted=len(by["accepted"]) / len(sessions),
+            scatter=len(with_scatter) / len(sessions),
+            refused=len(by["not accepted"]) / len(sessions),
+            rms=float(np.sqrt(np.mean(errors**2))) if len(errors) else 0.0,
+            beyond=float(np.mean(np.abs(errors) > 3.0)) if len(errors) else 0.0,
+            right=float(np.mean(right)) if right else 1.0,
+        )
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing wrong is accepted without a word, and what is with scatter has its cause named."""
+        silent = self.rms <= MOST_RMS and self.beyond <= MOST_BEYOND
+        return silent and self.right >= MOSTLY
+
+
+VERDICTS = ("accepted", "accepted with scatter", "not accepted")
+MOST_RMS, MOST_BEYOND, MOSTLY = 1.25, 0.02, 0.8
+
+
+def main(arguments: list[str]) -> None:
+    """Print the table and the answer. Argument: sessions a line (default 40; short: 3)."""
+    count = int(arguments[0]) if arguments else 40
+    bad = []
+    print(f"{'':38}{'setting':13}{'accepted':>9}{'scatter':>9}{'refused':>9}{'rms':>7}{'>3u':>7}{'cause':>7}")
+    for off, size in [(CLEAN, 1.0), *((off, size) for off in DEPARTURES for size in (1.0, 3.0))]:
+        for setting in SETTINGS:
+            many = count if off is not CLEAN else 5 * count
+            line = Line.of([said_of(setting, off.times(size), seed) for seed in range(many)], off)
+            name = off.name if size == 1.0 else f"{off.name}, × {size:.0f}"
+            print(
+                f"{name:38}{setting.name:13}{line.accepted:9.0%}{line.scatter:9.0%}{line.refused:9.0%}"
+                f"{line.rms:7.2f}{line.beyond:7.1%}{line.right:7.0%}{'' if line.good else '  !'}",
+                flush=True,
+            )
+            if not line.good:
+                bad.append(f"{name} ({setting.name})")
+    print(f"Is anything wrong accepted without a word? {'No.' if not bad else 'In ' + '; '.join(bad) + '.'}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
