@@ -42,6 +42,10 @@ UNSEEN = 1e-4
 WARM_UP_SHARES = (0.1, 0.3)
 """Time constants of a warm-up that are tried, in parts of the session."""
 
+LATITUDE_KNOWN = 0.01
+"""rad: gyros that know the latitude to no better hardly see the Earth's rate, nor the headings, and these are not
+linear then."""
+
 MEMORIES = (10.0, 60.0, 300.0)
 """Time constants of a memory that are tried, s."""
 
@@ -77,6 +81,8 @@ class _Columns:
     turn: Array
     unit: tuple[float, str]
     sentence: str
+    known: float = np.inf
+    """A session that knows the size to no better, SI, says nothing of it."""
 
 
 # The projection
@@ -434,6 +440,7 @@ def _latitude(session: _Session) -> _Columns:
         turn=turn,
         unit=(DEGREE, "°"),
         sentence="a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign",
+        known=LATITUDE_KNOWN,
     )
 
 
@@ -454,7 +461,9 @@ def causes(linearised: Linearised, projection: Projection) -> list[Cause]:
             found[key] = cause
     several = [replace(c, probability=min(1.0, tried[key] * c.probability)) for key, c in found.items()]
     several += _quantisation(session)
-    if session.linearised.about is not None:
+    held = list(_held(session))
+    several += held
+    if session.linearised.about is not None and not held:
         several.append(_lost(session, projection))
     return sorted(several, key=lambda cause: cause.probability)
 
@@ -467,7 +476,7 @@ def _tested(candidate: _Columns, session: _Session, projection: Projection) -> C
     left = projection.left_of(columns)
     size, directions = np.linalg.eigh(left.T @ left)
     seen = size > UNSEEN**2
-    if not seen.any():
+    if not seen.any() or 1.0 / np.sqrt(size[seen].min()) > candidate.known * length.max():
         return None
     along = directions[:, seen].T @ (left.T @ projection.residual)
     fall, q = float((along**2 / size[seen]).sum()), int(seen.sum())
@@ -491,7 +500,8 @@ def _chance(projection: Projection, scatter: Scatter, fall: float, q: int) -> fl
         return float(special.chdtrc(q, fall))
     others = max(projection.degrees - q, 1.0)
     rest = max(projection.chi_square - fall, 1e-9)
-    return float(special.fdtrc(q, others, fall / q / (rest / others)))
+    overstated = min(1.0, projection.chi_square / projection.degrees)  # noise that is less than said proves nothing
+    return float(special.fdtrc(q, others, overstated * fall / q / (rest / others)))
 
 
 COARSE = 0.5
@@ -528,6 +538,33 @@ def _quantisation(session: _Session) -> Iterator[Cause]:
                 f"{noise * root / step:.2g} of one: the mean of a rest errs by up to {rounding / scale:.2g} {unit}; log "
                 "with more digits, or use a smaller range",
             )
+
+
+def _held(session: _Session) -> Iterator[Cause]:
+    """Samples of turns whose accelerometers and gyros all read what they read in the sample before, where that is not
+    for want of resolution."""
+    samples = session.observations.turn_samples
+    if samples is None:
+        return
+    rows = same = 0
+    fewest = np.zeros(6, dtype=np.int64)
+    for start, stop in zip(samples.start.tolist(), samples.stop.tolist(), strict=True):
+        rates, forces, _ = samples.samples.read(start, stop)
+        equal = np.concatenate([np.diff(rates, axis=0) == 0.0, np.diff(forces, axis=0) == 0.0], axis=1)
+        rows, same, fewest = rows + len(equal), same + int(equal.all(axis=1).sum()), fewest + equal.sum(axis=0)
+    if same < FEWEST_HELD or same < 0.8 * fewest.min() or fewest.min() > 0.5 * rows:
+        return
+    yield Cause(
+        name="lost samples",
+        concerns="both",
+        probability=0.0,
+        damage=0.0,
+        sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: the "
+        "log holds the last sample where one is missing; record all of them",
+    )
+
+
+FEWEST_HELD = 3
 
 
 def _step(values: Array) -> float:

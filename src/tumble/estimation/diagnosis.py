@@ -23,7 +23,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.segmentation import Segmentation
 from tumble.rotation import onto_body, skew, tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import group_of, limits_of
+from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TIME_UNITS, Array, Unit
 
 UNIT_TOLERANCE = 0.25
@@ -434,7 +434,7 @@ def _described(transform: Array) -> str:
 def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
     """Whether an estimate may be used, and its accelerometers and gyros each for itself."""
     both, of_accel, of_gyro = list(estimate.reasons), [], []
-    missing = estimate.unobservable
+    missing = tuple(name for name in estimate.unobservable if name in _linear(estimate))
     unknown = {name.split(".")[0] for name in missing}
     if missing and not both:
         lists = {frozenset({"accel"}): of_accel, frozenset({"gyro"}): of_gyro}
@@ -548,12 +548,20 @@ def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]
     the worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty
     of scale factors and angles is not small against what the data resolve: u does not hold then, for effects of second
     order count."""
-    spread = limits_of(estimate.names)
-    variance, vectors = np.linalg.eigh(estimate.covariance / np.outer(spread, spread))
-    angles = np.array([".bias." not in name for name in estimate.names])  # biases are linear
+    linear = _linear(estimate)
+    spread = limits_of(linear)
+    m = len(linear)
+    variance, vectors = np.linalg.eigh(estimate.covariance[:m, :m] / np.outer(spread, spread))
+    angles = np.array([".bias." not in name for name in linear])  # biases are linear
     squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
     poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
     return vectors[:, poor].T, np.sqrt(variance[poor])
+
+
+def _linear(estimate: Estimate) -> tuple[str, ...]:
+    """Names of the parameters of the linear model, which come first; the others have priors."""
+    linear = {group.name for group in LINEAR}
+    return tuple(name for name in estimate.names if group_name(name) in linear)
 
 
 def _resolution(estimate: Estimate, observations: Observations) -> float:
@@ -586,8 +594,9 @@ def _remedy(estimate: Estimate, observations: Observations) -> str:
     rests or turns."""
     combinations, known = _weak(estimate, observations)
     site = observations.site
-    scales = np.array([name.startswith("accel.scale.") for name in estimate.names])
-    by_gravity = combinations @ (scales / limits_of(estimate.names)) * site.gravity_u / site.gravity
+    linear = _linear(estimate)
+    scales = np.array([name.startswith("accel.scale.") for name in linear])
+    by_gravity = combinations @ (scales / limits_of(linear)) * site.gravity_u / site.gravity
     if np.all(by_gravity**2 > 0.5 * known**2):
         return f"gravity is known to {site.gravity_u:g} m/s^2 only: give latitude_deg or gravity in [site]"
     return _most_helpful(estimate, observations)

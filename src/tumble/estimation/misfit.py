@@ -9,7 +9,6 @@ the 21 parameters by more than DAMAGE of its u, for then the error is not random
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,14 +82,7 @@ def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
     found = causes(linearised, Projection(linearised, linearised.scatter))
     named = [cause for cause in found if cause.probability < CAUSE_PROBABILITY]
     if larger:
-        touched = {group.concerns for group in larger}
-        named += [
-            cause
-            for cause in found
-            if CAUSE_PROBABILITY <= cause.probability < NAMED_PROBABILITY and touched & {cause.concerns, "both"}
-        ]
-        if any(group.component == "turn" for group in larger):
-            named += [_movement(linearised)]
+        named += _likely(found, {group.component for group in larger}, {group.concerns for group in larger})
     named = named[:MOST_NAMED]
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     reasons = [_too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)]
@@ -98,6 +90,19 @@ def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
     remarks = [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
     remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
     return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=tuple(cause.name for cause in named))
+
+
+def _likely(found: list[Cause], components: set[str], concerned: set[Concerns]) -> list[Cause]:
+    """Causes for a scatter that is there. What makes turns scatter and not the gyros at rest is random itself, so that
+    nothing systematic need fit well: it comes first."""
+    likely = [c for c in found if CAUSE_PROBABILITY <= c.probability and concerned & {c.concerns, "both"}]
+    random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in components else []
+    if random and random[0].probability > 0.05:
+        random.insert(0, _movement())
+    elif random:
+        random.append(_movement())
+    others = [c for c in likely if c.probability < NAMED_PROBABILITY and c not in random]
+    return others + random if "gyro" in components else random + others
 
 
 def group_chances(linearised: Linearised) -> list[float]:
@@ -159,7 +164,7 @@ def _damaging(cause: Cause) -> str:
     return f"{cause.sentence}; without it parameters err by up to {cause.damage:.2g} times their u"
 
 
-def _movement(linearised: Linearised) -> Cause:
+def _movement() -> Cause:
     """The turns scatter more than the gyros at rest."""
     return Cause(
         name="movement",
@@ -169,8 +174,3 @@ def _movement(linearised: Linearised) -> Cause:
         sentence="a device that moved after it was put down, or before it was taken up: wait until it lies still",
     )
 
-
-def named_causes(estimate: Estimate, observations: Observations) -> Iterator[str]:
-    """Names of the causes that stand out, the most likely first."""
-    found = misfit(estimate, observations)
-    yield from () if found is None else found.causes
