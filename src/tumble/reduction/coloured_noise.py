@@ -11,12 +11,17 @@ with γ_j continued by the recursion. Subtracting the mean of a rest lowers ever
 that is put back and the fit repeated until it no longer changes, without which a correlation time of a twentieth
 of the rest would be underestimated by a third. A rest that is evidently noisier or quieter than the others has
 its own level. Correlation between channels is that of the innovations.
+
+A rest more than LONG times as long as most, as the first one by hand is, shows drift that the others have no time for,
+and so much of it that it would pass for their noise. For their sake it is cut into pieces as long as they are, less those
+that are evidently noisier; it has a noise of its own, fitted to the long rests alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,6 +30,7 @@ from tumble.units import Array
 BATCHES = 120
 MAX_ORDER = 32
 LEVEL_SIGMAS = 5.0
+LONG = 2.0
 LEAST = 1e-3  # of what white noise of the same variance would give: quantisation gives more, rounding may give less
 NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 
@@ -38,6 +44,8 @@ class ColouredNoise:
     autocovariance: Array
     correlation: Array
     level: Array
+    apart: Mapping[int, tuple[ColouredNoise, int]] = field(default_factory=dict)
+    """The noise of rests that are much longer than most, by the number of the rest, and which rest of it each is."""
 
     def variance_of_mean(self, blocks: float) -> Array:
         """Variance (c,) of the mean over so many blocks, at level 1."""
@@ -45,15 +53,47 @@ class ColouredNoise:
 
     def covariance_of_mean(self, blocks: float, rest: int | None = None) -> Array:
         """Covariance (c, c) of the mean over so many blocks, at the level of a rest or at level 1."""
+        if rest in self.apart:
+            noise, index = self.apart[rest]
+            return noise.covariance_of_mean(blocks, index)
         variance = self.variance_of_mean(blocks) * (1.0 if rest is None else self.level[rest])
         return np.asarray(self.correlation * np.sqrt(np.outer(variance, variance)))
 
 
 def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
     """The noise of the block means of several rests, each (K, c), half of them with K ≥ 8."""
-    batch = max(1, round(float(np.median([len(rest) for rest in rests])) / BATCHES))
+    typical = float(np.median([len(rest) for rest in rests]))
+    long = [i for i, rest in enumerate(rests) if len(rest) > LONG * typical]
+    if not long:
+        return _fit(rests)
+    ordinary = [i for i, rest in enumerate(rests) if len(rest) <= LONG * typical]
+    pieces = [piece for i in long for piece in np.array_split(rests[i], math.ceil(len(rests[i]) / typical))]
+    alike = _alike([rests[i] for i in ordinary], pieces)
+    noise, own = _fit([rests[i] for i in ordinary] + alike), fit_coloured_noise([rests[i] for i in long])
+    level = np.empty((len(rests), rests[0].shape[1]))
+    level[ordinary], level[long] = noise.level[: len(ordinary)], own.level
+    return replace(noise, level=level, apart={rest: (own, index) for index, rest in enumerate(long)})
+
+
+def _alike(rests: list[Array], pieces: list[Array]) -> list[Array]:
+    """Those of the pieces that are not evidently noisier than the rests."""
+    noise = _fit(rests)
+    centred = _centred(rests + pieces, noise.batch)
+    levels = [_levels([x[:, c] for x in centred], a) for c, a in enumerate(noise.autocovariance)]
+    louder = np.max(levels, axis=0)[len(rests) :] > 1.0
+    return [piece for piece, loud in zip(pieces, louder, strict=True) if not loud]
+
+
+def _centred(rests: Sequence[Array], batch: int) -> list[Array]:
+    """Means of every `batch` blocks of each rest, less their mean."""
     batched = [rest[: len(rest) // batch * batch].reshape(-1, batch, rest.shape[1]).mean(axis=1) for rest in rests]
-    centred = [rest - rest.sum(axis=0) / max(1, len(rest)) for rest in batched]
+    return [rest - rest.sum(axis=0) / max(1, len(rest)) for rest in batched]
+
+
+def _fit(rests: Sequence[Array]) -> ColouredNoise:
+    """The noise of rests of much the same length."""
+    batch = max(1, round(float(np.median([len(rest) for rest in rests])) / BATCHES))
+    centred = _centred(rests, batch)
     longest, channels = max(len(c) for c in centred), centred[0].shape[1]
     level = np.ones((len(centred), channels))
     autocovariance = np.zeros((channels, longest))
