@@ -13,8 +13,11 @@ of the rest would be underestimated by a third. A rest that is evidently noisier
 its own level. Correlation between channels is that of the innovations.
 
 A rest more than LONG times as long as most, as the first one by hand is, shows drift that the others have no time for,
-and so much of it that it would pass for their noise. For their sake it is cut into pieces as long as they are, less those
-that are evidently noisier; it has a noise of its own, fitted to the long rests alone.
+and so much of it that it would pass for their noise. For their sake it is cut into pieces as long as they are, of which
+those that are evidently noisier are left out; it has a noise of its own, fitted to the long rests alone.
+
+A drift along a line moves the mean of a rest by nothing, but would pass for noise of so long a memory that a mean does not
+get rid of it. Where the rests bend less than such noise would, the line of each rest is taken off like its mean.
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ BATCHES = 120
 MAX_ORDER = 32
 LEVEL_SIGMAS = 5.0
 LONG = 2.0
+STRAIGHT_SIGMAS = 2.3
 LEAST = 1e-3  # of what white noise of the same variance would give: quantisation gives more, rounding may give less
 NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 
@@ -99,10 +103,13 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
     autocovariance = np.zeros((channels, longest))
     innovations: list[list[Array]] = []
     for c in range(channels):
-        series = [x[:, c] for x in centred]
+        series, sloping = [x[:, c] for x in centred], False
         for _ in range(5):  # rests at their levels, until no other rest stands out
             scaled = [x / np.sqrt(s) for x, s in zip(series, level[:, c], strict=True)]
-            coefficients, autocovariance[c] = _fit_channel(scaled, longest)
+            coefficients, autocovariance[c] = _fit_channel(scaled, longest, sloping)
+            if not sloping and _straight(scaled, autocovariance[c]):
+                sloping, series = True, [_without_slope(x) for x in series]
+                continue
             levels = _levels(series, autocovariance[c])
             if np.array_equal(levels == 1.0, level[:, c] == 1.0):
                 break
@@ -120,8 +127,46 @@ def _variance_of_mean(autocovariance: Array, batches: float) -> Array:
     return np.asarray(np.maximum(variance, LEAST * autocovariance[..., 0] / batches))
 
 
-def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
-    """Prediction-error filter (1, −a₁, … −a_p) and autocovariance (longest,) of one channel."""
+def _slope(n: int) -> Array:
+    """The linear function over n samples, of mean 0 and length 1."""
+    x = np.arange(n) - 0.5 * (n - 1)
+    return np.asarray(x / max(np.linalg.norm(x), 1e-300))
+
+
+def _without_slope(series: Array) -> Array:
+    slope = _slope(len(series))
+    return np.asarray(series - (slope @ series) * slope)
+
+
+def _straight(series: list[Array], autocovariance: Array) -> bool:
+    """Whether the rests bend less than noise of this autocovariance would: the means of their thirds, first − 2 second
+    + third, which no slope changes, judged as a chi-square at STRAIGHT_SIGMAS (Wilson and Hilferty)."""
+    if autocovariance[0] <= 0.0:
+        return False
+    ratio = []
+    for x in series:
+        third = len(x) // 3
+        if third >= 3:
+            w = np.repeat([1.0, -2.0, 1.0], third) / third
+            r = np.correlate(w, w, "full")[len(w) - 1 :]
+            expected = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1 : len(r)])
+            ratio.append((w @ x[: len(w)]) ** 2 / max(expected, 1e-12 * autocovariance[0]))
+    sigma = np.sqrt(2.0 / (9.0 * len(ratio))) if ratio else np.inf
+    return len(ratio) > 0 and float(np.cbrt(np.mean(ratio))) < 1.0 - sigma**2 - STRAIGHT_SIGMAS * sigma
+
+
+def _slope_lost(autocovariance: Array, n: int, lags: int) -> Array:
+    """By how much taking its slope off lowers the autocovariances of a rest of n samples: λ Σ q_t q_{t+j} / (n − j),
+    with the slope q and its variance λ."""
+    q = _slope(n)
+    r = np.correlate(q, q, "full")[n - 1 :]
+    variance = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1:n])
+    return np.asarray(max(variance, 0.0) * r[:lags] / (n - np.arange(lags)))
+
+
+def _fit_channel(series: list[Array], longest: int, sloping: bool) -> tuple[Array, Array]:
+    """Prediction-error filter (1, −a₁, … −a_p) and autocovariance (longest,) of one channel; `sloping`: the slope was
+    taken off the series, as the mean always is."""
     lengths = [len(x) for x in series]
     order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), sum(lengths)
     raw = np.zeros(order_limit + 1)
@@ -131,9 +176,9 @@ def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
         raw[lag] /= sum(len(x) - lag for x in long)  # pairs: another divisor would shorten the memory
     if raw[0] <= 0.0:
         return np.array([1.0]), np.zeros(longest)
-    lost = 0.0
+    lost, bent = 0.0, np.zeros(order_limit + 1)
     for _ in range(50):
-        corrected = raw + lost
+        corrected = raw + lost + bent
         filters, powers = _levinson(corrected)
         best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
         autocovariance = _continued(corrected, filters[best], longest)
@@ -141,6 +186,8 @@ def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
         if abs(now - lost) <= 1e-4 * now:
             break
         lost = now
+        if sloping:
+            bent = _slope_lost(autocovariance, int(np.median(lengths)), order_limit + 1)
     return filters[best], autocovariance
 
 
