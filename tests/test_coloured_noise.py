@@ -226,8 +226,9 @@ def test_a_vibration_averages_out() -> None:
 
 @pytest.mark.parametrize("amplitude", [0.0, 3.0, 10.0])
 def test_a_long_first_rest_that_warms_up_leaves_the_others_alone(amplitude: float) -> None:
-    """56 s with a bias that settles, then 25 rests of 5 s, as by hand; with one noise for all, u of the others was 5 and
-    70 times what it is. 20 sessions; the figures found are 1.00, 1.00 and 1.02 to 1.10, with a standard error of 0.03."""
+    """56 s with a bias that settles, then 25 rests of 5 s, as by hand; with one noise for all, u of the others was 5
+    and 70 times what it is. 20 sessions; the figures found are 1.00, 1.00 and 1.02 to 1.10, with a standard error of
+    0.03."""
     rng = np.random.default_rng(42)
     ratio, own = [], []
     for _ in range(20):

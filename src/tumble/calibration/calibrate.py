@@ -317,7 +317,7 @@ def _result(
         site=observations.site,
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
-        notes=_bridged(log) + _unchecked(estimate) + _aligned(case),
+        notes=_bridged(log) + observations.notes + _unchecked(estimate) + _aligned(case),
         provenance=provenance,
     )
 

@@ -16,8 +16,8 @@ A rest more than LONG times as long as most, as the first one by hand is, shows 
 and so much of it that it would pass for their noise. For their sake it is cut into pieces as long as they are, of which
 those that are evidently noisier are left out; it has a noise of its own, fitted to the long rests alone.
 
-A drift along a line moves the mean of a rest by nothing, but would pass for noise of so long a memory that a mean does not
-get rid of it. Where the rests bend less than such noise would, the line of each rest is taken off like its mean.
+A drift along a line moves the mean of a rest by nothing, but would pass for noise of so long a memory that a mean does
+not get rid of it. Where the rests bend less than such noise would, the line of each rest is taken off like its mean.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class ColouredNoise:
 
     def covariance_of_mean(self, blocks: float, rest: int | None = None) -> Array:
         """Covariance (c, c) of the mean over so many blocks, at the level of a rest or at level 1."""
-        if rest in self.apart:
+        if rest is not None and rest in self.apart:
             noise, index = self.apart[rest]
             return noise.covariance_of_mean(blocks, index)
         variance = self.variance_of_mean(blocks) * (1.0 if rest is None else self.level[rest])
@@ -130,7 +130,7 @@ def _variance_of_mean(autocovariance: Array, batches: float) -> Array:
 def _slope(n: int) -> Array:
     """The linear function over n samples, of mean 0 and length 1."""
     x = np.arange(n) - 0.5 * (n - 1)
-    return np.asarray(x / max(np.linalg.norm(x), 1e-300))
+    return np.asarray(x / max(float(np.linalg.norm(x)), 1e-300))
 
 
 def _without_slope(series: Array) -> Array:
@@ -176,13 +176,15 @@ def _fit_channel(series: list[Array], longest: int, sloping: bool) -> tuple[Arra
         raw[lag] /= sum(len(x) - lag for x in long)  # pairs: another divisor would shorten the memory
     if raw[0] <= 0.0:
         return np.array([1.0]), np.zeros(longest)
+    different, often = np.unique([n for n in lengths if n], return_counts=True)
+    shares = different * often / total
     lost, bent = 0.0, np.zeros(order_limit + 1)
     for _ in range(50):
         corrected = raw + lost + bent
         filters, powers = _levinson(corrected)
         best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
         autocovariance = _continued(corrected, filters[best], longest)
-        now = float(sum(n * _variance_of_mean(autocovariance, n) for n in lengths if n) / total)
+        now = float(shares @ [_variance_of_mean(autocovariance, float(n)) for n in different])
         if abs(now - lost) <= 1e-4 * now:
             break
         lost = now
@@ -227,7 +229,8 @@ def _levels(series: list[Array], autocovariance: Array) -> Array:
     if autocovariance[0] <= 0.0:
         return level
     lengths = np.array([len(series[i]) for i in long])
-    expected = autocovariance[0] - np.array([_variance_of_mean(autocovariance, n) for n in lengths])
+    different, which = np.unique(lengths, return_inverse=True)
+    expected = autocovariance[0] - np.array([_variance_of_mean(autocovariance, float(n)) for n in different])[which]
     power = np.array([series[i] @ series[i] for i in long]) / lengths / np.maximum(expected, 1e-12 * autocovariance[0])
     if np.median(power) == 0.0:
         return level

@@ -4,10 +4,11 @@ A gyro that feels specific force, 0.1 °/s/g in a MEMS unit, reads in every atti
 
     level = b + G f
 
-with the specific force f. A stretch in which the accelerometers are quiet and the gyros steady is a rest, or a turn about
-the vertical so slow that it is not seen to be one: a turn about any other axis moves the vertical, and the accelerometers
-see it. Which it is only the other stretches say. G is fitted to all of them with the sum of the distances as the measure,
-which a minority cannot bend, and a stretch off the level is accepted if the fit to the others predicts its level.
+with the specific force f. A stretch in which the accelerometers are quiet and the gyros steady is a rest, or a turn
+about the vertical so slow that it is not seen to be one: a turn about any other axis moves the vertical, and the
+accelerometers see it. Which it is only the other stretches say. G is fitted to all of them with the sum of the
+distances as the measure, which a minority cannot bend, and a stretch off the level is accepted if the fit to the
+others predicts its level.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ class GSensitivity:
 def g_sensitivity(
     force: list[Array], rates: list[Array], rests: list[list[Span]], off: list[OffLevel], limit: float, least: int
 ) -> GSensitivity | None:
-    """G from the mean forces and rates of rests of at least `least` blocks and of stretches off the level, by file. None
-    where no function of the force explains to `limit` (rad/s) the levels of most, or one level does as well."""
+    """G from the mean forces and rates of rests of at least `least` blocks and of stretches off the level, by file.
+    None where no function of the force explains to `limit` (rad/s) the levels of most, or one level does as well."""
     found = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
     stretches = found + [(s.place, s.first, s.last) for s in off]
     if len(stretches) < LEAST_STRETCHES:
@@ -80,7 +81,8 @@ def _near(rows: Array, level: Array, limit: float) -> BoolArray:
 
 
 def _least_squares(rows: Array, level: Array, weight: Array) -> Array:
-    """Bias and G (4, 3), or the bias alone (1, 3), by weighted least squares; rows are scaled so that G is 1 where it is usual, in limits."""
+    """Bias and G (4, 3), or the bias alone (1, 3), by weighted least squares; rows are scaled so that G is 1 where it
+    is usual, in limits."""
     normal = (rows * weight[:, None]).T @ rows + _usual(rows)
     return np.asarray(np.linalg.solve(normal, (rows * weight[:, None]).T @ level))
 
@@ -91,8 +93,8 @@ def _usual(rows: Array) -> Array:
 
 
 def _least_distances(rows: Array, level: Array, limit: float) -> Array:
-    """Bias and G (4, 3), or the bias alone (1, 3), with the smallest sum of distances from the levels, distances below the tenth part of `limit`
-    squared (weights iterated)."""
+    """Bias and G (4, 3), or the bias alone (1, 3), with the smallest sum of distances from the levels, distances below
+    the tenth part of `limit` squared (weights iterated)."""
     weight = np.ones(len(rows))
     for _ in range(50):
         fitted = _least_squares(rows, level, weight)

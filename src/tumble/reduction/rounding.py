@@ -6,9 +6,9 @@ the place x of the true value between two steps, smoothed by the noise,
 
     e(x) = (L/π) Σ_k (−1)^k exp(−2π²k²σ²/L²) sin(2πk x/L) / k,
 
-of mean square B(σ) = (L²/2π²) Σ_k exp(−4π²k²σ²/L²)/k² over all x: L²/12 without noise, and nothing to speak of from half
-a step of noise on. It does not fall with the length of a rest. Rests whose readings are many steps apart have errors of
-their own; rests that read the same, as gyros do, all have the same error, and it passes for a bias.
+of mean square B(σ) = (L²/2π²) Σ_k exp(−4π²k²σ²/L²)/k² over all x: L²/12 without noise, and nothing to speak of from
+half a step of noise on. It does not fall with the length of a rest. Rests whose readings are many steps apart have
+errors of their own; rests that read the same, as gyros do, all have the same error, and it passes for a bias.
 
 Source: Widrow & Kollár, Quantization Noise, 2008, on the moments of a rounded Gaussian.
 """
@@ -28,7 +28,7 @@ ON_GRID = 0.1
 GRID_SHARE = 0.95
 GRID_STEPS = 64
 """Differences of more steps than these say nothing about the grid."""
-LEAST_DIFFERENCES = 3
+LEAST_DIFFERENCES, MOST = 3, 2000
 ENOUGH_NOISE = 0.5
 """Noise, in steps, from which on rounding is forgotten."""
 _TERMS = np.arange(1, 40)
@@ -47,8 +47,8 @@ class Rounding:
 
 
 def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelState]) -> Rounding:
-    """The rounding of channels from samples (m, n) of all of a log, those (k, n) of each rest in the order of time, some
-    0.1 s apart, and the states of the channels."""
+    """The rounding of channels from samples (m, n) of all of a log, those (k, n) of each rest in the order of time,
+    some 0.1 s apart, and the states of the channels."""
     step = np.array([_step(values, channel) for values, channel in zip(samples.T, channels, strict=True)])
     changes = np.concatenate([np.zeros((1, len(step))), *(np.diff(rest, axis=0) for rest in rests)])[1:]
     scatter = np.sqrt(0.5 * (changes**2).sum(axis=0) / max(1, len(changes)))
@@ -99,7 +99,7 @@ def _step(values: Array, channel: ChannelState) -> float:
     than half of all samples repeat the one before; 0 where there is none."""
     distinct = np.unique(values)
     differences = np.diff(distinct)
-    differences = np.sort(differences[differences > 1e-12 * max(np.abs(distinct).max(initial=0.0), 1e-300)])
+    differences = np.sort(differences[differences > 1e-12 * max(np.abs(distinct).max(initial=0.0), 1e-300)])[:MOST]
     if len(differences) >= LEAST_DIFFERENCES:
         candidates = [channel.step, *np.quantile(differences, [0.0, 0.05, 0.2, 0.5])]
         for candidate in sorted({float(c) for c in candidates if np.isfinite(c)}, reverse=True):

@@ -14,9 +14,10 @@
    shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two
    rests of a file is a turn.
 4. Gyros that feel specific force have a level of their own in every attitude, and the one level of steps 1 and 2 passes
-   over rests. Stretches that are quiet and steady but off the level are therefore looked at again (`gyro_levels`): where
-   a linear function of the specific force explains the levels, it is taken off the rates, and steps 1 and 2 are repeated.
-   No stretch is accepted but one whose level the others predict, so that a slow turn about the vertical stays a turn.
+   over rests. Stretches that are quiet and steady but off the level are therefore looked at again (`gyro_levels`):
+   where a linear function of the specific force explains the levels, it is taken off the rates, and steps 1 and 2 are
+   repeated. No stretch is accepted but one whose level the others predict, so that a slow turn about the vertical
+   stays a turn.
 5. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
    are those of the movement.
 
@@ -139,17 +140,7 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
         spans = [_overlapping(new, like) for new, like in zip(spans, g.accepted, strict=True)]
         off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, window)
-    restless = [
-        _rejected(
-            reduction.files[s.place],
-            s.first,
-            s.last,
-            "level",
-            f"the accelerometers are quiet, but the gyros read {float(np.linalg.norm(s.rate)) / DEGREE:.2g} °/s off their "
-            f"level at rest, more than {rate_limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on attitude",
-        )
-        for s in off
-    ]
+    restless = [_rejected(reduction.files[s.place], s.first, s.last, "level", _off_reason(s, rate_limit)) for s in off]
     restless += [
         _rejected(
             f,
@@ -163,6 +154,14 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
     ]
     return _assemble(reduction, specific_force, rates, spans, coarse, window, scatter_limit, rate_limit, restless)
+
+
+def _off_reason(off: OffLevel, limit: float) -> str:
+    rate = float(np.linalg.norm(off.rate)) / DEGREE
+    return (
+        f"the accelerometers are quiet, but the gyros read {rate:.2g} °/s off their level at rest, more than "
+        f"{limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on attitude"
+    )
 
 
 def _resolution(channels: tuple[ChannelState, ...], rounding: float) -> float:

@@ -5,10 +5,10 @@
     shown = snapshot(reducer)      at any moment; the reducer goes on as if nobody had asked
 
 A snapshot is what the log would give if it ended here, to the bit: nothing is carried from one to the next, so that it
-cannot disagree with the result at the end. What depends on the whole log is therefore provisional. The noise floors and
-the level of the gyros are those of what there is: in the first seconds a body that is moved gently may pass for one at rest,
-and a rest may lose or gain a second at its ends, or vanish, once there is something quieter or a turn to compare with. The
-end of a rest under way is the last block. Nothing is found in the first second of a file.
+cannot disagree with the result at the end. What depends on the whole log is therefore provisional. The noise floors
+and the level of the gyros are those of what there is: in the first seconds a body that is moved gently may pass for
+one at rest, and a rest may lose or gain a second at its ends, or vanish, once there is something quieter or a turn to
+compare with. The end of a rest under way is the last block. Nothing is found in the first second of a file.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class OpenRest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenTurn:
-    """The movement since the end of the last rest of a file: `start`, s, and, with gyros, the rotation vector (3,), rad,
-    from the body then to the body now, from the blocks, right to about a degree."""
+    """The movement since the end of the last rest of a file: `start`, s, and, with gyros, the rotation vector (3,),
+    rad, from the body then to the body now, from the blocks, right to about a degree."""
 
     start: float
     rotation: Array | None
@@ -63,9 +63,10 @@ class OpenTurn:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Snapshot:
-    """The state of a recording. `segmentation` and `rests` are what the batch gives for the log so far; `turns` (K, 2)
-    are the rests at the ends of each complete turn. `rests` is None where there is none. Either the rest or the turn
-    under way may be missing, never both after the first rest of a file."""
+    """The state of a recording of so many `seconds` and `samples`: samples lost and held; the `reduction`, less a file
+    of less than FIRST_SECONDS, and what the batch finds in it, None where there is nothing yet: the `segmentation`,
+    the `rests` and the `turns` between two of them; the rest under way, or the turn, None before the first rest of a
+    file."""
 
     seconds: float
     samples: int
