@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from preintegrated import preintegrate
 from scipy.spatial.transform import Rotation
 
 from tumble.earth import earth_rate, normal_gravity
@@ -21,15 +22,14 @@ from tumble.estimation.methods.paper.compensation import (
     triad_parameters,
 )
 from tumble.estimation.methods.paper.four_stages import (
-    Course,
-    Method,
+    PaperMethod,
+    ProgrammeCourse,
     accelerometer_pass,
     gyro_bias_pass,
     gyro_matrix_pass,
 )
 from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
 from tumble.programme.positions import programme
-from tumble.reduction import kernels as _kernels
 from tumble.reduction.observations import Turns
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import SensorModel
@@ -51,7 +51,7 @@ SIZES = np.concatenate(
 """Standard deviations of the parameters in §6.5, accelerometers and gyros."""
 
 
-def course_of_launches() -> Course:
+def course_of_launches() -> ProgrammeCourse:
     """The course of a recording of the nine known turns only."""
     series, k = [], 0
     for moves in known_turns(PROGRAMME):
@@ -60,7 +60,7 @@ def course_of_launches() -> Course:
             turns.append(RecordedTurn(turn=k, first=move, last=move + 1, counts=True))
             k += 1
         series.append(tuple(turns))
-    return Course(
+    return ProgrammeCourse(
         nominal=np.array([p.vertical_b for p in PROGRAMME.positions]),
         series=tuple(series),
         duration=np.full(k, TURN_SECONDS),
@@ -93,7 +93,7 @@ class Launches:
         angle = angle.reshape(n, k, STEPS, 3)
         angle = np.concatenate([angle[:, :, :1], angle], axis=2)  # the sample before the first
         start = np.arange(n * k) * (STEPS + 1) + 1
-        C, M, B = _kernels.preintegrate(
+        C, M, B = preintegrate(
             angle.reshape(-1, 3),
             np.full(n * k * (STEPS + 1), dt),
             start,
@@ -109,6 +109,9 @@ class Launches:
             M=M.reshape(n, k, 3, 3, 3),
             B=B.reshape(n, k, 3, 3),
             covariance=np.zeros((k, 3, 3)),
+            velocity=np.zeros((k, 3)),
+            velocity_covariance=np.zeros((k, 3, 3)),
+            jumps=np.zeros(k),
         )
 
 
@@ -176,7 +179,7 @@ def _increments(gyro: SensorModel, attitudes: Array) -> Array:
 
 
 def passes(
-    found: Launches, method: Method, iterations: int, *, accel: SensorModel | None = None
+    found: Launches, method: PaperMethod, iterations: int, *, accel: SensorModel | None = None
 ) -> list[tuple[SensorModel, SensorModel]]:
     """Models after each pass of the four stages; with `accel` given the accelerometers are known."""
     before, gyro = perfect() if accel is None else accel, perfect()

@@ -6,20 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from formula_setup import device_setup
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.planning.budget import Setup
 from tumble.programme.positions import programme
-from tumble.reduction.observations import Observations
+from tumble.reduction.observations import AHEAD, Observations
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block, SensorModel
-from tumble.simulation.observations import _mean_verticals, scenario_of, simulate_observations
-from tumble.simulation.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary
+from tumble.simulation.observations import SAMPLES, _mean_verticals, simulate_observations
+from tumble.simulation.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary, scenario_of
 from tumble.units import DEGREE, Array
 
-SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0)
+SETUP = device_setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0)
 QUIET = replace(SETUP, noise=NoiseModel())
 PYRAMID = np.array([[0.8 * np.cos(a), 0.8 * np.sin(a), 0.6] for a in np.arange(4) * np.pi / 2.0])
 
@@ -173,7 +173,7 @@ def test_the_forces_of_a_turn_are_the_means_of_gravity_in_the_turning_body() -> 
     earth = np.array(earth_rate(made.latitude))
     for k in range(4):
         for j in (0, 1, 17, 64):
-            t = (j - 0.5 + 0.5 * nodes[:, None]) * T[k] / 64
+            t = (j - AHEAD + 0.5 + 0.5 * nodes[:, None]) * T[k] / SAMPLES
             up = rotation_matrix(-vector[k] * t / T[k]) @ start[k].T @ rotation_matrix(earth * t)[:, :, 1, None]
             np.testing.assert_allclose(found[k, j], 0.5 * weights @ up[:, :, 0], atol=1e-14)
 
@@ -187,10 +187,11 @@ def test_the_forces_that_are_kept_go_through_the_accelerometers() -> None:
     assert seen.turns is not None
     model = made.accel.model(np.array([made.truth[name] for name in made.accel.names]))
     angles = np.linalg.norm(rotation_vector(seen.turns.C), axis=1)
-    for _, forces, _, turn, first, stop in seen.turn_samples.pieces():
-        for k, a, b in zip(turn, first, stop, strict=True):
+    for pieces in seen.turn_samples.pieces():
+        forces = pieces.forces
+        for k, a, b in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
             true = model.apply(forces[a:b])
             size = np.linalg.norm(true, axis=1) / made.site.gravity  # a mean of directions on an arc is shorter
             assert np.all(size < 1.0 + 1e-12)
-            assert np.all(size > 1.0 - (angles[k] / 64) ** 2 / 24 - 1e-6)
+            assert np.all(size > 1.0 - (angles[k] / SAMPLES) ** 2 / 24 - 1e-6)
             np.testing.assert_allclose(0.5 * (forces[a - 1] + forces[a]), seen.rests.accel[k], atol=0.01)

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
 from tumble.reduction.blocks import FileBlocks, Reducer, Reduction
@@ -23,7 +24,7 @@ from tumble.reduction.segmentation import MIN_REST_SECONDS, find_rests
 from tumble.reduction.snapshot import Snapshot, snapshot
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.session import Request, typical_scenario
+from tumble.simulation.scenario import scenario_of
 from tumble.units import DEGREE
 
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
@@ -34,8 +35,8 @@ RATE = 50.0
 @pytest.fixture(scope="module")
 def session() -> Recording:
     """Nine positions of a MEMS unit, rests of 5 s: some 60 s."""
-    request = Request(grade="mems", programme="nine", rest=5.0, rate_deg_s=60.0, sample_rate=RATE)
-    scenario = typical_scenario(request, np.random.default_rng(3), serial="S")
+    request = Setup.of(grade="mems", programme="nine", rest=5.0, rate_deg_s=60.0, sample_rate=RATE)
+    scenario = scenario_of(request, np.random.default_rng(3), serial="S")
     return record(scenario, np.random.default_rng(4))
 
 
@@ -187,8 +188,8 @@ def test_a_rest_is_one_however_often_it_is_asked_for(session: Recording) -> None
 def test_an_hour_is_shown_at_once() -> None:
     """3.5e4 blocks, as of an hour at 1 kHz, with 120 rests: less than 0.2 s of the processor for what takes 0.1 s on a
     quiet machine."""
-    request = Request(grade="mems", positions=120, rest=28.0, sample_rate=10.0)
-    scenario = typical_scenario(request, np.random.default_rng(6), serial="S")
+    request = Setup.of(grade="mems", positions=120, rest=28.0, sample_rate=10.0)
+    scenario = scenario_of(request, np.random.default_rng(6), serial="S")
     made = record(replace(scenario, profile=replace(scenario.profile, first_rest=28.0)), np.random.default_rng(7))
     reducer = Reducer(rate=10.0, accel=ACCEL, gyro=GYRO)
     reducer.feed(

@@ -50,7 +50,7 @@ _PUBLIC = {
     "export_calibration": "export",
     "write_report": "report.write",
     "open_registry": "registry.connect",
-    "Request": "simulation.session",
+    "Setup": "planning.setup",
     "simulate_session": "simulation.session",
     "allan_deviation": "reduction.allan_deviation",
     "normal_gravity": "earth",

@@ -29,15 +29,16 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.earth import normal_gravity
 from tumble.estimation.quadric import fit_many
 from tumble.files import whole_file
+from tumble.planning.setup import Setup
 from tumble.reduction.allan_deviation import allan_deviation
-from tumble.simulation.session import TRUTH_FILE, Request, read_truth, simulate_session
+from tumble.simulation.session import TRUTH_FILE, read_truth, simulate_session
 from tumble.units import DEGREE, G_STANDARD
 
 LIBRARIES = ("numpy", "scipy", "numba", "polars", "pydantic")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Case:
+class SelftestCase:
     """A reference case: what is compared with what, the figure found and the least and largest it may be."""
 
     name: str
@@ -54,7 +55,7 @@ class Case:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Record:
+class SelftestRecord:
     """All cases, with who ran them, when, on what and with what."""
 
     by: str
@@ -63,7 +64,7 @@ class Record:
     machine: dict[str, str]
     versions: dict[str, str]
     source_sha256: dict[str, str]
-    cases: tuple[Case, ...]
+    cases: tuple[SelftestCase, ...]
 
     @property
     def passed(self) -> bool:
@@ -89,14 +90,14 @@ def digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def selftest(*, by: str, progress: Callable[[str], None]) -> Record:
+def selftest(*, by: str, progress: Callable[[str], None]) -> SelftestRecord:
     """Run all cases; `progress` is told the name of each before it runs."""
-    cases: list[Case] = []
+    cases: list[SelftestCase] = []
     for run in (_gravity, _allan_deviation, _cube, _noiseless_table, _noiseless_hand, _noisy_table, _exchanged_columns):
         assert run.__doc__ is not None
         progress(run.__doc__)
         cases.extend(run())
-    return Record(
+    return SelftestRecord(
         by=by,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"tumble {__version__}",
@@ -122,7 +123,7 @@ def _sources() -> Iterator[tuple[str, str]]:
 # -------------------- the cases --------------------
 
 
-def _gravity() -> Iterator[Case]:
+def _gravity() -> Iterator[SelftestCase]:
     """normal gravity at the equator and at the pole"""
     for place, latitude, published in (("equator", 0.0, 9.7803253359), ("pole", 90.0, 9.8321849379)):
         yield _difference(
@@ -134,7 +135,7 @@ def _gravity() -> Iterator[Case]:
         )
 
 
-def _allan_deviation() -> Iterator[Case]:
+def _allan_deviation() -> Iterator[SelftestCase]:
     """Allan deviation of a published set of 1000 numbers"""
     numbers = [1234567890]
     for _ in range(999):
@@ -150,7 +151,7 @@ def _allan_deviation() -> Iterator[Case]:
         )
 
 
-def _cube() -> Iterator[Case]:
+def _cube() -> Iterator[SelftestCase]:
     """an accelerometer triad from 14 positions of a cube, without noise"""
     matrix = np.diag([-1.45, -1.43, -1.47]) @ np.array([[1.0, 6e-3, -2e-3], [0.0, 1.0, 4e-3], [0.0, 0.0, 1.0]])
     bias = np.array([0.003, -0.002, 0.001])
@@ -168,29 +169,29 @@ def _cube() -> Iterator[Case]:
     )
 
 
-def _noiseless_table() -> Iterator[Case]:
+def _noiseless_table() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, without noise"""
-    yield from _recovered("rough table", Request(noiseless=True, rest=4.0, rate_deg_s=30.0), 1e-9)
+    yield from _recovered("rough table", Setup.of(noise_factor=0.0, rest=4.0, rate_deg_s=30.0), 1e-9)
 
 
-def _noiseless_hand() -> Iterator[Case]:
+def _noiseless_hand() -> Iterator[SelftestCase]:
     """a simulated device in the hand, without noise"""
-    yield from _recovered("by hand", Request(grade="mems", positions=15, rest=3.0, noiseless=True), 1e-9)
+    yield from _recovered("by hand", Setup.of(grade="mems", positions=15, rest=3.0, noise_factor=0.0), 1e-9)
 
 
-def _recovered(name: str, request: Request, limit: float) -> Iterator[Case]:
-    calibration, truth = _simulated(request)
+def _recovered(name: str, setup: Setup, limit: float) -> Iterator[SelftestCase]:
+    calibration, truth = _simulated(setup)
     worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
     yield _difference(
         f"{name}, no noise: worst of {len(calibration.parameters)} parameters", "truth", worst, limit, "SI"
     )
 
 
-def _noisy_table() -> Iterator[Case]:
+def _noisy_table() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, with noise, and the file of its calibration"""
-    calibration, truth = _simulated(Request(rest=20.0))
+    calibration, truth = _simulated(Setup.of(rest=20.0))
     z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u])
-    yield Case(
+    yield SelftestCase(
         name=f"rough table: rms of (value − truth)/u of {len(z)} parameters",
         source="truth; chi-square, 1 of 10 000 either way",
         figure=float(np.sqrt(np.mean(z**2))),
@@ -207,7 +208,7 @@ def _noisy_table() -> Iterator[Case]:
     yield from _applied(calibration)
 
 
-def _applied(calibration: Calibration) -> Iterator[Case]:
+def _applied(calibration: Calibration) -> Iterator[SelftestCase]:
     """A reading of the model corrected again."""
     assert calibration.accel is not None
     true = G_STANDARD * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8]])
@@ -216,15 +217,15 @@ def _applied(calibration: Calibration) -> Iterator[Case]:
     yield _difference("readings of the model, corrected", "identity", worst, 1e-13 * G_STANDARD, "m/s^2")
 
 
-def _exchanged_columns() -> Iterator[Case]:
+def _exchanged_columns() -> Iterator[SelftestCase]:
     """a recording with two exchanged gyro columns, which must be refused"""
     with TemporaryDirectory() as folder:
         place = Path(folder) / "session"
-        simulate_session(place, Request(grade="mems", positions=12, rest=3.0), seed=1)
+        simulate_session(place, Setup.of(grade="mems", positions=12, rest=3.0), seed=1)
         log = pl.read_parquet(place / "log.parquet")
         log.with_columns(gx=pl.col("gy"), gy=pl.col("gx")).write_parquet(place / "log.parquet")
         refused = not calibrate(place).outcome.accepted
-    yield Case(
+    yield SelftestCase(
         name="exchanged gyro columns are refused",
         source="must be 1",
         figure=float(refused),
@@ -234,16 +235,16 @@ def _exchanged_columns() -> Iterator[Case]:
     )
 
 
-def _simulated(request: Request) -> tuple[Calibration, dict[str, float]]:
+def _simulated(setup: Setup) -> tuple[Calibration, dict[str, float]]:
     """The calibration of a simulated session, and its truth."""
     with TemporaryDirectory() as folder:
         place = Path(folder) / "session"
-        simulate_session(place, request, seed=1)
+        simulate_session(place, setup, seed=1)
         return calibrate(place), read_truth(place / TRUTH_FILE)
 
 
-def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> Case:
-    return Case(name=name, source=source, figure=abs(difference), low=0.0, high=limit, unit=unit)
+def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> SelftestCase:
+    return SelftestCase(name=name, source=source, figure=abs(difference), low=0.0, high=limit, unit=unit)
 
 
 # -------------------- on paper --------------------

@@ -12,8 +12,8 @@ from tumble.commands.arguments import setup_of, setup_options
 
 if TYPE_CHECKING:
     from tumble.planning.best_positions import Aim
-    from tumble.planning.budget import Setup
-    from tumble.planning.reachable_attitudes import Table
+    from tumble.planning.reachable_attitudes import TurnTable
+    from tumble.planning.setup import Setup
 
 
 @click.command()
@@ -37,7 +37,7 @@ def plan(
 ) -> None:
     """The least uncertainty a programme allows, the best next position, and better programmes."""
     from tumble.planning.best_positions import Aim
-    from tumble.planning.reachable_attitudes import Table
+    from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.programme.positions import from_attitudes
 
@@ -46,14 +46,14 @@ def plan(
         setup = replace(setup, programme=from_attitudes(attitudes))
     wishes = wanted_of(wanted, None, setup) if wanted else {}
     aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
-    table = Table.of(axes, step)
+    table = TurnTable.of(axes, step)
     reasons = _one_more(setup, aim, table) if positions is None else _found(setup, positions, aim, table)
     for reason in reasons:
         click.echo(reason, err=True)
     sys.exit(1 if reasons else 0)
 
 
-def _one_more(setup: Setup, aim: Aim, table: Table) -> list[str]:
+def _one_more(setup: Setup, aim: Aim, table: TurnTable) -> list[str]:
     """Print what a set-up's programme can show and what one more position would buy; returns what it cannot."""
     from tumble.planning.best_positions import next_positions
     from tumble.planning.bounds import bound
@@ -67,7 +67,7 @@ def _one_more(setup: Setup, aim: Aim, table: Table) -> list[str]:
     return short_of(best, aim, setup)
 
 
-def _found(setup: Setup, positions: int, aim: Aim, table: Table) -> list[str]:
+def _found(setup: Setup, positions: int, aim: Aim, table: TurnTable) -> list[str]:
     """Print the best programme that is found, what it can show, and others beside it; returns what it cannot."""
     from tumble.planning.best_positions import compared, of_the_literature, optimised
     from tumble.terminal.plan import bound_report, comparison_report, positions_report, short_of

@@ -19,7 +19,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
+from tumble.recording.dialect import DELIMITERS, Dialect
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TIME_UNITS, Array, Unit
+
+CLOCK = "iso8601"
+"""The time unit of dates with times and times of day."""
 
 _TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4}
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
@@ -31,13 +35,13 @@ _LEAST_SINE = 1e-3
 # -------------------- the tables of the file --------------------
 
 
-class Table(BaseModel):
+class SessionTable(BaseModel):
     """A table of the file: no other keys, no other types."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class DeviceTable(Table):
+class DeviceTable(SessionTable):
     """[device]"""
 
     serial: str = Field(min_length=1, description="the serial number, a string that is not empty")
@@ -45,7 +49,7 @@ class DeviceTable(Table):
     systematic: str | None = Field(default=None, min_length=1, description="the path of a calibration file")
 
 
-class SiteTable(Table):
+class SiteTable(SessionTable):
     """[site]"""
 
     latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="a number from -90 to 90")
@@ -63,7 +67,7 @@ class SiteTable(Table):
         return self
 
 
-class SensorsTable(Table):
+class SensorsTable(SessionTable):
     """The common keys of [log.accel] and [log.gyro]."""
 
     UNITS: ClassVar[Mapping[str, Unit]]
@@ -162,14 +166,14 @@ class GyroTable(SensorsTable):
     SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
 
 
-class TemperatureTable(Table):
+class TemperatureTable(SessionTable):
     """[log.temperature]"""
 
     columns: list[str] = Field(min_length=1, max_length=1, description="a list of one column name")
     unit: Literal["degC"] = Field(default="degC", description='"degC"')
 
 
-class MagnetometerTable(Table):
+class MagnetometerTable(SessionTable):
     """[log.magnetometer]"""
 
     columns: list[str] = Field(min_length=3, max_length=3, description="a list of three column names")
@@ -181,13 +185,21 @@ class MagnetometerTable(Table):
         return self
 
 
-class LogTable(Table):
+class LogTable(SessionTable):
     """[log]"""
 
     file: str | list[str] = Field(min_length=1, description="a file name or a list of file names")
     time: str | None = Field(default=None, min_length=1, description="a column name")
-    time_unit: str | None = Field(default=None, description=f"one of {', '.join(TIME_UNITS)}")
+    time_unit: str | None = Field(default=None, description=f"one of {', '.join([*TIME_UNITS, CLOCK])}")
     rate_hz: float | None = Field(default=None, gt=0, description="a positive number")
+    regular: bool | None = Field(default=None, description="true or false")
+    delimiter: str | None = Field(default=None, description="a character, or a blank for one or more blanks")
+    decimal: str | None = Field(default=None, description='"." or ","')
+    comment: str | None = Field(
+        default=None, min_length=1, max_length=8, description="the mark that comments begin with"
+    )
+    header: bool | None = Field(default=None, description="true or false")
+    encoding: str | None = Field(default=None, description="the name of an encoding")
     accel: AccelTable = Field(description="the table [log.accel]")
     gyro: GyroTable | None = Field(default=None, description="the table [log.gyro]")
     magnetometer: MagnetometerTable | None = Field(default=None, description="the table [log.magnetometer]")
@@ -206,12 +218,34 @@ class LogTable(Table):
         if self.time_unit is not None:
             if self.time is None:
                 raise ValueError("time_unit: expected only with log.time, found log.rate_hz")
-            _check_known("time_unit", self.time_unit, TIME_UNITS)
+            _check_known("time_unit", self.time_unit, [*TIME_UNITS, CLOCK])
+        if self.regular and self.time is None:
+            raise ValueError("regular: expected only with log.time, found log.rate_hz, which makes rows regular")
+        self._check_dialect()
         for file in _repeated(self.files):
             raise ValueError(f'file: expected different files, found "{file}" twice')
         self._check_columns()
         self._check_ranges()
         return self
+
+    def dialect(self) -> Dialect | None:
+        """How the text files are written; None where nothing is said about it."""
+        given = {key: getattr(self, key) for key in ("delimiter", "decimal", "comment", "header", "encoding")}
+        stated = {key: value for key, value in given.items() if value is not None}
+        return Dialect(**stated) if stated else None
+
+    def _check_dialect(self) -> None:
+        if self.delimiter is not None:
+            _check_known("delimiter", self.delimiter, DELIMITERS)
+        if self.decimal is not None:
+            _check_known("decimal", self.decimal, (".", ","))
+        if self.encoding is not None:
+            try:
+                known = "é".encode(self.encoding, errors="replace").decode(self.encoding) is not None
+            except (LookupError, UnicodeError, ValueError, TypeError):
+                known = False
+            if not known:
+                raise ValueError(f"encoding: expected a text encoding such as utf-16, found {_shown(self.encoding)}")
 
     def _check_columns(self) -> None:
         keys = {
@@ -237,7 +271,7 @@ class LogTable(Table):
                 )
 
 
-class PositionTable(Table):
+class PositionTable(SessionTable):
     """[[programme.position]]"""
 
     attitude: str = Field(description="an attitude code, a string")
@@ -258,7 +292,7 @@ class PositionTable(Table):
         return self
 
 
-class ProgrammeTable(Table):
+class ProgrammeTable(SessionTable):
     """[programme]"""
 
     name: str | None = Field(default=None, description="the name of a built-in programme")
@@ -276,7 +310,7 @@ class ProgrammeTable(Table):
         return self
 
 
-class Document(Table):
+class SessionDocument(SessionTable):
     """The whole file."""
 
     format: int = Field(ge=1, le=1, description="1, the format of this file")
@@ -301,7 +335,7 @@ class Document(Table):
         return self
 
 
-TABLES: Mapping[str, type[Table]] = {
+TABLES: Mapping[str, type[SessionTable]] = {
     "device": DeviceTable,
     "site": SiteTable,
     "log": LogTable,
@@ -346,9 +380,9 @@ def faults_of(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
     return list(faults.values())
 
 
-def _located(loc: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], type[Table], str]:
+def _located(loc: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], type[SessionTable], str]:
     """The key a fault belongs to, the innermost table on the way, and what the key expects."""
-    table: type[Table] = Document
+    table: type[SessionTable] = SessionDocument
     expected = ""
     key: list[int | str] = []
     for part in loc:

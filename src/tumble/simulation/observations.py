@@ -1,7 +1,7 @@
 """Observations of a simulated session, made directly from the truth: no log is sampled, so a session takes a
 millisecond and thousands are cheap.
 
-    scenario = scenario_of(setup, rng)                   or `simulate.typical_scenario`, or a `Scenario` of one's own
+    scenario = scenario_of(setup, rng)                   or a `Scenario` of one's own
     observations = simulate_observations(scenario, rng)
     estimate = joint(observations)                       or any other method; compare with scenario.truth
 
@@ -12,8 +12,8 @@ gyro model without an error of discretisation. These samples (SAMPLES a turn, wi
 `Observations.turns_about` works as it does for a log, and with them readings of the accelerometers: the exact mean of
 gravity over each interval through their model, with bias and white noise. The sensitivities M and B are midpoint sums
 over the samples, right to about 1e-4. A log made by `simulate` differs in that its turns have ramps and geographic
-axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are the
-true ones.
+axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are
+the true ones.
 
 What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than a bias that is
 drawn anew at every rest and held through the move that follows (`NoiseModel`), of which the covariances know nothing.
@@ -29,53 +29,29 @@ import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.planning.budget import Setup
-from tumble.recording.session import Site
+from tumble.planning.inertial_turns import inertial_turns
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import (
     ACCEL_FLOOR,
+    AHEAD,
     GYRO_FLOOR,
     TURN_FLOOR,
+    VELOCITY_FLOOR,
+    VELOCITY_STEP,
     Observations,
     Rests,
     TurnReadings,
     Turns,
     TurnSamples,
 )
-from tumble.rotation import rotation_matrix, rotation_vector, skew
-from tumble.sensors.grades import Spread
+from tumble.rotation import onto_body, rotation_matrix, skew
 from tumble.sensors.model import Block, SensorModel
-from tumble.simulation.scenario import Itinerary, OnTable, Profile, Scenario, Vibration, itinerary
+from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.units import Array, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
-SAMPLES = 64
+SAMPLES = 256
 """Samples of a turn."""
-
-RAMP = 1.0
-"""s: what reaching and leaving the rate of a turn adds to its duration."""
-
-
-def scenario_of(setup: Setup, rng: np.random.Generator) -> Scenario:
-    """The scenario of a set-up on a table: a triad of each kind along the body axes, with errors drawn from the
-    spreads of the set-up."""
-    accel, gyro = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
-    return Scenario(
-        course=OnTable(programme=setup.programme, table_error=setup.table_error, mounting_error=setup.mounting_error),
-        accel=accel,
-        gyro=gyro,
-        truth=_drawn(accel, setup.accel, rng) | _drawn(gyro, setup.gyro, rng),
-        noise=setup.noise,
-        profile=Profile(first_rest=setup.rest, rest=setup.rest, rate=setup.turn_rate, ramp=RAMP, sample_rate=100.0),
-        site=Site(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u),
-        vibration=Vibration(),
-        serial="simulated",
-    )
-
-
-def _drawn(block: Block, spread: Spread, rng: np.random.Generator) -> dict[str, float]:
-    """Values by parameter name, Gaussian with these spreads."""
-    return {name: float(getattr(spread, name.split(".")[1]) * rng.standard_normal()) for name in block.names}
 
 
 def simulate_observations(
@@ -92,8 +68,8 @@ def simulate_observations(
         )
     geometry, noise, place = rng.spawn(3)
     way = itinerary(scenario, geometry)
-    accel = _Sensors.of(scenario.accel, scenario, len(way.rests), noise)
-    gyro = _Sensors.of(scenario.gyro, scenario, len(way.rests), noise)
+    accel = _NoisyBlock.of(scenario.accel, scenario, len(way.rests), noise)
+    gyro = _NoisyBlock.of(scenario.gyro, scenario, len(way.rests), noise)
     rests = _rests(scenario, way, accel, gyro, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
     turns, samples, readings = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), accel, gyro, noise)
@@ -113,7 +89,7 @@ def simulate_observations(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Sensors:
+class _NoisyBlock:
     """A block at work: its model, the bias (N, n) it has at each rest and in the move that follows, and the density
     of its white noise."""
 
@@ -122,7 +98,7 @@ class _Sensors:
     white: float
 
     @staticmethod
-    def of(block: Block, scenario: Scenario, rests: int, rng: np.random.Generator) -> _Sensors:
+    def of(block: Block, scenario: Scenario, rests: int, rng: np.random.Generator) -> _NoisyBlock:
         noise = scenario.noise
         white, instability = (
             (noise.accel_white, noise.accel_instability)
@@ -130,7 +106,7 @@ class _Sensors:
             else (noise.gyro_white, noise.gyro_instability)
         )
         model = block.model(np.array([scenario.truth[name] for name in block.names]))
-        return _Sensors(
+        return _NoisyBlock(
             model=model, bias=model.bias + instability * rng.standard_normal((rests, block.size)), white=white
         )
 
@@ -145,7 +121,9 @@ class _Sensors:
         return np.asarray(variance[:, None, None] * np.eye(self.bias.shape[1]))
 
 
-def _rests(scenario: Scenario, way: Itinerary, accel: _Sensors, gyro: _Sensors, rng: np.random.Generator) -> Rests:
+def _rests(
+    scenario: Scenario, way: Itinerary, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
+) -> Rests:
     start, stop = way.rests.T
     seconds = stop - start
     force = scenario.site.gravity * way.attitudes[:, 1]
@@ -167,18 +145,19 @@ def _rests(scenario: Scenario, way: Itinerary, accel: _Sensors, gyro: _Sensors, 
 
 
 def _turns(
-    scenario: Scenario, way: Itinerary, first: IntArray, accel: _Sensors, gyro: _Sensors, rng: np.random.Generator
+    scenario: Scenario, way: Itinerary, first: IntArray, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
-    """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn one more is kept
-    ahead of it, which the coning term wants."""
+    """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
+    kept ahead of it, which its first step wants, as if it turned already."""
     block = scenario.gyro
-    K, n, to_body = len(first), block.size, np.linalg.pinv(block.axes)
+    K, n, to_body = len(first), block.size, onto_body(block.axes)
     T = way.rests[first + 1, 0] - way.rests[first, 1]
-    vector = _inertial(scenario, way, first, T)
+    before, after = way.attitudes[first], way.attitudes[first + 1]
+    vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
     readings = (vector / T[:, None]) @ gyro.model.matrix.T + gyro.bias[first]
     dt = T / SAMPLES
-    sampled = np.repeat(readings[:, None, :], SAMPLES + 1, axis=1)
-    sampled[:, 1:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
+    sampled = np.repeat(readings[:, None, :], SAMPLES + AHEAD, axis=1)
+    sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
     force = scenario.site.gravity * _mean_verticals(scenario, way.attitudes[first], vector, T)
     felt = force @ accel.model.matrix.T + accel.bias[first][:, None]
     felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
@@ -186,9 +165,13 @@ def _turns(
     stored.append(
         (sampled @ to_body.T).reshape(-1, 3),
         (felt @ np.linalg.pinv(scenario.accel.axes).T).reshape(-1, 3),
-        np.repeat(dt, SAMPLES + 1),
+        np.repeat(dt, SAMPLES + AHEAD),
     )
-    start = 1 + (SAMPLES + 1) * np.arange(K)
+    start = AHEAD + (SAMPLES + AHEAD) * np.arange(K)
+    to_force = np.linalg.pinv(scenario.accel.axes)
+    spread = np.trace(to_force @ to_force.T) / 3.0
+    step = np.linalg.norm(vector, axis=1) / SAMPLES
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
     turns = Turns(
         first=first,
         last=first + 1,
@@ -197,29 +180,21 @@ def _turns(
         M=np.zeros((K, 3, 3, 3)),
         B=np.zeros((K, 3, 3)),
         covariance=gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3),
+        velocity=np.zeros((K, 3)),
+        velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
+        jumps=np.zeros(K),
     )
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(
-        integral=sampled[:, 1:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
+        integral=sampled[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
     )
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
 
 
-def _inertial(scenario: Scenario, way: Itinerary, first: IntArray, T: Array) -> Array:
-    """Rotation vectors (K, 3) of the body over the turns, in the body, with the Earth's rotation: of the two ways
-    round, the one of the move."""
-    earth = np.array(earth_rate(scenario.latitude))
-    start, end = way.attitudes[first], way.attitudes[first + 1]
-    back = np.swapaxes(start, 1, 2)
-    vector = rotation_vector(back @ rotation_matrix(T[:, None] * earth) @ end)
-    angle = np.linalg.norm(vector, axis=1)
-    other = np.einsum("kij,kj,ki->k", back, way.moves[first], vector) < 0.0
-    return vector * np.where(other, 1.0 - 2.0 * np.pi / np.where(angle > 0.0, angle, 1.0), 1.0)[:, None]
-
-
 def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -> Array:
-    """The upward vertical in the body (K, SAMPLES + 1, 3), mean over each sample of turns from attitudes `start`
-    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first sample is the one before, as if it turned already.
+    """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample of turns from attitudes `start`
+    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before, as if it turned
+    already.
 
     With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
 
@@ -231,11 +206,11 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -
     P = _spectral(vector / np.where(angle > 0.0, angle, 1.0)[:, None])
     Q = [start.swapaxes(1, 2) @ part[0, :, 1] for part in _spectral(earth[None] / earth_norm)]
     dt = T / SAMPLES
-    middle = (np.arange(SAMPLES + 1) - 0.5) * dt[:, None]
+    middle = (np.arange(SAMPLES + AHEAD) - AHEAD + 0.5) * dt[:, None]
     turned, earth_turned = np.exp(-1j * (angle / T)[:, None] * middle), np.exp(1j * earth_norm * middle)
     waves = {(0, 0): 1.0, (0, 1): earth_turned, (1, -1): turned * earth_turned.conj()}
     waves |= {(1, 0): turned, (1, 1): turned * earth_turned}  # the other four are the conjugates of these
-    out = np.zeros((len(T), SAMPLES + 1, 3))
+    out = np.zeros((len(T), SAMPLES + AHEAD, 3))
     for (p, q), wave in waves.items():
         part = (P[p + 1] @ Q[q + 1][:, :, None]).swapaxes(1, 2)
         sinc = np.sinc(0.5 / np.pi * (q * earth_norm - p * angle / T) * dt)

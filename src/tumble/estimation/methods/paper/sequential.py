@@ -15,7 +15,7 @@ import numpy as np
 from tumble.errors import ProgrammeError
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.paper.compensation import triad_model
-from tumble.estimation.methods.paper.four_stages import Method
+from tumble.estimation.methods.paper.four_stages import PaperMethod
 from tumble.estimation.methods.paper.iterations import iterated
 from tumble.estimation.methods.paper.levelling import vertical
 from tumble.reduction.observations import Observations
@@ -32,7 +32,7 @@ def sequential(observations: Observations, iterations: int = 2) -> Estimate:
     """The paper's method with the sequential vector method for the accelerometers.
 
     Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
-    method = Method(name="sequential", accelerometers=accelerometers, check=check_positions)
+    method = PaperMethod(name="sequential", accelerometers=accelerometers, check=check_positions)
     return iterated(observations, method, iterations)
 
 
@@ -72,13 +72,6 @@ def angle_between(above: Array, below: Array, across: Array | float, gravity: Ar
     `tumble.estimation.methods.paper.accuracy_formulas.best_elevations` says."""
     in_plane = np.sqrt(gravity**2 - np.asarray(across) ** 2)
     return np.asarray(np.abs(np.arccos(below / in_plane) - np.arccos(above / in_plane)))
-
-
-def angle_astride(left: Array, right: Array, across: Array | float, gravity: Array | float) -> Array:
-    """As `angle_between` for two sensing axes on either side of the vertical, which is best for φ > π/2: the sum of
-    the angles. The paper prints the difference only."""
-    in_plane = np.sqrt(gravity**2 - np.asarray(across) ** 2)
-    return np.asarray(np.arccos(left / in_plane) + np.arccos(right / in_plane))
 
 
 def axis_angles(between_xy: Array, between_xz: Array, between_yz: Array) -> Array:
