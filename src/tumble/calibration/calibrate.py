@@ -347,7 +347,7 @@ def _result(
         site=observations.site,
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
-        notes=_bridged(log) + _torn(observations) + _unchecked(estimate) + _aligned(case),
+        notes=_bridged(log) + _torn(observations) + observations.notes + _unchecked(estimate) + _aligned(case),
         provenance=provenance,
     )
 
