@@ -30,7 +30,8 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import rq
 
-from tumble.calibration.calibrate import calibrate, inspect_session
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.recording.log import open_log
 from tumble.recording.session import read_session
@@ -276,7 +277,7 @@ def figures_of_the_recording(folder: Path) -> list[str]:
     exact = calibrate(replace(session, site=replace(session.site, gravity=9.81744, gravity_u=0.0)))
     assert exact.accel is not None
     assert exact.gyro is not None
-    _, observations, _ = inspect_session(session)
+    observations = inspect_session(session).observations
     assert observations is not None
     rests = observations.rests
     force = exact.accel.apply(rests.accel)

@@ -12,23 +12,22 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from tumble.calibration.calibrate import Progress, inspect_session
+from tumble.calibration.observed import Progress, inspect_session
 from tumble.errors import InputError, TumbleError
 from tumble.estimation.diagnosis import fitting_gyro_unit
-from tumble.files import whole_file
+from tumble.files import FilePath, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.formats import Sensors
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
 from tumble.recording.formats.message import TIME, Message
-from tumble.recording.log import open_log
+from tumble.recording.log import Log
 from tumble.recording.readers import log_columns, log_head
-from tumble.recording.session import SESSION_FILE, read_session, write_session
+from tumble.recording.session import SESSION_FILE, session_of
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TIME_UNITS
 
 LOGS = (".csv", ".gz", ".zst", ".parquet")
@@ -53,13 +52,26 @@ class Draft:
     magnetometer: Mapping[str, Any] | None = None
 
 
-def draft_session(
-    folder: Path, log: Path, *, programme: str | None, message: str | None, progress: Progress
+def new_session(
+    folder: FilePath,
+    log: FilePath,
+    *,
+    programme: str | None = None,
+    message: str | None = None,
+    progress: Progress = Log.chunks,
 ) -> tuple[Draft, list[str]]:
     """Write a commented session.toml for a log into a folder, made if need be; another format than CSV or Parquet
     becomes log.parquet there. Gives what was guessed, and the faults that a look at the recording shows.
 
-    Raises InputError where there is a session already, and for a log that cannot be read or has no accelerometers."""
+    Raises InputError where there is a session already, and for a log that cannot be read or has no accelerometers.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("simulated", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> draft, faults = tumble.new_session("session", folder / "log.parquet")
+    >>> print(draft.said[0], faults)
+    time: column 't' in s (by its steps), 100 samples per second []
+    """
+    folder, log = Path(folder), Path(log)
     path = folder / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
@@ -267,16 +279,13 @@ def _with_gyro_unit(content: Mapping[str, Any], unit: str) -> dict[str, Any]:
 def _looked_at(content: Mapping[str, Any], progress: Progress) -> tuple[str | None, list[str]]:
     """The unit of the gyros that would fit better than the stated one, and what a look at the recording finds wrong
     with a session of this content."""
-    with TemporaryDirectory() as place:
-        try:
-            write_session(Path(place), content)
-            session = read_session(Path(place))
-            _, observations, faults = inspect_session(session, progress=progress)
-            if observations is None or not faults:
-                return None, list(faults)
-            return fitting_gyro_unit(observations, session, open_log(session).rate), list(faults)
-        except TumbleError as error:
-            return None, [str(error)]
+    try:
+        found = inspect_session(session_of(content), progress=progress)
+    except TumbleError as error:
+        return None, [str(error)]
+    if found.trial is None or not found.faults:
+        return None, list(found.faults)
+    return fitting_gyro_unit(found.trial, found.session, found.rate), list(found.faults)
 
 
 # -------------------- the file --------------------

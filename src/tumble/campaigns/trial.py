@@ -12,11 +12,9 @@ A trial of rests alone (`statics_rows`) is a block of BLOCK triads at once, and 
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -29,13 +27,14 @@ from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import DETERMINED, spreads
 from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
 from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel, grade
 from tumble.sensors.model import Block
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, draw_parameters, itinerary
-from tumble.simulation.session import Request, typical_scenario, write_simulation
+from tumble.simulation.session import Request, session_in_memory, typical_scenario
 from tumble.units import Array
 
 Source = Literal["observations", "log"]
@@ -128,16 +127,15 @@ def _from_observations(scenario: Scenario, observations: Observations, method: s
 
 
 def _through_a_log(scenario: Scenario, methods: Sequence[str], rng: np.random.Generator) -> list[Row]:
-    with tempfile.TemporaryDirectory(prefix="tumble-") as temporary:
-        folder = write_simulation(Path(temporary) / "session", scenario, rng)
-        return [_from_session(scenario, folder, method) for method in methods]
+    session = session_in_memory(scenario, rng)
+    return [_from_session(scenario, session, method) for method in methods]
 
 
-def _from_session(scenario: Scenario, folder: Path, method: str) -> Row:
+def _from_session(scenario: Scenario, session: Session, method: str) -> Row:
     try:
-        calibration = calibrate(folder, method=method)
+        calibration = calibrate(session, method=method)
     except InputError as error:
-        return {"method": method, "error": f"{type(error).__name__}: {error}".replace(str(folder), "session")}
+        return {"method": method, "error": f"{type(error).__name__}: {error}"}
     values = {p.name: (p.value, p.u) for p in calibration.parameters}
     return _row(method, calibration.outcome.reasons, values, scenario)
 

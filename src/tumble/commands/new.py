@@ -19,9 +19,9 @@ def new(folder: Path, log: Path, programme: str | None, message: str | None) -> 
 
     A log is .csv (.gz, .zst) or .parquet; .bag, .db3, .mcap, .ulg, .bin, .mat, .h5 and ROS 2 folders are converted.
     """
-    from tumble.calibration.new_session import draft_session
+    from tumble.calibration.new_session import new_session
 
-    draft, faults = draft_session(folder, log, programme=programme, message=message, progress=with_progress)
+    draft, faults = new_session(folder, log, programme=programme, message=message, progress=with_progress)
     for sentence in draft.said:
         click.echo(sentence, err=True)
     for fault in faults:

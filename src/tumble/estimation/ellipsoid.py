@@ -71,7 +71,7 @@ class WorstPosition:
     rivals: tuple[int, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class EllipsoidFit:
     """Parameter values (9,) in the order of the block's names with their covariance (9, 9), None where there are no
     more positions than unknowns and the noise is not known, and the `model` they give. Of each position (N,):
@@ -157,7 +157,7 @@ def _raised(each: Array, doubtful: tuple[int, ...], worst: WorstPosition | None)
     return out
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Task:
     readings: Array
     modulus: float
@@ -169,7 +169,7 @@ class _Task:
         return np.asarray(SPREAD * np.repeat([self.modulus, 1.0, 1.0], 3))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Rows:
     """Of each reading: the residual |t| − m, minus its derivatives with respect to the values (N, 9), its variance
     from noise, and what a unit variance of scatter adds."""
@@ -201,7 +201,7 @@ def _rows(task: _Task, values: Array) -> _Rows:
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Found:
     values: Array
     rows: _Rows

@@ -78,7 +78,7 @@ class Fit:
         return chance_of(self.chi_square, self.degrees)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Estimate:
     """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
     only these mean anything; `null` (q, m) are the combinations they do not, in units of the spreads.
@@ -115,7 +115,7 @@ class Estimate:
         return np.sqrt(np.diag(self.covariance))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solution:
     """A weighted least-squares step: `step` (m,), `gain` (m, r) of the whitened residuals, `null` (q, m) the
     combinations the data do not determine, in units of the spreads, and the covariance (m, m), to which the

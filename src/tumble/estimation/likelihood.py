@@ -65,7 +65,7 @@ class Scatter:
     turn: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Point:
     """Where the likelihood is taken: parameters (m,), gravity, attitudes (N, 3, 3)."""
 
@@ -87,7 +87,7 @@ def bases(attitudes: Array) -> Array:
     return np.stack([attitudes[:, 0], -attitudes[:, 2], attitudes[:, 1]], axis=2)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rows:
     """The linearised residuals, in SI: [coefficients | residual], residual = what is observed less what is predicted,
     columns as `tumble.estimation.elimination` has them, the parameters being gravity, accelerometers, gyros. `prior`
@@ -98,7 +98,7 @@ class Rows:
     prior: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Weights:
     """Inverses of the Cholesky factors of the covariances of the rows: of the rests (N, r, r) and turns (K, t, t)."""
 
@@ -106,7 +106,7 @@ class Weights:
     turn: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step:
     """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, and of the angles (N, 3);
     and what `left` needs."""
@@ -118,7 +118,7 @@ class Step:
     shared: tuple[Array, Array]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Left:
     """Whitened residuals after a step, and their covariances, 1 where the fit has no part in them: (N, n) and
     (N, n, n) of the accelerometers and of the gyros at rest, (K, t) and (K, t, t) of the turns."""
@@ -128,7 +128,7 @@ class Left:
     turn: tuple[Array, Array]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Problem:
     """A session as the likelihood sees it: `link` (N,), the turn after each rest or −1, the Earth's rate (3,), zero
     where the latitude is not known, and the programme's attitudes where they have a prior."""
@@ -187,7 +187,7 @@ class Problem:
 # Residuals and Jacobians
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnsAbout:
     """Turns with the gyro model they were integrated about, and the matrix (3, n) that takes its readings to body rate
     as the integration does: through nominal sensors."""
@@ -209,7 +209,7 @@ class TurnsAbout:
         return self.to_rate @ (now.matrix - self.model.matrix), self.to_rate @ (now.bias - self.model.bias)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Sensors:
     """A block at a point: its model, the derivative (n, 4, m) of that, and which parameters are its."""
 

@@ -40,7 +40,7 @@ ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
 """The triads of a set-up."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Course:
     """Where a device rests and how it gets there: attitudes (N, 3, 3), body → geographic, of the rests in order, and
     the turns that a log has between a rest `first` (K,) and the next: rotation vectors `moves` (K, 3), geographic, rad,
@@ -52,7 +52,7 @@ class Course:
     seconds: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Bound:
     """Least possible covariance (m, m) of the parameters, SI, in the order of `names`. `observable` marks the
     parameters that are determined, and only these mean anything; `null` (q, m) are the combinations that are not,

@@ -271,7 +271,7 @@ def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
 # -------------------- what a method leaves of the parameters --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Pipeline:
     """What passes of a method leave of the parameters. Matrices (21, 21) are to be applied to the variances of the
     parameters: `exact`, `by_table` and `by_mounting` for the first pass, and for the second the parts that grow with

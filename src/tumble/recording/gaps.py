@@ -61,7 +61,7 @@ def check_time(source: Source, spec: LogSpec, first: int, time: Array) -> None:
         )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rows:
     """Consecutive rows of a file: the number of the first, times (m,), s, and the numbers of accelerometers
     (m, na), gyros (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them."""

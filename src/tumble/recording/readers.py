@@ -1,4 +1,4 @@
-"""The files of a log: one reader per format, each giving tables of a bounded size.
+"""The files of a log: one reader per format, each giving tables of a bounded size; a table in memory is read as one.
 
 A CSV file, compressed or not, is cut into pieces of whole lines for polars to parse. Where polars refuses a piece, or
 leaves a value empty, Python reads the piece line by line and says where and why, or reads what only `float()` accepts
@@ -15,6 +15,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -22,6 +23,7 @@ import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
+from tumble.recording.samples import Samples
 from tumble.units import Array
 
 if sys.version_info >= (3, 14):
@@ -34,6 +36,7 @@ _FIRST_PIECE_BYTES = 1 << 18
 _PIECE_BYTES = 1 << 24
 LINE_BYTES = 1 << 20
 _PARQUET_ROWS = 1 << 15
+_SLICE_ROWS = 1 << 17
 
 
 class Source(Protocol):
@@ -52,6 +55,10 @@ class Source(Protocol):
     def tables(self, columns: Sequence[str]) -> Iterator[pl.DataFrame]:
         """Its rows in order as tables of a bounded size: these columns as float64, no empty values."""
 
+    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        """Its rows in order as tables of a bounded size with every column, `numbers` as float64 where they are
+        numbers, the others as they are: of a text file the text."""
+
     def place(self, row: int, column: str | None = None) -> str:
         """File, data row and column as a message names them."""
 
@@ -69,8 +76,12 @@ def readable(path: Path) -> Iterator[None]:
         ) from None
 
 
-def source_of(path: Path) -> Source:
+def source_of(file: Path | Samples) -> Source:
     """The reader of a file. Raises LogError for a format that cannot be read and an empty or damaged file."""
+    return _Frame.of(file.path, file.table.lazy) if isinstance(file, Samples) else _source_of_file(file)
+
+
+def _source_of_file(path: Path) -> Source:
     ending = _ending(path)
     if ending not in _READERS:
         raise LogError(f"{path}: expected a file that ends in {', '.join(_READERS)}, found another; convert it")
@@ -88,11 +99,22 @@ def _ending(path: Path) -> str:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Parquet:
+class _Frame:
+    """A Parquet file, or a table in memory; `scan` begins to read it."""
+
     path: Path
-    names: tuple[str, ...]
     types: Mapping[str, pl.DataType]
     rows: int
+    scan: Callable[[], pl.LazyFrame]
+
+    @classmethod
+    def of(cls, path: Path, scan: Callable[[], pl.LazyFrame]) -> _Frame:
+        types = dict(scan().collect_schema())
+        return cls(path=path, types=types, rows=scan().select(pl.len()).collect().item(), scan=scan)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.types)
 
     def head(self, column: str, rows: int) -> Array:
         with readable(self.path):
@@ -117,7 +139,14 @@ class _Parquet:
                     f"{self.path}: column '{column}': expected numbers, found the type {self.types[column]}; "
                     "write it as float64"
                 )
-        return pl.scan_parquet(self.path, glob=False).select(pl.col(columns).cast(pl.Float64))
+        return self.scan().select(pl.col(columns).cast(pl.Float64))
+
+    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        # in slices: as one scan a file would stay mapped, and count, as a whole
+        for first in range(0, self.rows, _SLICE_ROWS):
+            with readable(self.path):
+                table = self.scan().slice(first, _SLICE_ROWS).collect()
+            yield _with_numbers(table, numbers, self.path)
 
     def _check_no_nulls(self, table: pl.DataFrame, first: int) -> None:
         for column in table:
@@ -128,11 +157,8 @@ class _Parquet:
         return f"{self.path}: row {row}" + _in_column(column)
 
 
-def _open_parquet(path: Path) -> _Parquet:
-    scan = pl.scan_parquet(path, glob=False)
-    types = dict(scan.collect_schema())
-    rows = scan.select(pl.len()).collect().item()
-    return _Parquet(path=path, names=tuple(types), types=types, rows=rows)
+def _open_parquet(path: Path) -> _Frame:
+    return _Frame.of(path, partial(pl.scan_parquet, path, glob=False))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -156,6 +182,15 @@ class _Csv:
                 table = self._table(piece, first, columns)
                 first += table.height
                 yield table
+
+    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        schema = dict.fromkeys(self.names, pl.String)
+        with readable(self.path), opened(self.path) as stream:
+            stream.readline(LINE_BYTES)
+            for piece in whole_lines(stream, self.path):
+                with rows_of_numbers(self.path):
+                    table = pl.read_csv(piece, has_header=False, schema=schema | dict.fromkeys(numbers, pl.Float64))
+                yield _with_numbers(table, numbers, self.path)
 
     def _table(self, piece: bytes, first: int, columns: Sequence[str]) -> pl.DataFrame:
         """The rows of a piece that begins with data row `first`."""
@@ -212,6 +247,22 @@ class _Csv:
 
     def place(self, row: int, column: str | None = None) -> str:
         return f"{self.path}: row {row} (line {row + 1})" + _in_column(column)
+
+
+@contextmanager
+def rows_of_numbers(path: Path) -> Iterator[None]:
+    """Whatever polars says of the content of a file becomes one line."""
+    try:
+        yield
+    except pl.exceptions.PolarsError as error:
+        said = " ".join(str(error).split())[:200]
+        raise LogError(f"{path}: expected rows of numbers, found: {said}; see `tumble inspect`") from None
+
+
+def _with_numbers(table: pl.DataFrame, numbers: Sequence[str], path: Path) -> pl.DataFrame:
+    """A table with these columns as float64."""
+    with rows_of_numbers(path):
+        return table.with_columns(pl.col(numbers).cast(pl.Float64))
 
 
 def _open_csv(path: Path) -> _Csv:

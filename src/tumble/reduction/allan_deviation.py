@@ -56,7 +56,7 @@ FLICKER = 2.0 * np.log(2.0) / np.pi
 IntArray = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class AllanDeviation:
     """Overlapping Allan deviation of c channels at k averaging times.
 
@@ -182,7 +182,7 @@ def identify(adev: AllanDeviation) -> tuple[NoiseParameters, ...]:
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Transfer:
     """Transfer functions W (k, f) of the Allan variance at averaging times tau (k,), with the spectra (f, 4) of
     the terms of (1) at unit coefficients and the widths (f,) of the frequency bins, Hz."""
@@ -212,7 +212,7 @@ class _Transfer:
         return np.asarray(covariance / np.outer(scale, scale)) if scale.all() else np.eye(len(scale))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Fit:
     """Estimates of σ² of one channel and their degrees of freedom (k,), to be fitted by (1)."""
 

@@ -53,7 +53,7 @@ class ChannelState:
         return self.step / np.sqrt(12.0) if coarse else 0.0
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Tail:
     """The samples after the last whole block of a file: their weighted `total` (n,); and the weights (K + 1,) of the
     blocks and of the tail in a mean."""
@@ -69,7 +69,7 @@ class Tail:
         return np.asarray(total / weight)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FileBlocks:
     """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the
     accelerometers (K, n) and gyros (K, n) in SI, of the temperature, and of the magnetometer (K, 3) in its unit."""

@@ -40,7 +40,7 @@ PATH_STEPS = 32
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rests:
     """N rests: file, start and stop (s), mean readings and their covariances in SI; drift is the change of a
     reading over the rest (slope times duration) and noise its density, unit/√Hz. The gyro arrays are empty
@@ -66,7 +66,7 @@ class Rests:
         return len(self.start)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Turns:
     """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
     M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²,
@@ -89,7 +89,7 @@ Batch = tuple[Array, Array, IntArray, IntArray, IntArray]
 piece is kept ahead of it."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnSamples:
     """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`."""
 
@@ -132,7 +132,7 @@ def _batch(increments: list[Array], intervals: list[Array], pieces: list[tuple[i
     return np.concatenate(increments), np.concatenate(intervals), turn, start, stop
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnReadings:
     """Integrals (K, n) of the gyro readings over the turns, rad, and their covariance (K, n, n) from noise: what a
     redundant block says beyond the rotation of the body."""
@@ -141,7 +141,7 @@ class TurnReadings:
     covariance: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observations:
     """All that a method sees of a session. `position` (N,) is the index in the programme of each rest's position,
     where there is one."""

@@ -108,7 +108,7 @@ def simulate_observations(
     return replace(observations, turns=observations.turns_about(scenario.gyro.nominal()))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Sensors:
     """A block at work: its model, the bias (N, n) it has at each rest and in the move that follows, and the density
     of its white noise."""

@@ -38,7 +38,7 @@ _CHUNK = 1 << 13
 """Samples made at a time."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Recording:
     """A simulated log and what really happened. `time` (N,), s; `accel` (N, n), m/s²; `gyro` (N, n), rad/s;
     `attitudes` (R, 3, 3), true body → geographic at the rests; `rests` (R, 2), their start and stop, s;
@@ -105,7 +105,7 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
         yield start, min(start + _CHUNK, int(last))
 
 
-@dataclass(kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True, eq=False)
 class _Sensors:
     """One block at work: its readings (n, N) as they fill up, the noise `sigma` of a sample, and the bias it
     has in the current rest and move."""

@@ -13,9 +13,9 @@ import numpy as np
 
 from tumble.earth import normal_gravity
 from tumble.errors import InputError
-from tumble.files import whole_file
+from tumble.files import FilePath, whole_file
 from tumble.programme.positions import BUILT_IN, Programme, programme
-from tumble.recording.session import Site, write_session
+from tumble.recording.session import Session, Site, session_of, write_session
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.grades import grade as typical
 from tumble.sensors.model import Block
@@ -31,7 +31,7 @@ from tumble.simulation.scenario import (
     Vibration,
     draw_parameters,
 )
-from tumble.units import DEGREE
+from tumble.units import DEGREE, Array
 
 LogFormat = Literal["parquet", "csv"]
 TRUTH_FILE = "truth.json"
@@ -59,16 +59,21 @@ class Request:
 
 
 def simulate_session(
-    folder: Path, request: Request, *, seed: int, launch: int = 1, log_format: LogFormat = "parquet"
+    folder: FilePath, request: Request, *, seed: int, launch: int = 1, log_format: LogFormat = "parquet"
 ) -> Path:
     """Write a simulated session, session.toml, log and truth.json, into a new folder, and return the folder.
 
     The same request, seed and launch give the same numbers; another launch of a seed is the same device, put on the
-    table and turned anew. Raises InputError, one line, for a request that cannot be
-    met, and for a folder that holds a session already."""
+    table and turned anew. Raises InputError, one line, for a request that cannot be met, and for a folder that holds a
+    session already.
+
+    >>> import tumble
+    >>> tumble.simulate_session("session", tumble.Request(grade="mems", positions=4), seed=1).name
+    'session'
+    """
     truth, course = np.random.default_rng(seed), np.random.default_rng([seed, launch])
     scenario = typical_scenario(request, truth, serial=f"{request.grade}-{seed}")
-    return write_simulation(folder, scenario, course, log_format=log_format)
+    return write_simulation(Path(folder), scenario, course, log_format=log_format)
 
 
 def typical_scenario(request: Request, rng: np.random.Generator, *, serial: str) -> Scenario:
@@ -153,6 +158,13 @@ def write_simulation(
     return folder
 
 
+def session_in_memory(scenario: Scenario, rng: np.random.Generator) -> Session:
+    """A scenario recorded as a session in memory, the same as `write_simulation` writes."""
+    content = _content(scenario, "parquet")
+    log = {key: value for key, value in content["log"].items() if key != "file"}
+    return session_of(content | {"log": log}, _columns_of(scenario, record(scenario, rng)))
+
+
 def read_truth(path: Path) -> dict[str, float]:
     """True values by parameter name from a truth.json. Raises InputError for a file that is none."""
     try:
@@ -176,14 +188,17 @@ def _columns(block: Block) -> list[str]:
     return [f"{block.kind[0]}{'xyz'[p] if along else p}" for p in range(block.size)]
 
 
+def _columns_of(scenario: Scenario, recording: Recording) -> dict[str, Array]:
+    """The log by the names of its columns, SI."""
+    accel = dict(zip(_columns(scenario.accel), recording.accel.T, strict=True))
+    return {"t": recording.time} | accel | dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
+
+
 def _write_log(file: Path, scenario: Scenario, recording: Recording) -> None:
     """The log in SI; float64 survives in both formats."""
     import polars as pl  # heavy, and only needed here
 
-    columns = {"t": recording.time}
-    columns |= dict(zip(_columns(scenario.accel), recording.accel.T, strict=True))
-    columns |= dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
-    frame = pl.DataFrame(columns)
+    frame = pl.DataFrame(_columns_of(scenario, recording))
     with whole_file(file) as temporary:
         if file.suffix == ".csv":
             frame.write_csv(temporary)

@@ -14,12 +14,23 @@ from tumble.estimation.observability import in_words, sum_in_words
 from tumble.planning.best_positions import Aim, Compared, Next
 from tumble.planning.bounds import Bound
 from tumble.planning.budget import Setup
+from tumble.planning.plan import Plan
 from tumble.programme.positions import Programme, duration
 from tumble.programme.sheet_words import MOVE, clock, move_text
 from tumble.units import DEGREE, engineering
 
 LARGEST = 4
 """So many parameters of a combination are named."""
+
+
+def plan_report(plan: Plan, aim: Aim) -> RenderableType:
+    """What a programme can show at best, with what one more position would add; or the best programme that was found,
+    what it can show, and others beside it."""
+    best = bound_report(plan.setup, plan.bound)
+    if not plan.programmes:
+        return Group(best, Text(""), next_report(plan.bound, plan.following, aim))
+    found = positions_report(plan.setup.programme)
+    return Group(found, Text(""), best, Text(""), comparison_report(plan.setup, plan.programmes, aim))
 
 
 def bound_report(setup: Setup, bound: Bound) -> RenderableType:

@@ -98,7 +98,7 @@ def joint(observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool =
 # Which rests and turns count
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Out:
     """Rests (N,) and turns (K,) that are left out."""
 
@@ -224,7 +224,7 @@ class _At:
         return _At(point=point, about=about, rows=linearise(problem, point, about))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Solved:
     """The point where the iteration ended, the last step, where that began, and the changes of the parameters."""
 
@@ -234,7 +234,7 @@ class _Solved:
     increments: tuple[Array, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Fitted:
     """The solution with its scatter, what it leaves of the residuals with it and what without, the fits of the groups,
     and what was left out."""

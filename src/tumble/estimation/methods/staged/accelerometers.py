@@ -31,7 +31,7 @@ MAX_ITERATIONS = 30
 CONVERGED = 1e-3  # of the standard uncertainty
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Accelerometers:
     """Stage 1: values and their solution, the verticals found, and what the residuals say."""
 
@@ -71,7 +71,7 @@ def estimate_accelerometers(observations: Observations) -> Accelerometers:
     return _finished(observations, values, system, scatter, float(degrees), increments)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _RestRows:
     """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
     the readings (N, n − 2, n) and to g (N, n − 2)."""
