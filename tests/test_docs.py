@@ -50,6 +50,7 @@ RUN = (
     "docs/registry.md",
     "docs/campaigns.md",
     "docs/plan.md",
+    "docs/api.md",
 )
 RECORDINGS = {"docs/xsens.md": "xsens-mti"}
 """Pages that need a recording: the folder of the shared data that is copied into the empty one."""
@@ -230,6 +231,12 @@ def anchors(path: Path) -> set[str]:
     """The headings of a page as they are linked to."""
     headings = re.findall(r"^#+ (.+)$", BLOCK.sub("", path.read_text(encoding="utf-8")), re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_the_gallery_shows_the_lines_that_draw_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "studies"))
+    gallery = import_module("gallery")
+    assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page(), "run python studies/gallery.py"
 
 
 def test_every_page_is_reached_from_the_index() -> None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from tumble.calibration.calibration_file import read_calibration as read_calibration
     from tumble.calibration.compare import Comparison as Comparison
     from tumble.calibration.compare import compare_calibrations as compare_calibrations
-    from tumble.calibration.from_readings import Result as Result
+    from tumble.calibration.from_readings import TableResult as TableResult
     from tumble.calibration.from_readings import calibrate_table as calibrate_table
     from tumble.calibration.launches import Run as Run
     from tumble.calibration.launches import calibrate_launches as calibrate_launches
@@ -98,7 +98,6 @@ if TYPE_CHECKING:
     from tumble.registry.store import add_calibration as add_calibration
     from tumble.registry.store import records as records
     from tumble.report.write import write_report as write_report
-    from tumble.selftest import Record as Record
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
     from tumble.sensors.model import SensorModel as SensorModel
@@ -138,7 +137,7 @@ _PUBLIC = {
     "calibrate_launches": "calibration.launches",
     "mean_of_launches": "calibration.launches",
     "calibrate_table": "calibration.from_readings",
-    "Result": "calibration.from_readings",
+    "TableResult": "calibration.from_readings",
     "Comparison": "calibration.compare",
     "compare_calibrations": "calibration.compare",
     "Positions": "calibration.verify",
@@ -179,7 +178,6 @@ _PUBLIC = {
     "campaign": "campaigns.run",
     "fleet": "campaigns.run",
     "run_selftest": "selftest",
-    "Record": "selftest",
     "allan_deviation": "reduction.allan_deviation",
     "normal_gravity": "earth",
     "TumbleError": "errors",
@@ -191,11 +189,13 @@ _PUBLIC = {
 __all__ = ["__version__", *sorted(_PUBLIC)]
 
 
-def __getattr__(name: str) -> Any:
-    """Public names are imported when they are first used: the command line starts without NumPy."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'tumble' has no attribute {name!r}")
-    return getattr(import_module(f"tumble.{_PUBLIC[name]}"), name)
+if not TYPE_CHECKING:  # with it type checkers would take any name for one of the module
+
+    def __getattr__(name: str) -> Any:
+        """Public names are imported when they are first used: the command line starts without NumPy."""
+        if name not in _PUBLIC:
+            raise AttributeError(f"module 'tumble' has no attribute {name!r}")
+        return getattr(import_module(f"tumble.{_PUBLIC[name]}"), name)
 
 
 def __dir__() -> list[str]:

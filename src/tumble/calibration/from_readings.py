@@ -49,7 +49,7 @@ _FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Result:
+class TableResult:
     """A calibration from a table; `fit` is None where it was refused."""
 
     calibration: Calibration
@@ -71,7 +71,7 @@ def calibrate_table(
     known: Mapping[int, Array] | None = None,
     frame: Frame = "accelerometer",
     serial: str | None = None,
-) -> Result:
+) -> TableResult:
     """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions, a table or its CSV file. What the
     readings are worth is `nominal`, or comes from the options as `readings_table.nominal` takes them. What cannot be
     calibrated comes back with the reasons in its outcome. Without a `serial` number of the device it is the name of the
@@ -108,10 +108,10 @@ def calibrate_table(
         misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
         outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal))
         empty = _calibration(serial, table, nominal, None, None, outcome)
-        return Result(calibration=empty, table=table, nominal=nominal, fit=None)
+        return TableResult(calibration=empty, table=table, nominal=nominal, fit=None)
     outcome = Outcome(reasons=tuple(_reasons(table, nominal, found)))
     calibration = _calibration(serial, table, nominal, found, _framed(found, frame), outcome)
-    return Result(calibration=calibration, table=table, nominal=nominal, fit=found)
+    return TableResult(calibration=calibration, table=table, nominal=nominal, fit=found)
 
 
 def _framed(found: EllipsoidFit, frame: Frame) -> Framed:
@@ -272,7 +272,7 @@ class PaperForm:
     covariance: Array | None
 
 
-def paper_form(result: Result) -> PaperForm:
+def paper_form(result: TableResult) -> PaperForm:
     """The coefficients of a fit in the form of Table 1 of the source."""
     assert result.fit is not None
     framed = _framed(result.fit, "paper")
