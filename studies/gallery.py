@@ -22,12 +22,18 @@ from matplotlib.figure import Figure
 import tumble
 
 DOCS = Path(__file__).parents[1] / "docs"
-STYLE = {"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 9.0, "axes.spines.top": False}
+STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "tumble",
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
 HEAD = """# Gallery
 
-Pictures of results, each with the lines that draw it. The page and its pictures are made by `python studies/gallery.py`; `axes`
-are matplotlib axes, and [the library](api.md) says what else can be called. All begin with two simulated launches of a MEMS unit,
-turned by hand:
+Pictures of results, each with the lines that draw it. The page and its pictures are made by
+`python studies/gallery.py`; `axes` are matplotlib axes, and [the library](api.md) says what else can be called. All
+begin with two simulated launches of a MEMS unit, turned by hand:
 
 ```python
 import numpy as np
@@ -40,7 +46,7 @@ calibration = tumble.calibrate(session)
 """
 
 
-def recording(axes: Axes, session: Path, second: Path, calibration: tumble.Calibration) -> None:
+def recording(axes: Axes, session: Path) -> None:
     """The recording, and the rests that were found in it"""
     observed = tumble.inspect_session(session)
     chunks = list(tumble.open_log(observed.session).chunks())
@@ -51,24 +57,24 @@ def recording(axes: Axes, session: Path, second: Path, calibration: tumble.Calib
     axes.set(xlabel="time, s", ylabel="accelerometers, m/s²")
 
 
-def residuals(axes: Axes, session: Path, second: Path, calibration: tumble.Calibration) -> None:
+def residuals(axes: Axes, calibration: tumble.Calibration) -> None:
     """How well the calibration fits its own rests"""
     calibration.plot(axes)
 
 
-def parameters(axes: Axes, session: Path, second: Path, calibration: tumble.Calibration) -> None:
-    """The scale factors with their expanded uncertainty, by the joint and the staged method"""
+def parameters(axes: Axes, session: Path, calibration: tumble.Calibration) -> None:
+    """The scale factors by two methods, with their expanded uncertainty, about those of the first"""
     names = [p.name for p in calibration.parameters if ".scale." in p.name]
     for shift, method in ((-0.1, "joint"), (0.1, "staged")):
         found = [tumble.calibrate(session, method=method)[name] for name in names]
-        ppm = np.array([[p.value, 2.0 * (p.u or 0.0)] for p in found]) / 1e-6
+        ppm = np.array([[p.value - calibration[p.name].value, 2.0 * (p.u or 0.0)] for p in found]) / 1e-6
         axes.errorbar(np.arange(len(names)) + shift, ppm[:, 0], ppm[:, 1], fmt="o", capsize=3, label=method)
     axes.set_xticks(range(len(names)), names, rotation=30)
     axes.set(ylabel="ppm")
     axes.legend(frameon=False)
 
 
-def check(axes: Axes, session: Path, second: Path, calibration: tumble.Calibration) -> None:
+def check(axes: Axes, second: Path, calibration: tumble.Calibration) -> None:
     """Whether the calibration holds in another launch"""
     found = tumble.verify_calibration(calibration, second)
     number = np.arange(1, len(found.labels) + 1)
@@ -77,7 +83,7 @@ def check(axes: Axes, session: Path, second: Path, calibration: tumble.Calibrati
     axes.set(xlabel="check position", ylabel="Δg / u")
 
 
-def corrected(axes: Axes, session: Path, second: Path, calibration: tumble.Calibration) -> None:
+def corrected(axes: Axes, second: Path, calibration: tumble.Calibration) -> None:
     """What the correction does to a recording"""
     rests = tumble.rest_residuals(calibration, second)
     number = np.arange(1, len(rests) + 1)
@@ -87,14 +93,14 @@ def corrected(axes: Axes, session: Path, second: Path, calibration: tumble.Calib
     axes.legend(frameon=False)
 
 
-def noise(axes: Axes, session: Path, second: Path, calibration: tumble.Calibration) -> None:
+def noise(axes: Axes, session: Path) -> None:
     """The noise of the gyros in the longest rest"""
     gyros = tumble.noise(session).panels[1]
     axes.loglog(gyros.deviation.tau, np.degrees(gyros.deviation.deviation) * 3600.0)
     axes.set(xlabel="averaging time, s", ylabel="Allan deviation, °/h")
 
 
-PICTURES: tuple[Callable[[Axes, Path, Path, tumble.Calibration], None], ...] = (
+PICTURES: tuple[Callable[..., None], ...] = (
     recording,
     residuals,
     parameters,
@@ -120,10 +126,13 @@ def draw_all(folder: Path) -> None:
     request = tumble.Request(grade="mems", positions=15)
     with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
         session, second = (tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2))
-        calibration = tumble.calibrate(session)
+        known = {"session": session, "second": second, "calibration": tumble.calibrate(session)}
         for draw in PICTURES:
             figure = Figure(figsize=(6.4, 3.0), layout="constrained")
-            draw(figure.add_subplot(), session, second, calibration)
+            draw(
+                figure.add_subplot(),
+                **{name: known[name] for name in inspect.signature(draw).parameters if name in known},
+            )
             figure.savefig(folder / f"gallery-{draw.__name__}.svg", metadata={"Date": None, "Creator": None})
 
 

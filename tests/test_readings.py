@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, TableResult
+from click.testing import CliRunner, Result
 from test_ellipsoid import FOURTEEN, THETA, B, K, cube, placed, readings
 
 from tumble.calibration.calibration_file import read_calibration
@@ -36,7 +36,7 @@ def volts(seed: int = 1, noise: float = 0.0) -> Array:
     return readings(placed(FOURTEEN, rng)) + noise * 2.4 * rng.standard_normal((14, 3))
 
 
-def run(*arguments: str | Path) -> TableResult:
+def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, ["ellipsoid", *map(str, arguments)], catch_exceptions=False)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from tumble.calibration.quiet_samples import longest_rest
 from tumble.errors import InputError
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.description import description_of
-from tumble.recording.log import open_log
+from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session, read_session, session_of
 from tumble.simulation.session import Request, simulate_session
 from tumble.units import ARCSEC, DEGREE, G_STANDARD, ZERO_CELSIUS, Array
@@ -138,7 +138,7 @@ def test_a_table_that_is_not_as_described_is_refused_in_one_line(
 def test_the_description_is_checked_as_session_toml_is(on_disk: Session, columns: dict[str, Array]) -> None:
     content = described(on_disk)
     content["site"]["latitude_deg"] = 145.5
-    with pytest.raises(InputError, match="session: site.latitude_deg: expected a number from -90 to 90, found 145.5"):
+    with pytest.raises(InputError, match=r"session: site.latitude_deg: expected a number from -90 to 90, found 145.5"):
         session_of(content, columns)
     with pytest.raises(InputError, match=r"session: log.file: expected none beside samples in memory"):
         session_of(description_of(on_disk), columns)
@@ -157,10 +157,14 @@ def test_the_hash_is_that_of_the_columns_that_are_read(on_disk: Session, columns
 
 
 def test_the_longest_rest_is_found_in_one_reading(on_disk: Session, columns: dict[str, Array]) -> None:
-    read = []
-    record = longest_rest(
-        session_of(described(on_disk), columns), progress=lambda log: (read.append(1) or c for c in log.chunks())
-    )
+    read: list[str] = []
+
+    def noted(log: Log) -> Iterable[Chunk]:
+        read.append("log")
+        return log.chunks()
+
+    record = longest_rest(session_of(described(on_disk), columns), progress=noted)
+    assert read == ["log"]
     rests = inspect_session(on_disk).segmentation.rests
     longest = max(rests, key=lambda rest: rest.stop - rest.start)
     inside = (columns["t"] > longest.start + 1e-9) & (columns["t"] <= longest.stop + 1e-9)
@@ -191,8 +195,9 @@ STILL = np.tile([0.0, 0.0, G_STANDARD], (300, 1))
     ],
 )
 def test_readings_that_are_not_as_expected_are_refused_in_one_line(given: dict[str, Any], expected: str) -> None:
+    merged: dict[str, Any] = {"accel": STILL, "rate": 100.0} | given
     with pytest.raises(InputError, match=re.escape(expected)) as refused:
-        session_of_arrays(**({"accel": STILL, "rate": 100.0} | given))
+        session_of_arrays(**merged)
     assert "\n" not in str(refused.value)
 
 

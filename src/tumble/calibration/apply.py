@@ -232,7 +232,15 @@ class RestResidual:
 
 def rest_residuals(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[RestResidual, ...]:
     """Every rest of a session before and after correction. Raises InputError as `apply_to_session` does, and where
-    nothing rests."""
+    nothing rests.
+
+    >>> import tumble
+    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
+    >>> rests = tumble.rest_residuals(tumble.calibrate(folders[0]), folders[1])
+    >>> max(abs(rest.after) for rest in rests) < max(abs(rest.before) for rest in rests)
+    True
+    """
     calibration, session = calibration_from(calibration), session_from(session)
     accel = _parts(calibration, session)[0].model
     seen = inspect_session(session)

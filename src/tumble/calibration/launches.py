@@ -72,7 +72,16 @@ def calibrate_launches(
 
 def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     """One calibration from several sessions of one device by the same method: means with uncertainties, standard
-    deviations from launch to launch, mean increments of each iteration, and every launch."""
+    deviations from launch to launch, mean increments of each iteration, and every launch.
+
+    >>> import tumble
+    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
+    >>> sessions = [tumble.read_session(folder) for folder in folders]
+    >>> runs = [tumble.Run(session=each, calibration=tumble.calibrate(each)) for each in sessions]
+    >>> tumble.mean_of_launches(runs)["accel.bias.x"].run_to_run > 0.0
+    True
+    """
     first = runs[0].calibration
     _check_alike(runs)
     reasons = tuple(f"{_name(run)}: {reason}" for run in runs for reason in run.calibration.outcome.reasons)

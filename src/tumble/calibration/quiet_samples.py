@@ -58,7 +58,7 @@ def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None
     >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=4), seed=3)
     >>> found = tumble.noise(folder)
     >>> found.source, [panel.title for panel in found.panels]
-    ('the longest rest, 0.0–40.0 s', ['accelerometers', 'gyros'])
+    ('the longest rest, 0.0–39.0 s', ['accelerometers', 'gyros'])
     """
     if isinstance(recording, Session) or _is_session(Path(recording)):
         record = longest_rest(session_from(recording))

@@ -58,7 +58,7 @@ def text_table(calibration: Calibration) -> str:
     """The rows in columns, under the headline, with the reasons where it was not accepted."""
     lines = [_HEADINGS, *rows(calibration)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(_HEADINGS))]
-    said = [headline(calibration), *calibration.outcome.reasons, ""]
+    said = [headline(calibration), *calibration.outcome.reasons]
     for name, *numbers, unit in lines:
         cells = [name.ljust(widths[0]), *(n.rjust(w) for n, w in zip(numbers, widths[1:], strict=False)), unit]
         said.append("  ".join(cells).rstrip())

@@ -86,7 +86,14 @@ class Verification:
 
 
 def positions_of(given: Session | FilePath, calibration: Calibration) -> Positions:
-    """The positions of a session, its folder, or a table of readings. Raises as `rests_of` and `positions_of_table`."""
+    """The positions of a session, its folder, or a table of readings. Raises as `rests_of` and `positions_of_table`.
+
+    >>> import tumble
+    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
+    >>> tumble.positions_of(folders[1], tumble.calibrate(folders[0])).readings.shape
+    (12, 3)
+    """
     if not isinstance(given, Session) and not Path(given).is_dir():
         return positions_of_table(Path(given), calibration)
     session = session_from(given)

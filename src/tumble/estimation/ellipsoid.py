@@ -115,7 +115,15 @@ def fit_ellipsoid(
     the unit of the modulus after nominal scale and polarity, in the frame that `block` fixes.
 
     `covariance` (N, 3, 3) is what is known of their noise; a scatter is estimated on top of it. Without it all are
-    equally good. A position more than `bad_sigmas` from the fit through the others is left out, and says so."""
+    equally good. A position more than `bad_sigmas` from the fit through the others is left out, and says so.
+
+    >>> import numpy as np, tumble
+    >>> faces = np.vstack([np.eye(3), -np.eye(3)])
+    >>> corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
+    >>> found = tumble.fit_ellipsoid(9.8 * np.vstack([faces, corners]) + [0.1, 0.05, -0.2], modulus=9.8)
+    >>> found.values[:3].round(6).tolist()
+    [0.1, 0.05, -0.2]
+    """
     refusal = undetermined(readings, block=block)
     if refusal is not None:
         return refusal

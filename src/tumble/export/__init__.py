@@ -52,8 +52,8 @@ def export_calibration(
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
     >>> exported = tumble.export_calibration(tumble.calibrate(folder), "csv")
-    >>> exported.losses
-    ()
+    >>> exported.content.splitlines()[0].split(b",")[0]
+    b'# device mems-1'
     """
     from tumble.calibration.calibration_file import calibration_from
 

@@ -96,7 +96,14 @@ class Bound:
 def bound(setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of a set-up's programme, with gyros and all moves, or of accelerometers alone.
 
-    Raises InputError for values that make no sense, and where there is no noise."""
+    Raises InputError for values that make no sense, and where there is no noise.
+
+    >>> import tumble
+    >>> setup = tumble.Setup(latitude=0.992, gravity=9.816, rest=120.0)
+    >>> found = tumble.bound(setup)
+    >>> found.rank == len(found.names)
+    True
+    """
     return bound_of(course_of(setup), setup, gyros=gyros)
 
 

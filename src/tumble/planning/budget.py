@@ -166,7 +166,14 @@ def budget(setup: Setup, methods: Sequence[Method] = METHODS, iterations: int = 
     """Expected errors of every group of parameters after each of so many passes of these methods.
 
     Groups that the programme cannot give (gyro scale factors without known turns) have no row. Raises InputError for
-    values that make no sense, ProgrammeError for a programme without the positions a method needs."""
+    values that make no sense, ProgrammeError for a programme without the positions a method needs.
+
+    >>> import tumble
+    >>> setup = tumble.Setup(latitude=0.992, gravity=9.816, rest=120.0)
+    >>> found = tumble.budget(setup, methods=["staged"])
+    >>> sorted({row.method for row in found.rows})
+    ['staged']
+    """
     check_setup(setup, iterations)
     rows: list[Row] = []
     for method in methods:

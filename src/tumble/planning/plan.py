@@ -27,7 +27,14 @@ class Plan:
 def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, table: Table = ANY) -> Plan:
     """The least uncertainty that the programme of a set-up allows, and the best next positions on a table; with
     `positions` the best programme of so many that is found, beside those of the literature. Raises InputError for
-    values that make no sense, and where there is no noise."""
+    values that make no sense, and where there is no noise.
+
+    >>> import tumble
+    >>> setup = tumble.Setup(latitude=0.992, gravity=9.816, rest=120.0)
+    >>> found = tumble.plan(setup)
+    >>> len(found.following), found.bound.groups[0]
+    (5, 'accel.bias')
+    """
     if positions is None:
         best = bound(setup, gyros=aim.gyros)
         return Plan(setup=setup, bound=best, following=next_positions(setup, aim, table), programmes=())

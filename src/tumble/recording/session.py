@@ -198,7 +198,13 @@ def read_session(folder: FilePath) -> Session:
     """The session of a folder, or of the path of its session.toml.
 
     Raises SessionError, one line, with up to three faults of the file: missing, not TOML, an unknown key, a
-    value that is not what its key expects, a log that does not exist."""
+    value that is not what its key expects, a log that does not exist.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=4), seed=1)
+    >>> tumble.read_session(folder).device.serial
+    'mems-1'
+    """
     given = Path(folder)
     path = given if given.is_file() or given.name == SESSION_FILE else given / SESSION_FILE
     document = _checked(_parsed(path), str(path))
@@ -212,7 +218,16 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     polars or a pandas frame, or a sequence of them for a log of several files) the description names no log.file;
     without, its files are relative to the working folder.
 
-    Raises SessionError as `read_session`, and LogError for data that are not columns of one length."""
+    Raises SessionError as `read_session`, and LogError for data that are not columns of one length.
+
+    >>> import numpy as np, tumble
+    >>> accel = {"columns": ["ax", "ay", "az"], "unit": "count", "scale": 1000.0, "scale_per": "g"}
+    >>> description = {"format": 1, "device": {"serial": "A-0007"}, "log": {"rate_hz": 100.0, "accel": accel}}
+    >>> counts = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.full(300, 1000.0)}
+    >>> chunk = next(tumble.open_log(tumble.session_of(description, counts)).chunks())
+    >>> chunk.accel[0].tolist()
+    [0.0, 0.0, 9.80665]
+    """
     if data is None:
         session = _session(_checked(description, _DESCRIPTION), None)
         _check_files(session, _DESCRIPTION)
@@ -245,7 +260,13 @@ def session_from(given: Session | FilePath) -> Session:
 def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
     """Write session.toml with this content, keys and values as in the file, into a folder, made if need be.
 
-    Raises SessionError if the content is not a session's; the log need not exist yet."""
+    Raises SessionError if the content is not a session's; the log need not exist yet.
+
+    >>> import numpy as np, tumble
+    >>> session = tumble.session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
+    >>> content = tumble.description_of(session)
+    >>> tumble.write_session("session", content | {"log": {"file": "log.csv", **content["log"]}})
+    """
     folder = Path(folder)
     path = folder / SESSION_FILE
     _checked(content, str(path))

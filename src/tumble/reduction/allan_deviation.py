@@ -110,7 +110,14 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     """Overlapping Allan deviation of samples (m,) or (m, c) taken at a constant `rate` (Hz), at four averaging
     times an octave up to a quarter of the record. One channel is worked on at a time.
 
-    Raises InputError for fewer than 32 samples or a value that is not a number."""
+    Raises InputError for fewer than 32 samples or a value that is not a number.
+
+    >>> import numpy as np, tumble
+    >>> white = np.random.default_rng(1).normal(size=(10_000, 1))
+    >>> found = tumble.allan_deviation(white, 100.0)
+    >>> bool(abs(found.deviation[0, 0] * np.sqrt(found.tau[0]) - 0.1) < 0.01)
+    True
+    """
     columns = samples if samples.ndim == 2 else samples[:, None]
     count = len(columns)
     if count < MIN_SAMPLES:

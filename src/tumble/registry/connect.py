@@ -69,7 +69,13 @@ def open_registry(place: FilePath | None = None, *, create: bool = False) -> Ite
     `create` one that does not exist is made.
 
     Raises InputError, one line: no such registry, another program's database, a newer schema, a server that does not
-    answer; MissingExtraError without the extra."""
+    answer; MissingExtraError without the extra.
+
+    >>> import tumble
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     tumble.records(registry)
+    []
+    """
     with extra_named():
         registry = _connected(None if place is None else os.fspath(place), create)
     try:

@@ -201,7 +201,17 @@ def every_record(connection: Connection) -> list[Record]:
 def records(registry: Registry, serial: str | None = None) -> list[Record]:
     """The records of a device, or of all of them, superseded ones too, in the order in which they were performed.
 
-    Raises InputError for a device that has none."""
+    Raises InputError for a device that has none.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     _ = tumble.add_calibration(registry, "calibration.json")
+    ...     found = tumble.records(registry, "mems-1")
+    >>> [record.method for record in found]
+    ['joint']
+    """
     with registry.reading() as connection:
         found = [r for r in every_record(connection) if serial in (None, r.serial)]
         if serial is not None and not found:

@@ -21,7 +21,14 @@ def write_report(
     return why it is not accepted: the reasons of the calibrations, and what is not within the acceptance limits of the
     file `limits`.
 
-    Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`."""
+    Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> tumble.write_report("calibration.json", "report.html")
+    []
+    """
     files = [calibrations] if isinstance(calibrations, str | os.PathLike) else calibrations
     out = Path(out)
     ending = out.suffix.lower()
