@@ -179,6 +179,8 @@ STILL = np.tile([0.0, 0.0, G_STANDARD], (300, 1))
     ("given", "expected"),
     [
         ({"accel": STILL.T}, "accel: expected an array of shape (samples, sensors) with three sensors or more, found"),
+        ({"accel": STILL[:0]}, "accel: expected an array of shape (samples, sensors)"),
+        ({"temperature": []}, "temperature: expected 300 samples, as many as accel_x has, found 0"),
         ({"accel": STILL / G_STANDARD}, "accel: expected m/s^2, about 9.8 at rest, found 1 at the median"),
         ({"accel": [["a", "b", "c"]]}, "accel: expected an array of numbers"),
         ({"gyro": STILL[:-1]}, "gyro_x: expected 300 samples, as many as accel_x has, found 299"),

@@ -67,9 +67,11 @@ def session_of_arrays(
     if time is not None:
         data["time"] = _series("time", time)
     if temperature is not None:
-        data["temperature"] = _celsius(_series("temperature", temperature))
+        data["temperature"] = _series("temperature", temperature)
         log["temperature"] = {"columns": ["temperature"], "unit": "degC"}
     _check_lengths(data)
+    if temperature is not None:
+        data["temperature"] = _celsius(data["temperature"])
     description: dict[str, Any] = {
         "format": 1,
         "device": {"serial": serial},
@@ -84,7 +86,7 @@ def session_of_arrays(
 def readings_of(kind: str, given: npt.ArrayLike) -> Array:
     """Readings (N, n) in SI of an array or a frame. Raises InputError for another shape, and as `numbers_of`."""
     readings = numbers_of(kind, given)
-    if readings.ndim != 2 or readings.shape[1] < 3 or readings.shape[1] > max(len(readings), 3):
+    if readings.ndim != 2 or not len(readings) or readings.shape[1] < 3 or readings.shape[1] > max(len(readings), 3):
         turned = "; transpose it" if readings.ndim == 2 and readings.shape[0] >= 3 else ""
         raise InputError(
             f"{kind}: expected an array of shape (samples, sensors) with three sensors or more, found the shape "
