@@ -17,9 +17,10 @@ import polars as pl
 from calibrate import ONE_RUN, TUMBLE, machine
 
 from tumble.calibration.calibrate import calibrate
+from tumble.planning.setup import Setup
 from tumble.recording.session import write_session
 from tumble.recording.writer import write_tables
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 
 ROWS = 1_000_000 if "--short" in sys.argv else 20_000_000
 UNITS = {"accel": "m/s^2", "gyro": "rad/s"}
@@ -48,7 +49,7 @@ def main() -> None:
     print(machine())
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
-        request = Request(grade="mems", positions=14, rest=5.0, sample_rate=50.0)
+        request = Setup.of(grade="mems", positions=14, rest=5.0, sample_rate=50.0)
         calibrate(simulate_session(root / "device", request, seed=1)).write(root / "calibration.json")
         for source in ("parquet", "csv"):
             folder = session_of(root / source, source)

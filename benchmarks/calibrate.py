@@ -23,8 +23,9 @@ from typing import Literal
 import polars as pl
 
 from tumble.calibration.calibrate import calibrate
+from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 
 TUMBLE = Path(sys.executable).with_name("tumble")
 DATA = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data")
@@ -85,7 +86,7 @@ def rows_of(log: Path) -> int:
 
 def session_of(folder: Path, log_format: Literal["csv", "parquet"], rest: float) -> Path:
     """A session at 1 kHz with 15 rests of so many seconds."""
-    request = Request(programme="rough-table", rest=rest, sample_rate=1000.0)
+    request = Setup.of(programme="rough-table", rest=rest, sample_rate=1000.0)
     return simulate_session(folder, request, seed=5, log_format=log_format)
 
 

@@ -19,11 +19,12 @@ import numpy as np
 
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.methods.staged.method import staged
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import NoiseModel
-from tumble.simulation.observations import scenario_of, simulate_observations
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import scenario_of
 from tumble.units import DEGREE
 
 SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)

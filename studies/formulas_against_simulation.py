@@ -27,13 +27,21 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     scalar_scale_error,
     up_down_errors,
 )
-from tumble.planning.budget import GROUPS, Setup, budget
-from tumble.planning.error_propagation import NAMES, Method
+from tumble.planning.budget import GROUPS, budget
+from tumble.planning.error_propagation import NAMES, BudgetedMethod
 from tumble.planning.requirements import require
+from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
-from tumble.sensors.grades import NoiseModel
-from tumble.units import ARCSEC, DEGREE, Array, IntArray
+from tumble.sensors.grades import DEGREE_PER_ROOT_HOUR, Grade, NoiseModel, Spread
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
+
+DEVICE = Grade(
+    accel=Spread(bias=2e-3, scale=1e-4, axis=25.0 * ARCSEC),
+    gyro=Spread(bias=0.3 * DEGREE_PER_HOUR, scale=1e-4, axis=10.0 * ARCSEC),
+    noise=NoiseModel(accel_white=1e-4, gyro_white=0.003 * DEGREE_PER_ROOT_HOUR),
+)
+"""An instrument like the published one, with white noise alone."""
 
 STEPS = 12
 """Steps of the integration of a turn, of fourth order: 15° each."""
@@ -187,7 +195,7 @@ class Found:
     b_g: Array
 
 
-def calibrate(launches: Launches, method: Method, iterations: int) -> list[Array]:
+def calibrate(launches: Launches, method: BudgetedMethod, iterations: int) -> list[Array]:
     """Errors (T, 21), estimated − true, after each pass of a method."""
     T = len(launches.truth)
     eye, zero = np.broadcast_to(np.eye(3), (T, 3, 3)), np.zeros((T, 3))
@@ -199,7 +207,7 @@ def calibrate(launches: Launches, method: Method, iterations: int) -> list[Array
     return errors
 
 
-def one_pass(launches: Launches, method: Method, found: Found) -> None:
+def one_pass(launches: Launches, method: BudgetedMethod, found: Found) -> None:
     """All stages on readings corrected by what is known; what they find is put on top of it, exactly."""
     accel = accelerometers_sequential if method == "sequential" else accelerometers_scalar
     w = corrected(launches.accel, found.S_a, found.b_a)
@@ -290,14 +298,14 @@ def bias_dot_product(launches: Launches, w: Array, ω: Array) -> Array:
     return np.asarray((np.linalg.pinv(u) @ right[..., None])[..., 0])
 
 
-BIAS: dict[Method, Callable[[Launches, Array, Array], Array]] = {
+BIAS: dict[BudgetedMethod, Callable[[Launches, Array, Array], Array]] = {
     "sequential": bias_vertical,
     "scalar": bias_modulus,
     "staged": bias_dot_product,
 }
 
 
-def gyro_matrices(launches: Launches, method: Method, found: Found, w: Array, ω: Array) -> Array:
+def gyro_matrices(launches: Launches, method: BudgetedMethod, found: Found, w: Array, ω: Array) -> Array:
     """Indirect method: matrices (T, 3, 3) of what is left in the gyros, with the table of §6.3 (scalar, sequential) or
     with the Jacobian of the integrated rates (staged)."""
     C, M = integrated(launches, found, with_columns=method == "staged")
@@ -473,7 +481,7 @@ def angle_sums(γ: Array, p: int, q: int, r: int) -> Array:
 SHOWN = {"m/s^2": (1e-6, "µm/s²"), "1": (1e-6, "ppm"), "rad": (ARCSEC, "″"), "rad/s": (DEGREE / 3600.0, "°/h")}
 
 
-def compare(title: str, setup: Setup, launches: int, seed: int, methods: tuple[Method, ...]) -> list[float]:
+def compare(title: str, setup: Setup, launches: int, seed: int, methods: tuple[BudgetedMethod, ...]) -> list[float]:
     """Print predicted and simulated rms errors; return how far apart their logarithms are beyond chance."""
     predicted = budget(setup, methods, iterations=2)
     simulated = simulate(setup, launches, np.random.default_rng(seed))
@@ -530,10 +538,17 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--short", action="store_true", help="fewer launches")
     launches = 400 if parser.parse_args(arguments).short else 4000
     latitude = 56.84 * DEGREE
-    setup = Setup(latitude=latitude, gravity=normal_gravity(latitude, 270.0))
+    setup = Setup(
+        latitude=latitude,
+        gravity=normal_gravity(latitude, 270.0),
+        gravity_u=0.0,
+        noise=DEVICE.noise,
+        accel=DEVICE.accel,
+        gyro=DEVICE.gyro,
+    )
     silent = replace(setup, noise=NoiseModel())
     nine = replace(silent, programme=programme("nine"), table_error=1.5 * DEGREE, mounting_error=0.0)
-    both: tuple[Method, ...] = ("sequential", "scalar")
+    both: tuple[BudgetedMethod, ...] = ("sequential", "scalar")
     unexplained = print_single(setup, 5 * launches)
     off = compare("rough-table ±1°, mounting ±1°, 60 s, noise", setup, launches, 1, both)
     off += compare("the same without noise", silent, launches, 2, both)

@@ -39,7 +39,7 @@ begin with two simulated launches of a MEMS unit, turned by hand:
 import numpy as np
 import tumble
 
-request = tumble.Request(grade="mems", positions=15)
+request = tumble.Setup.of(grade="mems", positions=15)
 session, second = (tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2))
 calibration = tumble.calibrate(session)
 ```
@@ -123,7 +123,7 @@ def _section(draw: Callable[..., None]) -> str:
 
 def draw_all(folder: Path) -> None:
     """Draw the pictures into a folder."""
-    request = tumble.Request(grade="mems", positions=15)
+    request = tumble.Setup.of(grade="mems", positions=15)
     with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
         session, second = (tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2))
         known = {"session": session, "second": second, "calibration": tumble.calibrate(session)}

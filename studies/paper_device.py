@@ -39,8 +39,8 @@ from tumble.estimation.methods.paper.compensation import (
     triad_parameters,
 )
 from tumble.estimation.methods.paper.four_stages import (
-    Course,
-    Method,
+    PaperMethod,
+    ProgrammeCourse,
     accelerometer_pass,
     gyro_bias_pass,
     gyro_matrix_pass,
@@ -49,7 +49,7 @@ from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, 
 from tumble.estimation.methods.paper.scalar import accelerometers as scalar
 from tumble.estimation.methods.paper.sequential import accelerometers as sequential
 from tumble.estimation.methods.paper.sequential import check_positions
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
@@ -59,8 +59,10 @@ from tumble.terminal.text import print_report
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 LAUNCHES = 7
-SEQUENTIAL = Method(name="sequential", accelerometers=sequential, check=check_positions)
-SCALAR = Method(name="scalar", accelerometers=scalar, check=check_positions)
+MOST_OUTSIDE = 2
+"""Of nine published increments, outside the middle 95 % of the better of the two tables."""
+SEQUENTIAL = PaperMethod(name="sequential", accelerometers=sequential, check=check_positions)
+SCALAR = PaperMethod(name="scalar", accelerometers=scalar, check=check_positions)
 NINE = [8, 10, 0, 1, 4, 5, 12, 13, 14]
 """Rests of rough-table that are the nine orientations of the paper's scalar method."""
 
@@ -70,7 +72,7 @@ def scalar_of_nine(readings: Array, nominal: Array, gravity: Array) -> SensorMod
     return scalar(readings[..., NINE, :], nominal[NINE], gravity)
 
 
-SCALAR_OF_NINE = Method(name="scalar of nine", accelerometers=scalar_of_nine, check=check_positions)
+SCALAR_OF_NINE = PaperMethod(name="scalar of nine", accelerometers=scalar_of_nine, check=check_positions)
 
 AXES = ("xy", "xz", "yx", "yz", "zx", "zy")
 ROWS = (
@@ -116,7 +118,10 @@ INSTABILITY = NoiseModel(
 SETUP = Setup(
     latitude=LATITUDE,
     gravity=normal_gravity(LATITUDE, 250.0),
+    gravity_u=0.0,
     noise=INSTABILITY,
+    accel=simulation.DEVICE.accel,
+    gyro=simulation.DEVICE.gyro,
     rest=120.0,
     turn_rate=9.0 * DEGREE,
 )
@@ -125,14 +130,14 @@ SETUP = Setup(
 # -------------------- the methods --------------------
 
 
-def course_of(programme: Programme) -> Course:
+def course_of(programme: Programme) -> ProgrammeCourse:
     """The course of launches that record nothing but the known turns."""
     series, k = [], 0
     for moves in known_turns(programme):
         turns = [RecordedTurn(turn=k + i, first=move, last=move + 1, counts=True) for i, move in enumerate(moves)]
         series.append(tuple(turns))
         k += len(turns)
-    return Course(
+    return ProgrammeCourse(
         nominal=np.array([position.vertical_b for position in programme.positions]),
         series=tuple(series),
         duration=np.full(k, math.pi / SETUP.turn_rate),
@@ -146,7 +151,7 @@ COURSE = course_of(SETUP.programme)
 
 def passes(
     launches: simulation.Launches,
-    method: Method,
+    method: PaperMethod,
     iterations: int,
     *,
     gyro_bias: bool = True,
@@ -376,16 +381,17 @@ def main(arguments: list[str]) -> int:
     print("\nindirect method, no noise, accelerometers known: relative error of gyro parameters")
     print(f"  first iteration   {first[0]:.2f} %/° (scale), {first[1]:.2f} %/° (angles) of rms deviation")
     print(f"  second iteration  {second[0]:.2f} %/°² (scale), {second[1]:.2f} %/°² (angles)")
+    mostly = all(min(inside) <= MOST_OUTSIDE for inside in outside.values()) and abs(first[1] - 7.5) < 1.5
     counts = "; ".join(f"{name}: {a} and {b} of 9" for name, (a, b) in outside.items())
     print(
-        "\nDo the published tables come out? Mostly. Second iterations outside the middle 95 % of tables of ±0.5–1° "
+        f"\nDo the published tables come out? {'Mostly' if mostly else 'No'}. Second iterations outside the middle 95 % of tables of ±0.5–1° "
         f"and ±1–2°: {counts}. Those of the scalar method in the scale factors are its second order. The methods "
         f"differ by as much as published if the scalar one has nine orientations and sensors change by "
         f"{1e6 * instability:.0f} µm/s² between rests: noise, not convergence. The indirect method errs by "
         f"{first[1]:.1f} % in the angles at 1° rms, the paper's 7–8 %, and by {second[1]:.2f} % after the second "
         "iteration, below its 1–2 %."
     )
-    return 0
+    return 0 if mostly else 1
 
 
 if __name__ == "__main__":

@@ -20,10 +20,11 @@ from matplotlib.axes import Axes
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
+from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
 from tumble.recording.session import read_session
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, Array
 
 TARGET = Path(__file__).parents[1] / "docs" / "pictures" / "rough-table.svg"
@@ -148,7 +149,7 @@ def group_of(name: str) -> str:
 def draw(target: Path) -> float:
     """Draw the picture into a file; the result is the rms of (value − truth)/u."""
     with tempfile.TemporaryDirectory() as folder:
-        session = simulate_session(Path(folder) / "launch", Request(), seed=1)
+        session = simulate_session(Path(folder) / "launch", Setup.of(), seed=1)
         truth = json.loads((session / "truth.json").read_text())
         time, accel = accelerometer_record(session)
         calibration = calibrate(session)

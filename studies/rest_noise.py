@@ -43,6 +43,11 @@ class Sets:
         return round(self.seconds / BLOCK)
 
 
+HONEST = 0.25
+"""How far the reduced chi-square may be from 1 where the uncertainty from within the rests is taken to be right."""
+
+SIGMAS = 4.0
+
 LONG, SHORT = Sets(rests=15, seconds=60.0), Sets(rests=30, seconds=5.0)
 
 
@@ -104,7 +109,7 @@ CASES: dict[str, Noise] = {
 }
 
 
-def main(repetitions: int) -> None:
+def main(repetitions: int) -> int:
     """Print the table and the answer."""
     print(f"reduced chi-square of the means of rests, average over {repetitions} sets")
     print(f"{'noise':44s}{'15 × 60 s':>18s}{'30 × 5 s':>18s}")
@@ -114,6 +119,8 @@ def main(repetitions: int) -> None:
         print(f"{name:44s}" + "".join(f"{f'{value:.3f} ± {u:.3f}':>18s}" for value, u in found[name]))
     within = [value for name in list(CASES)[:4] for value, _ in found[name]]
     coarse = [value for name in list(CASES)[4:7] for value, _ in found[name]]
+    honest = all(abs(value - 1.0) < HONEST + SIGMAS * u for name in list(CASES)[:7] for value, u in found[name])
+    short_of = all(value - SIGMAS * u > 2.0 for value, u in found["flicker"])
     print(
         f"\nFor white noise, and Gauss-Markov noise of up to a twentieth of the rest, it is {min(within):.2f} to "
         f"{max(within):.2f}; where white noise hides\nthe Gauss-Markov noise, {min(coarse):.2f} to {max(coarse):.2f}. "
@@ -121,7 +128,8 @@ def main(repetitions: int) -> None:
         f"within the rests is\n{np.sqrt(found['flicker'][0][0]):.1f} and {np.sqrt(found['flicker'][1][0]):.1f} times "
         "too small, and the scatter between rests has to be estimated."
     )
+    return 0 if honest and short_of else 1
 
 
 if __name__ == "__main__":
-    main(repetitions=20 if "--short" in sys.argv[1:] else 300)
+    sys.exit(main(repetitions=20 if "--short" in sys.argv[1:] else 300))

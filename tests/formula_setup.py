@@ -12,22 +12,15 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from tumble.earth import normal_gravity
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.sensors.grades import NoiseModel
 from tumble.units import ARCSEC, DEGREE
-
-LATITUDE = 56.8 * DEGREE
-GRAVITY = normal_gravity(LATITUDE, 250.0)
-SETUP = Setup(latitude=LATITUDE, gravity=GRAVITY)
-SILENT = replace(SETUP, noise=NoiseModel())
-BIAS, SCALE, AXIS = 2e-3 / GRAVITY, 1e-4, 25.0 * ARCSEC
-NINE = np.array([position.matrix for position in programme("nine").positions])
-SEED = 20190211
 
 
 @cache
@@ -41,3 +34,18 @@ def study() -> ModuleType:
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+def device_setup(**known: Any) -> Setup:
+    """A set-up with the instrument of the study, gravity known exactly."""
+    device = study().DEVICE
+    return Setup(**({"noise": device.noise, "accel": device.accel, "gyro": device.gyro, "gravity_u": 0.0} | known))
+
+
+LATITUDE = 56.8 * DEGREE
+GRAVITY = normal_gravity(LATITUDE, 250.0)
+SETUP = device_setup(latitude=LATITUDE, gravity=GRAVITY)
+SILENT = replace(SETUP, noise=NoiseModel())
+BIAS, SCALE, AXIS = 2e-3 / GRAVITY, 1e-4, 25.0 * ARCSEC
+NINE = np.array([position.matrix for position in programme("nine").positions])
+SEED = 20190211

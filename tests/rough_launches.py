@@ -21,8 +21,8 @@ from tumble.estimation.methods.paper.compensation import (
     triad_parameters,
 )
 from tumble.estimation.methods.paper.four_stages import (
-    Course,
-    Method,
+    PaperMethod,
+    ProgrammeCourse,
     accelerometer_pass,
     gyro_bias_pass,
     gyro_matrix_pass,
@@ -51,7 +51,7 @@ SIZES = np.concatenate(
 """Standard deviations of the parameters in §6.5, accelerometers and gyros."""
 
 
-def course_of_launches() -> Course:
+def course_of_launches() -> ProgrammeCourse:
     """The course of a recording of the nine known turns only."""
     series, k = [], 0
     for moves in known_turns(PROGRAMME):
@@ -60,7 +60,7 @@ def course_of_launches() -> Course:
             turns.append(RecordedTurn(turn=k, first=move, last=move + 1, counts=True))
             k += 1
         series.append(tuple(turns))
-    return Course(
+    return ProgrammeCourse(
         nominal=np.array([p.vertical_b for p in PROGRAMME.positions]),
         series=tuple(series),
         duration=np.full(k, TURN_SECONDS),
@@ -176,7 +176,7 @@ def _increments(gyro: SensorModel, attitudes: Array) -> Array:
 
 
 def passes(
-    found: Launches, method: Method, iterations: int, *, accel: SensorModel | None = None
+    found: Launches, method: PaperMethod, iterations: int, *, accel: SensorModel | None = None
 ) -> list[tuple[SensorModel, SensorModel]]:
     """Models after each pass of the four stages; with `accel` given the accelerometers are known."""
     before, gyro = perfect() if accel is None else accel, perfect()

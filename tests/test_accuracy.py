@@ -37,7 +37,6 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     paper_up_down_rms,
     polar_axis_error,
     reference_rate_error,
-    scalar_matrix,
     scalar_residuals,
     scalar_scale_error,
     start_error_growth,
@@ -50,6 +49,7 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     up_down_rms,
     vertical_axis_error,
 )
+from tumble.estimation.methods.paper.scalar import scalar_rows
 from tumble.programme.positions import ANY_MOVE, Move, Programme, attitude, programme
 from tumble.rotation import axes_matrix, rotation_matrix, skew
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
@@ -226,17 +226,17 @@ def test_single_errors_are_explained_by_their_formulas() -> None:
 
 def test_nine_positions_have_the_published_condition() -> None:
     """§3: det 1, cond 6.48, noise gains 0.707, 0.707, 2.646; both axes up: 7.29; 18 positions: 2.45 and 1.41."""
-    H = scalar_matrix(NINE[:, 1])
+    H = scalar_rows(NINE[:, 1])
     assert abs(np.linalg.det(H)) == pytest.approx(1.0)
     assert np.linalg.cond(H) == pytest.approx(6.48, abs=0.005)
     gains = np.sqrt(np.diag(np.linalg.inv(H.T @ H)))
     np.testing.assert_allclose(gains, np.repeat([0.707, 0.707, 2.646], 3), atol=5e-4)
     up = NINE[:, 1].copy()
     up[6:] = np.abs(up[6:])
-    assert np.linalg.cond(scalar_matrix(up)) == pytest.approx(7.29, abs=0.005)
+    assert np.linalg.cond(scalar_rows(up)) == pytest.approx(7.29, abs=0.005)
     eighteen = np.array([p.vertical_b for name in ("cube-14", "cube-12") for p in programme(name).positions])
     eighteen = eighteen[np.abs(eighteen).min(axis=1) < 1e-9]
-    H = scalar_matrix(eighteen)
+    H = scalar_rows(eighteen)
     assert H.shape == (18, 9)
     assert np.linalg.cond(H) == pytest.approx(2.45, abs=0.005)
     assert math.sqrt(np.diag(np.linalg.inv(H.T @ H))[8] * 18 / 9) == pytest.approx(1.41, abs=0.005)
@@ -248,9 +248,9 @@ def test_coefficient_error_is_that_of_the_nominal_matrix(rng: np.random.Generato
     X = 1e-5 * np.concatenate([s * rng.standard_normal(3) for s in (BIAS, SCALE, AXIS)])
     u = (rotation_matrix(1.5 * DEGREE * rng.uniform(-1, 1, (9, 3))) @ NINE)[:, 1]
     w = u @ accel_matrix(X[3:6], X[6:]).T + X[:3]
-    taken = scalar_matrix(NINE[:, 1])
+    taken = scalar_rows(NINE[:, 1])
     found = np.linalg.solve(taken, 0.5 * ((w**2).sum(axis=1) - 1.0)) - X
-    formula = coefficient_error(taken, taken - scalar_matrix(u), X)
+    formula = coefficient_error(taken, taken - scalar_rows(u), X)
     np.testing.assert_allclose(found, formula, atol=2e-15)
     assert np.max(np.abs(formula)) > 1e-11
 
@@ -266,7 +266,7 @@ def test_scalar_residual_is_of_second_order(rng: np.random.Generator) -> None:
             * np.concatenate([BIAS * np.array([1, -2, 1]), SCALE * np.array([2, 1, -1]), AXIS * np.array([1, 2, 3])])
         )
         w = accel_matrix(X[3:6], X[6:]) @ u + X[:3]
-        exact = 0.5 * (w @ w - 1.0) - scalar_matrix(w / np.linalg.norm(w)) @ X
+        exact = 0.5 * (w @ w - 1.0) - scalar_rows(w / np.linalg.norm(w)) @ X
         linearised, orientation = scalar_residuals(u, X[:3], X[3:6], X[6:])
         assert significant(float(linearised + orientation), float(exact), 1)
         left.append(abs(exact - linearised - orientation))
@@ -281,8 +281,8 @@ def test_scalar_scale_errors_are_the_squares(trial: int) -> None:
     b, k, γ = (s * rng.standard_normal(3) for s in (BIAS, SCALE, AXIS))
     w = NINE[:, 1] @ accel_matrix(k, γ).T + b
     z = 0.5 * ((w**2).sum(axis=1) - 1.0)
-    estimated = np.linalg.solve(scalar_matrix(w / np.linalg.norm(w, axis=1, keepdims=True)), z)[3:6] - k
-    true = np.linalg.solve(scalar_matrix(NINE[:, 1]), z)[3:6] - k
+    estimated = np.linalg.solve(scalar_rows(w / np.linalg.norm(w, axis=1, keepdims=True)), z)[3:6] - k
+    true = np.linalg.solve(scalar_rows(NINE[:, 1]), z)[3:6] - k
     np.testing.assert_allclose(estimated, scalar_scale_error(b, k, γ), atol=0.01 * BIAS**2)
     np.testing.assert_allclose(estimated - true, orientation_scale_error(b, γ), atol=0.01 * BIAS**2)
 

@@ -20,9 +20,10 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import InputError, LogError
+from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
 from tumble.sensors.model import SensorModel
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array
 
 ROWS = 400
@@ -168,7 +169,7 @@ def test_channels_in_another_order_keep_their_places(tmp_path: Path) -> None:
 
 def test_a_corrected_device_has_no_errors_left(tmp_path: Path) -> None:
     """Calibrating the corrected log of a noiseless session finds biases, scale errors and angles of zero."""
-    request = Request(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=50.0, noiseless=True)
+    request = Setup.of(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=50.0, noise_factor=0.0)
     folder = simulate_session(tmp_path / "session", request, seed=4)
     made, session = calibrate(folder), read_session(folder)
     again = tmp_path / "again"
@@ -247,7 +248,7 @@ def test_a_library_call_with_another_number_of_sensors_is_refused() -> None:
 
 
 def test_the_command_writes_verifies_and_replaces_only_with_force(tmp_path: Path) -> None:
-    request = Request(grade="mems", positions=12, rest=5.0, rate_deg_s=120.0, sample_rate=50.0)
+    request = Setup.of(grade="mems", positions=12, rest=5.0, rate_deg_s=120.0, sample_rate=50.0)
     folder = simulate_session(tmp_path / "session", request, seed=2)
     made = calibrate(folder)
     made.write(tmp_path / "c.json")

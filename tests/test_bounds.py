@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from formula_setup import device_setup
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,18 +15,19 @@ from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, li
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.observability import in_words
 from tumble.planning.bounds import Course, bound, bound_of, course_of
-from tumble.planning.budget import GROUPS, Setup, budget
+from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import NAMES
+from tumble.planning.setup import Setup
 from tumble.programme.positions import TRIPLES, Programme, from_attitudes, programme
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.simulation import observations as simulated_observations
-from tumble.simulation.observations import scenario_of, simulate_observations
-from tumble.simulation.scenario import Itinerary, Scenario, itinerary
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import Itinerary, Scenario, itinerary, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 GRAVITY = 9.815817
-SETUP = Setup(latitude=56.8 * DEGREE, gravity=GRAVITY, rest=120.0, turn_rate=9.0 * DEGREE)
+SETUP = device_setup(latitude=56.8 * DEGREE, gravity=GRAVITY, rest=120.0, turn_rate=9.0 * DEGREE)
 """§8 of the turntable method: rests of 120 s, half turns of 20 s."""
 
 TENTH_OF_MG = replace(SETUP, noise=NoiseModel(accel_instability=1e-4 * GRAVITY))

@@ -13,14 +13,15 @@ import pytest
 from formula_setup import GRAVITY, SEED, SETUP, SILENT, study
 
 from tumble.errors import InputError, ProgrammeError
-from tumble.planning.budget import GROUPS, Setup, budget, indirect_coefficients
-from tumble.planning.error_propagation import METHODS, NAMES, Method
+from tumble.planning.budget import GROUPS, budget, indirect_coefficients
+from tumble.planning.error_propagation import BUDGETED_METHODS, NAMES, BudgetedMethod
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.sensors.grades import NoiseModel, Spread
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 
 
-def relative(setup: Setup, method: Method, iteration: int) -> dict[str, float]:
+def relative(setup: Setup, method: BudgetedMethod, iteration: int) -> dict[str, float]:
     rows = budget(setup, (method,), iteration).rows
     return {row.group: 100.0 * row.relative for row in rows if row.iteration == iteration}
 
@@ -39,7 +40,7 @@ def relative(setup: Setup, method: Method, iteration: int) -> dict[str, float]:
     ],
 )
 def test_gyro_errors_are_those_of_the_reference_simulation(
-    method: Method, degrees: float, iteration: int, scale: float, axis: float
+    method: BudgetedMethod, degrees: float, iteration: int, scale: float, axis: float
 ) -> None:
     """§6.5, the table "authors" and "scalar(est) accel": 15 % for rounding of the table, its chance, and 20 s turns."""
     amplitude = degrees * DEGREE
@@ -70,7 +71,7 @@ CRLB = {
     ],
 )
 def test_errors_with_noise_are_those_of_the_reference_simulation(
-    method: Method, programme_name: str, iteration: int, ratios: tuple[float, ...]
+    method: BudgetedMethod, programme_name: str, iteration: int, ratios: tuple[float, ...]
 ) -> None:
     """§8, 120 s rests, 20 s turns, as multiples of the Cramér–Rao bound: 6 % (300 runs there, a ratio to 2–4 %)."""
     setup = replace(SETUP, rest=120.0, turn_rate=9.0 * DEGREE, programme=programme(programme_name))
@@ -98,8 +99,8 @@ def test_the_study_answers_yes(capsys: pytest.CaptureFixture[str]) -> None:
     assert "yes" in capsys.readouterr().out.splitlines()[-1]
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_instability_is_predicted(method: Method) -> None:
+@pytest.mark.parametrize("method", BUDGETED_METHODS)
+def test_instability_is_predicted(method: BudgetedMethod) -> None:
     """1000 launches with in-run instability beyond the noise; as above, 5 % and five standard errors."""
     unstable = replace(SETUP.noise, accel_instability=4e-5, gyro_instability=0.05 * DEGREE_PER_HOUR)
     setup = replace(SETUP, noise=unstable)
@@ -143,7 +144,7 @@ def test_uncertain_gravity_is_in_every_accelerometer_scale_factor_and_nowhere_el
     real = replace(SILENT, gravity=GRAVITY + 3e-4)
     launches = simulation.readings(real, np.zeros((1, 21)), ROUGH_TABLE[None], np.random.default_rng(0))
     uncertain = replace(SILENT, gravity_u=3e-4)
-    for method in METHODS:
+    for method in BUDGETED_METHODS:
         (error,) = simulation.calibrate(replace(launches, setup=SILENT), method, 1)[0]
         before, after = (budget(setup, (method,), 1) for setup in (SILENT, uncertain))
         for group in GROUPS:
@@ -156,7 +157,7 @@ ROUGH_TABLE = np.array([position.matrix for position in programme("rough-table")
 
 
 def test_a_programme_without_turns_gives_no_gyro_scale_factors() -> None:
-    for name, methods in (("nine", METHODS), ("cube-26", ("scalar", "staged"))):
+    for name, methods in (("nine", BUDGETED_METHODS), ("cube-26", ("scalar", "staged"))):
         found = budget(replace(SETUP, programme=programme(name)), methods, 1)
         assert {row.group for row in found.rows} == set(GROUPS[:4])
     with pytest.raises(KeyError):

@@ -26,14 +26,15 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.errors import CalibrationError
+from tumble.planning.setup import Setup
 from tumble.recording.session import Site, read_session
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.scenario import HandHeld, Profile, Scenario, Vibration, draw_parameters
-from tumble.simulation.session import Request, simulate_session, write_simulation
+from tumble.simulation.session import simulate_session, write_simulation
 from tumble.units import DEGREE
 
-HAND = Request(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=50.0)
+HAND = Setup.of(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=50.0)
 
 NAMES = (
     *(f"accel.bias.{s}" for s in "xyz"),
@@ -185,7 +186,7 @@ def test_sensors_of_a_redundant_block_are_numbered_from_zero(tmp_path: Path) -> 
         course=HandHeld(positions=16),
         accel=accel,
         gyro=gyro,
-        truth=draw_parameters("mems", (accel, gyro), np.random.default_rng(2)),
+        truth=draw_parameters(GRADES["mems"], (accel, gyro), np.random.default_rng(2)),
         noise=GRADES["mems"].noise,
         profile=profile,
         site=Site(latitude=0.9, height=0.0, gravity=9.81, gravity_u=1e-6),

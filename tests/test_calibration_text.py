@@ -15,8 +15,9 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.launches import Run, difference_percent, mean_of_launches
 from tumble.cli import main
+from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.terminal.calibration import (
     WHAT_AN_INCREMENT_SAYS,
     calibration_report,
@@ -26,7 +27,7 @@ from tumble.terminal.calibration import (
 )
 from tumble.terminal.text import shown_units
 
-REQUEST = Request(rest=10.0, sample_rate=50.0)
+REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 
 
 @pytest.fixture(scope="module")

@@ -18,17 +18,18 @@ from click.testing import CliRunner, Result
 from tumble.campaigns import trial
 from tumble.campaigns.campaign import Campaign, campaign_of, read_campaign, run_campaign
 from tumble.campaigns.engine import Executor, run, serially
-from tumble.campaigns.summary import Line, summary
+from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import BLOCK, NAMES, Cell, session_rows, statics_rows
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
+from tumble.planning.setup import Setup
 from tumble.report.campaign_picture import plot
 from tumble.rotation import rotation_matrix
+from tumble.sensors.grades import NoiseModel
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import itinerary
-from tumble.simulation.session import Request
+from tumble.simulation.scenario import itinerary, scenario_of
 
-TABLE = Cell(request=Request(rest=20.0), noise_factor=1.0)
+TABLE = Cell.of({"rest": 20.0})
 SESSIONS = {"seed": 3, "trials": 4, "grid": {"method": ["joint", "ellipsoid"], "table_error_deg": [0.5, 5]}}
 STATICS = {"kind": "statics", "trials": 3, "grid": {"programme": "cube-26", "noise_factor": [1.0, 3.0]}}
 
@@ -86,10 +87,10 @@ def test_trials_of_a_number_differ_in_device_and_noise_from_those_of_another() -
 
 
 def test_the_bound_is_taken_where_the_observations_are() -> None:
-    noiseless = dataclasses.replace(TABLE, request=dataclasses.replace(TABLE.request, noiseless=True))
-    scenario = trial.scenario_of(noiseless, trial.stream(1, 4))
+    noiseless = dataclasses.replace(TABLE.setup, noise=NoiseModel())
+    scenario = scenario_of(noiseless, trial.stream(1, 4))
     rng = trial.stream(1, 4)
-    trial.scenario_of(noiseless, rng)
+    scenario_of(noiseless, rng)
     observations = simulate_observations(scenario, rng)
     way = itinerary(scenario, trial.stream(1, 4).spawn(1)[0])
     accel = scenario.accel.model(np.array([scenario.truth[name] for name in scenario.accel.names]))
@@ -106,7 +107,7 @@ def test_the_uncertainty_that_a_method_states_is_never_far_below_the_bound() -> 
 
 
 def test_a_method_that_cannot_use_the_observations_fails_and_the_others_do_not() -> None:
-    by_hand = Cell(request=Request(positions=20, grade="mems"), noise_factor=1.0)
+    by_hand = Cell.of({"positions": 20, "grade": "mems"})
     first, second = session_rows(1, "observations", ["sequential", "staged"], 0, by_hand)
     assert first["method"] == "sequential"
     assert "programme" in first["error"]
@@ -115,7 +116,7 @@ def test_a_method_that_cannot_use_the_observations_fails_and_the_others_do_not()
 
 
 def test_a_trial_through_a_log_sees_the_same_device() -> None:
-    cell = Cell(request=Request(rest=10.0, sample_rate=20.0), noise_factor=1.0)
+    cell = Cell.of({"rest": 10.0, "sample_rate": 20.0})
     (row,) = session_rows(1, "log", ["staged"], 0, cell)
     assert row["accepted"], row["reasons"]
     for name in NAMES:
@@ -125,7 +126,7 @@ def test_a_trial_through_a_log_sees_the_same_device() -> None:
 
 def test_a_factor_multiplies_all_noise() -> None:
     rng = np.random.default_rng(0)
-    usual, loud = (trial.scenario_of(Cell(request=Request(), noise_factor=f), rng).noise for f in (1.0, 3.0))
+    usual, loud = (scenario_of(Cell.of({"noise_factor": f}).setup, rng).noise for f in (1.0, 3.0))
     for name in ("accel_white", "gyro_white", "accel_instability", "gyro_instability"):
         assert getattr(loud, name) == pytest.approx(3.0 * getattr(usual, name), rel=1e-15) != 0.0
 
@@ -140,9 +141,9 @@ def test_the_vertical_after_a_rotation_is_that_of_the_rotation_matrix() -> None:
 
 
 def test_verticals_of_an_exact_table_are_those_of_the_programme() -> None:
-    exact = Request(programme="nine", table_error_deg=0.0, mounting_error_deg=0.0)
+    exact = Setup.of(programme="nine", table_error_deg=0.0, mounting_error_deg=0.0)
     rng = np.random.default_rng(0)
-    scenario = trial.scenario_of(Cell(request=exact, noise_factor=1.0), rng)
+    scenario = scenario_of(exact, rng)
     found = trial._verticals(scenario, rng)
     assert found.shape == (BLOCK, 9, 3)
     nominal = [position.vertical_b for position in scenario.course.programme.positions]  # type: ignore[union-attr]
@@ -151,7 +152,7 @@ def test_verticals_of_an_exact_table_are_those_of_the_programme() -> None:
 
 def test_verticals_spread_as_those_of_the_simulated_sessions() -> None:
     rng = np.random.default_rng(0)
-    scenario = trial.scenario_of(Cell(request=Request(programme="nine", table_error_deg=5.0), noise_factor=1.0), rng)
+    scenario = scenario_of(Cell.of({"programme": "nine", "table_error_deg": 5.0}).setup, rng)
     nominal = np.array([position.vertical_b for position in scenario.course.programme.positions])  # type: ignore[union-attr]
     ours = (trial._verticals(scenario, rng) - nominal).std(axis=0)
     theirs = np.array([itinerary(scenario, rng).attitudes[:, 1] for _ in range(1500)]) - nominal
@@ -161,9 +162,9 @@ def test_verticals_spread_as_those_of_the_simulated_sessions() -> None:
     np.testing.assert_allclose(theirs.std(axis=0)[large], ours[large], rtol=0.07)
 
 
-@pytest.mark.parametrize("request_", [Request(positions=24, grade="mems"), Request(programme="nine")])
-def test_errors_from_rests_alone_reach_the_bound(request_: Request) -> None:
-    found = [statics_rows(1, i, Cell(request=request_, noise_factor=1.0))[0] for i in range(4)]
+@pytest.mark.parametrize("point", [{"positions": 24, "grade": "mems"}, {"programme": "nine"}])
+def test_errors_from_rests_alone_reach_the_bound(point: dict[str, Any]) -> None:
+    found = [statics_rows(1, i, Cell.of(point))[0] for i in range(4)]
     assert sum(row["failed"] for row in found) == 0
     n = 4 * BLOCK
     for name in NAMES[:9]:
@@ -176,7 +177,7 @@ def test_errors_from_rests_alone_reach_the_bound(request_: Request) -> None:
 
 
 def test_triads_that_rests_do_not_determine_fail() -> None:
-    (row,) = statics_rows(1, 0, Cell(request=Request(positions=8), noise_factor=1.0))
+    (row,) = statics_rows(1, 0, Cell.of({"positions": 8}))
     assert row["failed"] == BLOCK
     assert "mean.accel.bias.x" not in row
 
@@ -186,7 +187,9 @@ def test_triads_that_rests_do_not_determine_fail() -> None:
 
 def test_every_combination_is_a_point_of_the_grid() -> None:
     campaign = campaign_of({"trials": 2, "grid": {"rest": [30, 60, 90], "noise_factor": [1, 2], "method": "scalar"}})
-    assert {(c.request.rest, c.noise_factor) for c in campaign.cells} == {(r, f) for r in (30, 60, 90) for f in (1, 2)}
+    assert {(c.point["rest"], c.point["noise_factor"]) for c in campaign.cells} == {
+        (r, f) for r in (30, 60, 90) for f in (1, 2)
+    }
     assert len(campaign.job().items) == 12
     assert campaign.methods == ("scalar",)
 
@@ -292,7 +295,9 @@ def test_moments_of_blocks_of_triads_are_put_together(tmp_path: Path) -> None:
 
 
 def test_a_plot_without_matplotlib_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    line = Line(point={}, method="staged", group="accel.bias", unit="m/s^2", **dict.fromkeys(COUNTS, 1), **FIGURES)
+    line = SummaryLine(
+        point={}, method="staged", group="accel.bias", unit="m/s^2", **dict.fromkeys(COUNTS, 1), **FIGURES
+    )
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'tumble\[report\]'"):
         plot([line], tmp_path / "rms.svg")

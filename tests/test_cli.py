@@ -24,10 +24,11 @@ from click.testing import CliRunner, Result
 
 from tumble import __version__
 from tumble.cli import main
-from tumble.simulation.session import Request, simulate_session
+from tumble.planning.setup import Setup
+from tumble.simulation.session import simulate_session
 
-HAND = Request(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=50.0)
-FEW = Request(grade="mems", positions=3, rest=3.0, rate_deg_s=200.0, sample_rate=20.0)
+HAND = Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=50.0)
+FEW = Setup.of(grade="mems", positions=3, rest=3.0, rate_deg_s=200.0, sample_rate=20.0)
 QUICK = ("--positions", "3", "--rest", "3", "--sample-rate", "20", "--rate", "200")
 SENSORS = ("ax", "ay", "az", "gx", "gy", "gz")
 

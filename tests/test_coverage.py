@@ -17,7 +17,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.compare import compare_calibrations
 from tumble.calibration.coverage import coverage, degrees_of_freedom, shortfalls
 from tumble.calibration.from_readings import calibrate_table
-from tumble.calibration.readings_table import Table, nominal, read_table
+from tumble.calibration.readings_table import ReadingsTable, nominal, read_table
 from tumble.calibration.results import Launch
 from tumble.estimation.estimate import Fit
 from tumble.export import export_calibration
@@ -39,7 +39,7 @@ def of_groups(**fits: Fit) -> Calibration:
     return replace(calibration(), fits={name.replace("_", " "): fit for name, fit in fits.items()})
 
 
-def table(folder: Path, values: Array) -> Table:
+def table(folder: Path, values: Array) -> ReadingsTable:
     path = folder / "r.csv"
     np.savetxt(path, values, delimiter=",", header="x,y,z", comments="", fmt="%.17g")
     return read_table(path)

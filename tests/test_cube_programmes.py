@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from tumble.calibration.calibration_file import read_calibration
 from tumble.cli import main
 from tumble.errors import ProgrammeError
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Position, Programme, programme
 from tumble.programme.sheet import sheet_page
 from tumble.programme.sheet_words import sheet_rows
@@ -24,8 +25,8 @@ from tumble.reduction.blocks import reduce_log
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.segmentation import find_rests
 from tumble.rotation import rotation_matrix
-from tumble.simulation.scenario import OnTable, Profile
-from tumble.simulation.session import Request, simulate_session, typical_scenario, write_simulation
+from tumble.simulation.scenario import OnTable, Profile, scenario_of
+from tumble.simulation.session import simulate_session, write_simulation
 from tumble.units import DEGREE, Array
 
 CUBES = ("cube-12", "cube-14", "cube-26", "faces-edges-18")
@@ -45,7 +46,7 @@ def recorded(
     folder: Path, course: Programme, rng: np.random.Generator, *, grade: str = "mems", error: float = 2.0
 ) -> Path:
     """A short session of a course with errors of up to `error` degrees about every axis, of mounting and positions."""
-    scenario = typical_scenario(Request(grade=grade), rng, serial="cube")
+    scenario = scenario_of(Setup.of(grade=grade), rng, serial="cube")
     scenario = replace(
         scenario,
         course=OnTable(programme=course, table_error=error * DEGREE, mounting_error=error * DEGREE),
@@ -116,7 +117,7 @@ def test_a_simulated_cube_is_calibrated(name: str, tmp_path: Path) -> None:
     """The command draws order and azimuths at random, and another launch draws them anew."""
     orders = []
     for launch in (1, 2):
-        request = Request(programme=name, rest=5.0, rate_deg_s=60.0, sample_rate=20.0)
+        request = Setup.of(programme=name, rest=5.0, rate_deg_s=60.0, sample_rate=20.0)
         folder = simulate_session(tmp_path / str(launch), request, seed=4, launch=launch)
         match = matched(folder, name)
         assert match.position is not None

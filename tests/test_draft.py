@@ -10,9 +10,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble.cli import main
+from tumble.planning.setup import Setup
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
 from tumble.recording.session import Session, read_session
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import ACCEL_UNITS, GYRO_UNITS
 
 
@@ -119,7 +120,7 @@ def test_a_second_imu_in_the_same_log_is_named_and_angular_accelerations_are_nob
 def handheld(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
     """A recording by hand in SI, columns t, ax … gz."""
     folder = tmp_path_factory.mktemp("draft") / "s"
-    simulate_session(folder, Request(grade="mems", positions=12, rest=3.0), seed=3)
+    simulate_session(folder, Setup.of(grade="mems", positions=12, rest=3.0), seed=3)
     return pl.read_parquet(folder / "log.parquet")
 
 

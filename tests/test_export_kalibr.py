@@ -17,10 +17,11 @@ from tumble.calibration.quiet_samples import longest_rest
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.kalibr import noise_densities
+from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
 from tumble.reduction.allan_deviation import allan_deviation
 from tumble.sensors.frames import Frame
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import Array
 
 
@@ -118,7 +119,7 @@ def test_noise_densities_are_those_of_the_file_and_their_units_kalibrs() -> None
 def test_noise_is_what_the_longest_rest_shows(tmp_path: Path) -> None:
     """White noise: its density times √rate is the standard deviation of the samples, within 10 %. What the record does
     not show is bounded: K as large would still lie below the Allan deviation at every averaging time."""
-    request = Request(grade="mems", positions=3, rest=60.0, rate_deg_s=120.0, sample_rate=100.0)
+    request = Setup.of(grade="mems", positions=3, rest=60.0, rate_deg_s=120.0, sample_rate=100.0)
     session = read_session(simulate_session(tmp_path / "session", request, seed=1))
     found, record = noise_densities(session), longest_rest(session)
     assert found.rate == pytest.approx(100.0)

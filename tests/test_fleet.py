@@ -15,7 +15,8 @@ from tumble.campaigns.engine import Executor
 from tumble.campaigns.fleet import run_fleet, sessions_of, tally
 from tumble.cli import main
 from tumble.errors import InputError, MissingExtraError
-from tumble.simulation.session import Request, simulate_session
+from tumble.planning.setup import Setup
+from tumble.simulation.session import simulate_session
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +24,8 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Sessions a and c are good, b has no log, d is too short to be calibrated, e is no TOML; f is not a session."""
     root = tmp_path_factory.mktemp("yard")
     for name, seed in (("a", 1), ("c", 2)):
-        simulate_session(root / name, Request(rest=8.0, sample_rate=20.0), seed=seed)
-    simulate_session(root / "d", Request(positions=3, sample_rate=20.0), seed=3)
+        simulate_session(root / name, Setup.of(rest=8.0, sample_rate=20.0), seed=seed)
+    simulate_session(root / "d", Setup.of(positions=3, sample_rate=20.0), seed=3)
     shutil.copytree(root / "a", root / "b")
     (root / "b" / "log.parquet").unlink()
     (root / "e").mkdir()

@@ -19,11 +19,12 @@ from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
 from tumble.commands.arguments import FRAMES as OFFERED
 from tumble.errors import InputError
+from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
 from tumble.rotation import rotation_matrix
 from tumble.sensors.frames import FRAMES, Alignment, Convention, Frame, convert, frame_of, rotation_to, triad_axes
 from tumble.sensors.model import Block, SensorModel
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import Array
 
 TRIAD = np.eye(3)
@@ -288,7 +289,7 @@ def test_nominal_axes_are_found_in_a_matrix() -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    request = Request(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
+    request = Setup.of(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
     return simulate_session(tmp_path_factory.mktemp("frames") / "cube", request, seed=21)
 
 
@@ -329,7 +330,7 @@ def test_a_calibration_is_written_and_read_in_every_frame(
 
 
 def test_the_mean_of_launches_is_in_their_frame(folder: Path, tmp_path: Path) -> None:
-    request = Request(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
+    request = Setup.of(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
     other = simulate_session(tmp_path / "second", request, seed=21, launch=2)
     sessions = [read_session(each) for each in (folder, other)]
     mean = mean_of_launches([Run(session=s, calibration=calibrate(s, frame="paper")) for s in sessions])

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from formula_setup import device_setup
 
 from tumble.calibration.calibrate import calibrate
 from tumble.estimation.diagnosis import verdict
@@ -21,16 +22,16 @@ from tumble.estimation.likelihood import Prior, Problem, Scatter, TurnsAbout, li
 from tumble.estimation.methods import joint as method
 from tumble.estimation.methods.joint import TOTAL, joint
 from tumble.estimation.methods.staged.method import staged
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block
-from tumble.simulation.observations import scenario_of, simulate_observations
-from tumble.simulation.scenario import IN_HAND, HandHeld, Scenario
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import HandHeld, Scenario, profile_of, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
-SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)
+SETUP = device_setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)
 """§8 of the turntable method."""
 
 QUIET = replace(SETUP, noise=NoiseModel())
@@ -62,7 +63,7 @@ def scenario(setup: Setup, seed: int, axes: Array = TRIAD) -> Scenario:
 
 
 def in_the_hand(chosen: Scenario, positions: int = 30) -> Scenario:
-    return replace(chosen, course=HandHeld(positions=positions), profile=IN_HAND)
+    return replace(chosen, course=HandHeld(positions=positions), profile=profile_of(Setup.of(positions=positions)))
 
 
 def observed(chosen: Scenario, seed: int, *, only_programmed: bool = False) -> Observations:

@@ -15,10 +15,11 @@ from tumble.calibration.calibration_file import read_calibration
 from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 
-REQUEST = Request(rest=10.0, sample_rate=50.0)
+REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,8 @@ import tumble
 from tumble.commands import __path__ as commands
 from tumble.errors import InputError, MissingExtraError
 from tumble.estimation.estimate import Outcome
-from tumble.simulation.session import Request, simulate_session
+from tumble.planning.setup import Setup
+from tumble.simulation.session import simulate_session
 
 REPOSITORY = Path(__file__).parents[1]
 CACHE = REPOSITORY / ".mypy_cache" / "user"
@@ -32,7 +33,7 @@ CACHE = REPOSITORY / ".mypy_cache" / "user"
 @pytest.fixture(scope="module")
 def calibration(tmp_path_factory: pytest.TempPathFactory) -> tumble.Calibration:
     folder = tmp_path_factory.mktemp("library") / "session"
-    return tumble.calibrate(str(simulate_session(folder, Request(grade="mems", positions=12, rest=3.0), seed=4)))
+    return tumble.calibrate(str(simulate_session(folder, Setup.of(grade="mems", positions=12, rest=3.0), seed=4)))
 
 
 # -------------------- names --------------------

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from formula_setup import device_setup
 
 from tumble.estimation.likelihood import (
     NO_PRIOR,
@@ -24,16 +25,18 @@ from tumble.estimation.likelihood import (
     solve,
     weights,
 )
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block
-from tumble.simulation.observations import scenario_of, simulate_observations
-from tumble.simulation.scenario import Scenario, itinerary
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
-SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, gravity_u=1e-5, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE)
+SETUP = device_setup(
+    latitude=56.8 * DEGREE, gravity=9.815817, gravity_u=1e-5, rest=120.0, turn_rate=180.0 / 19.0 * DEGREE
+)
 """§8 of the turntable method: rests of 120 s, half turns of 20 s, table and mounting ±1°."""
 
 TRIAD = np.eye(3)

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from tumble.errors import ProgrammeError
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.recording.log import Chunk
-from tumble.recording.session import Channels, Device, LogSpec, Position, ProgrammeSpec, Session, Site
+from tumble.recording.session import Channels, Device, ListedPosition, LogSpec, ProgrammeSpec, Session, Site
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.segmentation import find_rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import OnTable, Profile
-from tumble.simulation.session import Request, typical_scenario
+from tumble.simulation.scenario import OnTable, Profile, scenario_of
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, Array
 
 RATE = 20.0
@@ -39,7 +39,7 @@ def recorded(
     turning: float = 40.0,
 ) -> Recording:
     """A short session of a course on a table with errors of so many degrees."""
-    scenario = typical_scenario(Request(grade=grade), np.random.default_rng(seed), serial="S")
+    scenario = scenario_of(Setup.of(grade=grade), np.random.default_rng(seed), serial="S")
     scenario = replace(
         scenario,
         course=OnTable(programme=course, table_error=table_error * DEGREE, mounting_error=table_error * DEGREE),
@@ -104,7 +104,7 @@ def named(name: str) -> ProgrammeSpec:
 
 
 def listed(codes: Sequence[str]) -> ProgrammeSpec:
-    return ProgrammeSpec(name=None, positions=tuple(Position(attitude=c, start=None, stop=None) for c in codes))
+    return ProgrammeSpec(name=None, positions=tuple(ListedPosition(attitude=c, start=None, stop=None) for c in codes))
 
 
 def course(indices: Sequence[int]) -> Programme:
@@ -176,9 +176,9 @@ def test_stated_times_replace_what_was_found_there() -> None:
     spec = ProgrammeSpec(
         name=None,
         positions=(
-            Position(attitude=codes[0], start=2.0, stop=9.0),
-            Position(attitude=codes[1], start=start + 3.0, stop=stop - 4.0),
-            Position(attitude=codes[2], start=None, stop=None),
+            ListedPosition(attitude=codes[0], start=2.0, stop=9.0),
+            ListedPosition(attitude=codes[1], start=start + 3.0, stop=stop - 4.0),
+            ListedPosition(attitude=codes[2], start=None, stop=None),
         ),
     )
     match = matched(recording, spec)
@@ -312,8 +312,8 @@ def test_times_without_a_sample_are_refused() -> None:
     spec = ProgrammeSpec(
         name=None,
         positions=(
-            Position(attitude="NUE", start=None, stop=None),
-            Position(attitude="ENU", start=beyond, stop=beyond + 10.0),
+            ListedPosition(attitude="NUE", start=None, stop=None),
+            ListedPosition(attitude="ENU", start=beyond, stop=beyond + 10.0),
         ),
     )
     assert "position 2" in refused(recording, spec)

@@ -15,6 +15,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from tumble.earth import earth_rate
+from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
 from tumble.reduction import blocks as reduction
@@ -26,8 +27,7 @@ from tumble.reduction.segmentation import find_rests, stated_rest
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import Scenario
-from tumble.simulation.session import Request, typical_scenario
+from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.units import DEGREE, Array
 
 LATITUDE = 56.84 * DEGREE
@@ -66,10 +66,10 @@ def between(
 
 def noiseless(sample_rate: float, seed: int = 51) -> tuple[Scenario, Recording]:
     """Nine positions of a MEMS unit, rests of 5 s."""
-    request = Request(
-        grade="mems", programme="nine", rest=5.0, rate_deg_s=30.0, sample_rate=sample_rate, noiseless=True
+    request = Setup.of(
+        grade="mems", programme="nine", rest=5.0, rate_deg_s=30.0, sample_rate=sample_rate, noise_factor=0.0
     )
-    scenario = typical_scenario(request, np.random.default_rng(seed), serial="S")
+    scenario = scenario_of(request, np.random.default_rng(seed), serial="S")
     return scenario, record(scenario, np.random.default_rng(seed))
 
 

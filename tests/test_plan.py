@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from formula_setup import device_setup
 
 from tumble.cli import main
 from tumble.errors import InputError
@@ -22,17 +23,16 @@ from tumble.planning.best_positions import (
     value_of,
 )
 from tumble.planning.bounds import Bound, Course, bound, bound_of, course_of, course_through
-from tumble.planning.budget import Setup
-from tumble.planning.reachable_attitudes import Places, Table
+from tumble.planning.reachable_attitudes import Places, TurnTable
 from tumble.programme.positions import Programme, from_attitudes, programme
 from tumble.rotation import rotation_vector
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.units import DEGREE
 
-SETUP = Setup(latitude=56.84 * DEGREE, gravity=9.8157883)
+SETUP = device_setup(latitude=56.84 * DEGREE, gravity=9.8157883)
 NINE = replace(SETUP, programme=programme("nine"))
 FACES = from_attitudes([position.attitude for position in programme("cube-26").positions[:6]])
-HELD = Table.of("N,U", 45.0)
+HELD = TurnTable.of("N,U", 45.0)
 
 
 def value(found: Bound, letter: str) -> float:
@@ -48,8 +48,8 @@ def value(found: Bound, letter: str) -> float:
 
 @pytest.mark.parametrize("letter", ["A", "D"])
 @pytest.mark.parametrize("gyros", [True, False], ids=["gyros", "accelerometers"])
-@pytest.mark.parametrize("table", [Table(), HELD], ids=["by hand", "held"])
-def test_what_a_candidate_shows_is_the_bound_with_it(letter: str, gyros: bool, table: Table) -> None:
+@pytest.mark.parametrize("table", [TurnTable(), HELD], ids=["by hand", "held"])
+def test_what_a_candidate_shows_is_the_bound_with_it(letter: str, gyros: bool, table: TurnTable) -> None:
     """Every candidate's criterion against a whole bound, so that the best is the best of all."""
     aim = Aim(letter=letter, gyros=gyros)  # type: ignore[arg-type]
     places = Places.of(table, NINE, gyros=gyros, last=NINE.programme.positions[-1])
@@ -100,7 +100,7 @@ def test_a_held_device_makes_single_turns_from_where_it_is() -> None:
 
 def test_a_position_off_the_grid_can_be_gone_on_from() -> None:
     tilted = replace(SETUP, programme=from_attitudes(["NUE", "UEN", "ENU N+10", "NUE N+45", "UEN E+20"]))
-    for table in (Table(), HELD):
+    for table in (TurnTable(), HELD):
         found = next_positions(tilted, Aim(gyros=False), table)
         assert 0.0 < found[0].ratio < 1.0
 
@@ -115,7 +115,7 @@ def test_no_exchange_of_a_position_makes_an_optimised_programme_better(gyros: bo
     at = replace(SETUP, programme=found)
     best = value_of(at, Aim(gyros=gyros))
     assert best == pytest.approx(value(bound(at, gyros=gyros), "A"), rel=1e-6)
-    places, course = Places.of(Table(), SETUP, gyros=gyros), course_of(at)
+    places, course = Places.of(TurnTable(), SETUP, gyros=gyros), course_of(at)
     tried = 0
     for i in range(count):
         for attitude in places.attitudes[:: 1 if gyros else 4]:
@@ -150,7 +150,7 @@ def test_nine_positions_for_accelerometers_come_near_the_best_there_are() -> Non
     setup = replace(SETUP, noise=NoiseModel(accel_instability=sigma * SETUP.gravity))
     wanted = {"accel.bias": SETUP.gravity, "accel.scale": 1.0, "accel.axis": 1.0}
     aim = Aim(wanted=wanted, gyros=False)
-    found = optimised(setup, 9, aim, Table(step=15.0 * DEGREE))
+    found = optimised(setup, 9, aim, TurnTable(step=15.0 * DEGREE))
     traces = [
         9.0 * (value_of(replace(setup, programme=listed), aim) / sigma) ** 2 for listed in (found, programme("nine"))
     ]
@@ -199,7 +199,7 @@ def test_a_candidate_costs_no_more_in_a_long_programme(monkeypatch: pytest.Monke
         ordered=True,
     )
     setup = replace(SETUP, programme=long)
-    _, values, _ = candidates(setup, Aim(), Places.of(Table(), setup, gyros=True))
+    _, values, _ = candidates(setup, Aim(), Places.of(TurnTable(), setup, gyros=True))
     assert sorted(rests)[-2:] == [2, 60]
     assert len(rests) == len(values) + 1
 
@@ -214,7 +214,7 @@ def test_a_candidate_costs_no_more_in_a_long_programme(monkeypatch: pytest.Monke
 )  # fmt: skip
 def test_a_table_that_does_not_exist_is_refused(axes: str | None, step: float, place: str) -> None:
     with pytest.raises(InputError, match=place):
-        Table.of(axes, step)
+        TurnTable.of(axes, step)
 
 
 def test_an_aim_that_cannot_be_is_refused() -> None:

@@ -30,7 +30,7 @@ from rough_launches import (
 from tumble.earth import EARTH_RATE
 from tumble.estimation.methods.paper.accuracy_formulas import accelerometer_leakage
 from tumble.estimation.methods.paper.compensation import compensated, composed, perfect, triad_model, triad_parameters
-from tumble.estimation.methods.paper.four_stages import Method
+from tumble.estimation.methods.paper.four_stages import PaperMethod
 from tumble.estimation.methods.paper.gyro_bias import invariant_bias
 from tumble.estimation.methods.paper.indirect import (
     accelerometer_errors,
@@ -55,8 +55,8 @@ NINE = [8, 10, 0, 1, 4, 5, 12, 13, 14]
 PERFECT_GYROS = triad_model(np.zeros((N, 3)), np.zeros((N, 3)), np.zeros((N, 6)))
 COLUMNS = {"b": slice(0, 3), "k": slice(3, 6), "γ": slice(6, 9), "k gyro": slice(12, 15), "γ gyro": slice(15, 21)}
 
-SEQUENTIAL = Method(name="sequential", accelerometers=sequential_accelerometers, check=check_positions)
-SCALAR = Method(name="scalar", accelerometers=scalar_accelerometers, check=check_positions)
+SEQUENTIAL = PaperMethod(name="sequential", accelerometers=sequential_accelerometers, check=check_positions)
+SCALAR = PaperMethod(name="scalar", accelerometers=scalar_accelerometers, check=check_positions)
 
 
 def percent(found: Array, true: Array, column: str) -> Array:

@@ -12,17 +12,18 @@ from click.testing import CliRunner
 from tumble.calibration.quiet_samples import longest_rest, noise_panels, whole_log
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
 from tumble.reduction.allan_deviation import Panel
 from tumble.sensors.grades import GRADES
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("noise") / "session"
-    return simulate_session(folder, Request(grade="mems", positions=4), seed=3)
+    return simulate_session(folder, Setup.of(grade="mems", positions=4), seed=3)
 
 
 def test_the_longest_rest_is_the_first_of_a_hand_held_session(session: Path) -> None:
@@ -83,7 +84,7 @@ def test_the_command_prints_a_row_for_every_sensor_and_draws(session: Path, tmp_
 
 
 def test_a_session_without_rest_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = simulate_session(tmp_path / "s", Request(grade="mems", positions=3), seed=3)
+    folder = simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=3), seed=3)
     monkeypatch.setattr("tumble.reduction.segmentation.MIN_REST_SECONDS", 1e6)
     with pytest.raises(InputError, match="expected a rest"):
         longest_rest(read_session(folder))

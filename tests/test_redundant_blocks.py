@@ -23,10 +23,12 @@ from tumble.estimation.methods.paper.sequential import angle_astride, angle_betw
 from tumble.estimation.methods.staged import accelerometers as staged_accelerometers
 from tumble.estimation.methods.staged import gyros as staged_gyros
 from tumble.estimation.methods.staged.method import staged
+from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix
+from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
-from tumble.simulation.scenario import draw_parameters
-from tumble.simulation.session import Request, typical_scenario, write_simulation
+from tumble.simulation.scenario import draw_parameters, scenario_of
+from tumble.simulation.session import write_simulation
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 GOLDEN = 0.5 * (1.0 + 5.0**0.5)
@@ -98,14 +100,14 @@ def test_normalised_errors_of_six_have_unit_rms(monkeypatch: pytest.MonkeyPatch)
 def test_a_session_with_redundant_blocks_is_calibrated(axes: Array, tmp_path: Path) -> None:
     """From the log to the file, noise and instability of tactical grade: sensors by number, every value near its truth,
     and readings that become the specific force again."""
-    request = Request(grade="tactical", rest=10.0, rate_deg_s=30.0, sample_rate=50.0)
+    request = Setup.of(grade="tactical", rest=10.0, rate_deg_s=30.0, sample_rate=50.0)
     rng = np.random.default_rng(104)
     accel, gyro = Block(kind="accel", axes=axes), Block(kind="gyro", axes=axes)
     scenario = replace(
-        typical_scenario(request, rng, serial="redundant"),
+        scenario_of(request, rng, serial="redundant"),
         accel=accel,
         gyro=gyro,
-        truth=draw_parameters("tactical", (accel, gyro), rng),
+        truth=draw_parameters(GRADES["tactical"], (accel, gyro), rng),
     )
     found = calibrate(write_simulation(tmp_path / "session", scenario, rng))
     assert found.outcome.accepted, found.outcome.reasons

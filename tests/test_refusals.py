@@ -28,6 +28,7 @@ from tumble.cli import main
 from tumble.errors import ProgrammeError
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.staged.method import staged
+from tumble.planning.setup import Setup
 from tumble.programme.positions import attitude, from_attitudes, programme
 from tumble.recording.session import Site, read_session
 from tumble.rotation import rotation_matrix
@@ -35,7 +36,7 @@ from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import OnTable, Profile, Scenario, Vibration, draw_parameters
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 ACCEL, GYRO = ("ax", "ay", "az"), ("gx", "gy", "gz")
@@ -121,16 +122,16 @@ def read_recording(folder: Path) -> Recording:
     return Recording(content=content, log=pl.read_csv(file) if file.suffix == ".csv" else pl.read_parquet(file))
 
 
-HAND = Request(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=SAMPLE_RATE)
-TABLE = Request(grade="navigation", rest=6.0, rate_deg_s=60.0, sample_rate=SAMPLE_RATE)
+HAND = Setup.of(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=SAMPLE_RATE)
+TABLE = Setup.of(grade="navigation", rest=6.0, rate_deg_s=60.0, sample_rate=SAMPLE_RATE)
 
 
 @pytest.fixture(scope="session")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Request, int], Recording]:
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Setup, int], Recording]:
     """Simulated sessions by request and seed, each made once."""
-    made: dict[tuple[Request, int], Recording] = {}
+    made: dict[tuple[Setup, int], Recording] = {}
 
-    def recording(request: Request, seed: int) -> Recording:
+    def recording(request: Setup, seed: int) -> Recording:
         if (request, seed) not in made:
             folder = tmp_path_factory.mktemp("simulated") / "session"
             made[request, seed] = read_recording(simulate_session(folder, request, seed=seed))
@@ -139,7 +140,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Request, in
     return recording
 
 
-Simulated = Callable[[Request, int], Recording]
+Simulated = Callable[[Setup, int], Recording]
 
 
 @pytest.fixture
@@ -195,12 +196,12 @@ def accepted(recording: Recording, folder: Path) -> None:
 # -------------------- sound sessions --------------------
 
 
-COURSES = {
-    "table": Request(rest=8.0, rate_deg_s=30.0, sample_rate=SAMPLE_RATE),
-    "nine": Request(programme="nine", rest=8.0, rate_deg_s=30.0, sample_rate=SAMPLE_RATE),
-    "cube": Request(programme="cube-14", rest=5.0, rate_deg_s=60.0, sample_rate=SAMPLE_RATE),
-    "hand": Request(positions=18, rest=5.0, rate_deg_s=80.0, sample_rate=SAMPLE_RATE),
-    "fast hand": Request(positions=14, rest=4.0, rate_deg_s=200.0, sample_rate=100.0),
+COURSES: dict[str, dict[str, Any]] = {
+    "table": {"rest": 8.0, "rate_deg_s": 30.0, "sample_rate": SAMPLE_RATE},
+    "nine": {"programme": "nine", "rest": 8.0, "rate_deg_s": 30.0, "sample_rate": SAMPLE_RATE},
+    "cube": {"programme": "cube-14", "rest": 5.0, "rate_deg_s": 60.0, "sample_rate": SAMPLE_RATE},
+    "hand": {"positions": 18, "rest": 5.0, "rate_deg_s": 80.0, "sample_rate": SAMPLE_RATE},
+    "fast hand": {"positions": 14, "rest": 4.0, "rate_deg_s": 200.0, "sample_rate": 100.0},
 }
 
 
@@ -211,7 +212,7 @@ def test_the_recordings_that_are_spoilt_here_are_sound(recording: Recording, tmp
 @pytest.mark.parametrize("course", COURSES)
 @pytest.mark.parametrize("grade", GRADE_NAMES)
 def test_sound_sessions_are_accused_of_nothing(simulated: Simulated, tmp_path: Path, grade: str, course: str) -> None:
-    accepted(simulated(replace(COURSES[course], grade=grade), 0), tmp_path / "session")
+    accepted(simulated(Setup.of(**COURSES[course], grade=grade), 0), tmp_path / "session")
 
 
 @pytest.mark.parametrize("course", ["table", "hand"])
@@ -219,7 +220,7 @@ def test_sound_sessions_are_accused_of_nothing(simulated: Simulated, tmp_path: P
 def test_sessions_without_noise_are_accused_of_nothing(
     simulated: Simulated, tmp_path: Path, grade: str, course: str
 ) -> None:
-    accepted(simulated(replace(COURSES[course], grade=grade, noiseless=True), 3), tmp_path / "session")
+    accepted(simulated(Setup.of(**COURSES[course], grade=grade, noise_factor=0.0), 3), tmp_path / "session")
 
 
 @pytest.mark.parametrize("course", ["table", "nine", "hand"])
@@ -229,7 +230,7 @@ def test_coarse_counts_are_not_taken_for_clipped_or_stuck_channels(
 ) -> None:
     """16 bits for ±16 g and ±500 °/s: for the better grades most samples at rest equal the one before. With seed 2 of
     `nine`, one channel does so for 3.7 s in a log where fewer than half of the samples do."""
-    sound = simulated(replace(COURSES[course], grade=grade), 2)
+    sound = simulated(Setup.of(**COURSES[course], grade=grade), 2)
     coarse = sound.counted(32768 / (16 * G_STANDARD), 32768 / (500 * DEGREE))
     if grade == "navigation":
         assert max(np.mean(np.diff(coarse.log[c].to_numpy()) == 0.0) for c in (*ACCEL, *GYRO)) > 0.2
@@ -247,7 +248,7 @@ def test_increments_and_other_axes_are_accused_of_nothing(hand: Recording, tmp_p
 
 def test_many_revolutions_of_gyros_with_large_scale_errors_are_accused_of_nothing(tmp_path: Path) -> None:
     """Five revolutions with a scale-factor error of 3 % end half a revolution off, which is no fault of the unit."""
-    truth = draw_parameters("consumer", _triads(), np.random.default_rng(4))
+    truth = draw_parameters(GRADES["consumer"], _triads(), np.random.default_rng(4))
     truth |= {"gyro.scale.x": 0.03, "gyro.scale.y": -0.025, "gyro.scale.z": 0.01}
     rng = np.random.default_rng(1)
     moves = [rng.uniform(1.0, 3.0) * axis / np.linalg.norm(axis) for axis in rng.standard_normal((14, 3))]
@@ -446,7 +447,7 @@ def test_accelerometers_that_read_minus_g_are_named_where_a_programme_or_the_ear
     assert "all accelerometers have the wrong sign" in reason(upside_down.free(), tmp_path / "free")
     without_gyros = upside_down.without_gyros()
     assert "all accelerometers have the wrong sign" in reason(without_gyros, tmp_path / "no gyros")
-    tactical = simulated(replace(COURSES["hand"], grade="tactical"), 0).times(ACCEL, -1.0)
+    tactical = simulated(Setup.of(**COURSES["hand"], grade="tactical"), 0).times(ACCEL, -1.0)
     assert "vertical part of the Earth's rate with the wrong sign" in reason(tactical, tmp_path / "tactical")
 
 
@@ -627,7 +628,7 @@ def _recorded(
         course=OnTable(programme=from_attitudes(codes), table_error=table_error, mounting_error=0.0),
         accel=accel,
         gyro=gyro,
-        truth=draw_parameters(grade, (accel, gyro), np.random.default_rng(5)),
+        truth=draw_parameters(GRADES[grade], (accel, gyro), np.random.default_rng(5)),
         noise=replace(GRADES[grade].noise, accel_instability=0.0, gyro_instability=0.0),
         profile=Profile(first_rest=6.0, rest=6.0, rate=60 * DEGREE, ramp=0.5, sample_rate=SAMPLE_RATE),
         site=Site(latitude=56.84 * DEGREE, height=0.0, gravity=G_STANDARD, gravity_u=1e-6),

@@ -23,7 +23,7 @@ from tumble.registry.connect import open_registry
 from tumble.registry.limits import read_limits
 from tumble.registry.monitor import Monitored, monitored
 from tumble.registry.records import Particulars, State, submission, utc
-from tumble.registry.series import Point, Series
+from tumble.registry.series import Series, SeriesPoint
 from tumble.registry.store import add, set_limits
 from tumble.registry.trend import YEAR, Trend, trend_of
 from tumble.report.control_chart import write_chart
@@ -35,8 +35,8 @@ START = datetime(2020, 1, 1, tzinfo=UTC)
 
 def point(
     years: float, value: float, u: float | None = 1.0, state: State = "unchanged", launches: Sequence[float] = ()
-) -> Point:
-    return Point(
+) -> SeriesPoint:
+    return SeriesPoint(
         number=round(1000 * years),
         performed=START + years * YEAR,
         state=state,
@@ -46,7 +46,7 @@ def point(
     )
 
 
-def trend(*points: Point) -> Trend:
+def trend(*points: SeriesPoint) -> Trend:
     return trend_of(Series(name="accel.bias.x", unit="m/s^2", points=points))
 
 
@@ -118,7 +118,7 @@ def test_two_calibrations_give_a_drift_but_nothing_shows_the_instability() -> No
         [point(0, 1.0, u=0.0), point(1, 2.0)],
     ],
 )
-def test_there_is_no_drift_where_nothing_shows_one(points: list[Point]) -> None:
+def test_there_is_no_drift_where_nothing_shows_one(points: list[SeriesPoint]) -> None:
     assert trend(*points).drift is None
 
 

@@ -31,7 +31,8 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
 from tumble.cli import main
 from tumble.errors import MissingExtraError
-from tumble.report.blocks import Table
+from tumble.planning.setup import Setup
+from tumble.report.blocks import ReportTable
 from tumble.report.characters import drawable, visible
 from tumble.report.compare import compared
 from tumble.report.content import Source, document
@@ -43,10 +44,10 @@ from tumble.report.pdf import pdf as to_pdf
 from tumble.report.result import described
 from tumble.report.write import write_report
 from tumble.sensors.model import SensorModel
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
-SHORT = Request(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
+SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
 SIZES = {
     "µg": 1e-6 * G_STANDARD,
     "mg": 1e-3 * G_STANDARD,
@@ -682,7 +683,7 @@ def test_methods_on_one_log_are_compared(file: Path, other_method: Path, tmp_pat
 def test_calibrations_in_other_frames_are_compared_in_that_of_the_first(file: Path) -> None:
     first = read_calibration(file)
     section = compared(["one", "other"], [first, first.in_frame("symmetric")], "compared")
-    (table,) = (block for block in section.blocks if isinstance(block, Table))
+    (table,) = (block for block in section.blocks if isinstance(block, ReportTable))
     assert table.columns == ("parameter", "one", "other", "range", "unit")
     assert [row[0] for row in table.rows] == [p.name for p in first.parameters]
     for row in table.rows:

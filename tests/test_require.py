@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tumble.errors import InputError
 from tumble.estimation.methods.paper.accuracy_formulas import axis_angle_rms, up_down_rms
 from tumble.planning.budget import GROUPS, budget, indirect_coefficients
-from tumble.planning.error_propagation import METHODS, Method
+from tumble.planning.error_propagation import BUDGETED_METHODS, BudgetedMethod
 from tumble.planning.requirements import require
 from tumble.programme.positions import programme
 from tumble.units import ARCSEC, DEGREE
@@ -87,12 +87,12 @@ def test_indirect_tolerances_follow_the_coefficients() -> None:
 @given(
     group=st.sampled_from(GROUPS),
     part=st.floats(0.005, 0.2),
-    method=st.sampled_from(METHODS),
+    method=st.sampled_from(BUDGETED_METHODS),
     iteration=st.sampled_from([1, 2, 3]),
     mounting=st.floats(0.0, 2.0),
 )
 def test_a_budget_of_what_is_required_meets_the_wish(
-    group: str, part: float, method: Method, iteration: int, mounting: float
+    group: str, part: float, method: BudgetedMethod, iteration: int, mounting: float
 ) -> None:
     """Round trip: at the tolerances and the rest asked for, the predicted error is the wanted one, or less if the table
     does not matter within 5°."""

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests, stated_rest
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import Scenario, Vibration
-from tumble.simulation.session import Request, typical_scenario
+from tumble.simulation.scenario import NO_VIBRATION, Scenario, Vibration, scenario_of
 from tumble.units import Array
 
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
@@ -63,14 +63,14 @@ def found(time: Array, accel: Array, gyro: Array | None) -> Segmentation:
     return find_rests(reduced(time, accel, gyro), ACCEL, None if gyro is None else GYRO)
 
 
-def scenario(request: Request, seed: int) -> Scenario:
+def scenario(request: Setup, seed: int, vibration: Vibration = NO_VIBRATION) -> Scenario:
     """A typical scenario whose first rest is like the others."""
-    made = typical_scenario(request, np.random.default_rng(seed), serial="S")
+    made = scenario_of(request, np.random.default_rng(seed), serial="S", vibration=vibration)
     return replace(made, profile=replace(made.profile, first_rest=made.profile.rest))
 
 
-def recorded(request: Request, seed: int) -> Recording:
-    return record(scenario(request, seed), np.random.default_rng(seed + 1000))
+def recorded(request: Setup, seed: int, vibration: Vibration = NO_VIBRATION) -> Recording:
+    return record(scenario(request, seed, vibration), np.random.default_rng(seed + 1000))
 
 
 def times(rests: Sequence[RestSpan]) -> Array:
@@ -91,7 +91,7 @@ def assert_all_found(recording: Recording, segmentation: Segmentation, most_lost
 
 @pytest.fixture(scope="module")
 def session() -> Recording:
-    return recorded(Request(grade="mems", programme="nine", rest=4.0, rate_deg_s=60.0, sample_rate=37.0), 7)
+    return recorded(Setup.of(grade="mems", programme="nine", rest=4.0, rate_deg_s=60.0, sample_rate=37.0), 7)
 
 
 @settings(max_examples=60, deadline=None)
@@ -160,15 +160,14 @@ def test_a_stated_rest_is_the_whole_blocks_inside_its_times(session: Recording) 
 @pytest.mark.parametrize("grade", GRADES)
 def test_every_rest_is_found(grade: str, rate: float, vibration: str) -> None:
     """Nine positions, rests of 6 s, turns at 40 °/s."""
-    request = Request(
+    request = Setup.of(
         grade=grade,
         programme="nine",
         rest=6.0,
         rate_deg_s=40.0,
         sample_rate=rate,
-        vibration=VIBRATIONS[vibration],
     )
-    recording = recorded(request, 11)
+    recording = recorded(request, 11, VIBRATIONS[vibration])
     assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
 
 
@@ -176,22 +175,21 @@ def test_every_rest_is_found(grade: str, rate: float, vibration: str) -> None:
 @pytest.mark.parametrize("grade", GRADES)
 def test_every_rest_is_found_without_gyros(grade: str, vibration: str) -> None:
     for rate in (20.0, 200.0):
-        request = Request(
+        request = Setup.of(
             grade=grade,
             programme="nine",
             rest=6.0,
             rate_deg_s=40.0,
             sample_rate=rate,
-            vibration=VIBRATIONS[vibration],
         )
-        recording = recorded(request, 12)
+        recording = recorded(request, 12, VIBRATIONS[vibration])
         assert_all_found(recording, found(recording.time, recording.accel, None))
 
 
 @pytest.mark.parametrize("grade", GRADES)
 def test_every_rest_in_the_hand_is_found(grade: str) -> None:
     """Thirty positions of 5 s, moves at 80 °/s."""
-    recording = recorded(Request(grade=grade, positions=30, sample_rate=50.0), 13)
+    recording = recorded(Setup.of(grade=grade, positions=30, sample_rate=50.0), 13)
     assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
     assert_all_found(recording, found(recording.time, recording.accel, None))
 
@@ -200,14 +198,14 @@ def test_every_rest_in_the_hand_is_found(grade: str) -> None:
 def test_rests_are_found_where_slow_turns_take_most_of_the_log(grade: str) -> None:
     """At 5 °/s the turns take four fifths of the log, and each is as steady as a rest."""
     for seed in range(3):
-        recording = recorded(Request(grade=grade, programme="nine", rest=6.0, rate_deg_s=5.0, sample_rate=20.0), seed)
+        recording = recorded(Setup.of(grade=grade, programme="nine", rest=6.0, rate_deg_s=5.0, sample_rate=20.0), seed)
         resting = float(np.diff(recording.rests).sum() / recording.time[-1])
         assert resting < 0.25
         assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
 
 
 def test_short_turns_between_long_rests_are_found() -> None:
-    request = Request(grade="consumer", programme="nine", rest=60.0, rate_deg_s=300.0, sample_rate=20.0)
+    request = Setup.of(grade="consumer", programme="nine", rest=60.0, rate_deg_s=300.0, sample_rate=20.0)
     recording = recorded(request, 14)
     assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
 
@@ -215,7 +213,7 @@ def test_short_turns_between_long_rests_are_found() -> None:
 @pytest.mark.parametrize("grade", ["navigation", "tactical"])
 def test_a_turn_about_the_vertical_is_found_without_gyros(grade: str) -> None:
     """Turns of the table about a vertical that is off by a degree hardly show in an accelerometer."""
-    recording = recorded(Request(grade=grade, rest=20.0, sample_rate=20.0), 15)
+    recording = recorded(Setup.of(grade=grade, rest=20.0, sample_rate=20.0), 15)
     rests = times(found(recording.time, recording.accel, None).rests)
     assert len(rests) == len(recording.rests) == 15
     assert np.abs(rests - recording.rests).max() < MOST_LOST
@@ -224,7 +222,7 @@ def test_a_turn_about_the_vertical_is_found_without_gyros(grade: str) -> None:
 @pytest.mark.parametrize("grade", GRADES)
 def test_rests_are_found_while_the_gyros_drift(grade: str) -> None:
     """Over the session the bias drifts by ten times the limit of the rate that is found without it."""
-    recording = recorded(Request(grade=grade, programme="nine", rest=20.0, rate_deg_s=40.0, sample_rate=50.0), 16)
+    recording = recorded(Setup.of(grade=grade, programme="nine", rest=20.0, rate_deg_s=40.0, sample_rate=50.0), 16)
     limit = found(recording.time, recording.accel, recording.gyro).rate_limit
     assert limit is not None
     phase = recording.time / recording.time[-1]
@@ -237,7 +235,7 @@ def test_rests_are_found_while_the_gyros_drift(grade: str) -> None:
 @pytest.mark.parametrize("gyros", [True, False])
 def test_a_knock_splits_a_rest_and_is_in_neither_part(grade: str, gyros: bool) -> None:
     """30 ms of 5 m/s² and a rock to and fro of 0.2° in the middle of a rest of 20 s."""
-    recording = recorded(Request(grade=grade, programme="nine", rest=20.0, rate_deg_s=40.0, sample_rate=200.0), 17)
+    recording = recorded(Setup.of(grade=grade, programme="nine", rest=20.0, rate_deg_s=40.0, sample_rate=200.0), 17)
     start, stop = recording.rests[4]
     accel, gyro = recording.accel.copy(), recording.gyro.copy()
     knock = round((start + 10.0) * 200.0)
@@ -297,7 +295,7 @@ def test_a_log_without_a_rest_has_none_and_says_why(kind: str, gyros: bool) -> N
 
 
 def test_a_stretch_too_short_for_a_rest_is_rejected_with_its_duration() -> None:
-    request = Request(grade="mems", programme="nine", rest=6.0, rate_deg_s=40.0, sample_rate=50.0)
+    request = Setup.of(grade="mems", programme="nine", rest=6.0, rate_deg_s=40.0, sample_rate=50.0)
     recording = recorded(request, 20)
     short = record(
         replace(scenario(request, 20), profile=replace(scenario(request, 20).profile, rest=1.5)),
@@ -310,7 +308,7 @@ def test_a_stretch_too_short_for_a_rest_is_rejected_with_its_duration() -> None:
 
 
 def test_a_vibrating_stretch_is_rejected_with_its_scatter() -> None:
-    request = Request(grade="mems", programme="nine", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
+    request = Setup.of(grade="mems", programme="nine", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
     recording = recorded(request, 21)
     start, stop = recording.rests[3]
     shaken = (recording.time > start + 0.02) & (recording.time <= stop)
@@ -326,7 +324,7 @@ def test_a_vibrating_stretch_is_rejected_with_its_scatter() -> None:
 
 def test_two_files_are_two_logs_with_one_set_of_thresholds() -> None:
     """Each file begins its own blocks, and no rest goes from one to the other."""
-    request = Request(grade="tactical", programme="nine", rest=6.0, rate_deg_s=40.0, sample_rate=50.0)
+    request = Setup.of(grade="tactical", programme="nine", rest=6.0, rate_deg_s=40.0, sample_rate=50.0)
     one, two = recorded(request, 22), recorded(request, 22)
     cut = 1037
     two = replace(two, time=two.time[:-cut], accel=two.accel[cut:], gyro=two.gyro[cut:])

@@ -36,7 +36,7 @@ def test_the_reference_cases_pass_and_are_recorded_with_machine_versions_and_has
 
 @pytest.mark.parametrize(("figure", "passed"), [(0.0, True), (1.0, True), (1.1, False), (float("nan"), False)])
 def test_a_figure_beyond_its_limit_or_none_at_all_fails(figure: float, passed: bool) -> None:
-    case = module.Case(name="", source="", figure=figure, low=0.0, high=1.0, unit="1")
+    case = module.SelftestCase(name="", source="", figure=figure, low=0.0, high=1.0, unit="1")
     assert case.passed is passed
 
 
@@ -49,6 +49,6 @@ def test_a_case_that_goes_wrong_fails_the_test_and_the_exit_status(monkeypatch: 
     assert "FAILED" in result.stdout
 
 
-def _none() -> list[module.Case]:
+def _none() -> list[module.SelftestCase]:
     """nothing"""
     return []

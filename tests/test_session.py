@@ -538,7 +538,7 @@ def documented_examples() -> list[str]:
 
 def test_every_key_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    tables: dict[str, type[session_tables.Table]] = {"": session_tables.Document}
+    tables: dict[str, type[session_tables.SessionTable]] = {"": session_tables.SessionDocument}
     tables |= session_tables.TABLES
     keys = [(table, key) for table, model in tables.items() for key in model.model_fields]
     assert len(keys) > 30

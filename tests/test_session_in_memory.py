@@ -17,14 +17,15 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.observed import inspect_session
 from tumble.calibration.quiet_samples import longest_rest
 from tumble.errors import InputError
+from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.description import description_of
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session, read_session, session_of
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 
-REQUEST = Request(grade="mems", positions=12, rest=3.0)
+REQUEST = Setup.of(grade="mems", positions=12, rest=3.0)
 
 
 @pytest.fixture(scope="module")

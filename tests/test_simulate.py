@@ -19,14 +19,15 @@ from hypothesis import strategies as st
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.errors import InputError
+from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
 from tumble.recording.session import Site, read_session
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import HandHeld, OnTable, Profile, Scenario, Vibration, draw_parameters
-from tumble.simulation.session import Request, simulate_session, typical_scenario, vibration_of, write_simulation
+from tumble.simulation.scenario import HandHeld, OnTable, Profile, Scenario, Vibration, draw_parameters, scenario_of
+from tumble.simulation.session import simulate_session, vibration_of, write_simulation
 from tumble.units import DEGREE, Array
 
 UP = np.array([0.0, 1.0, 0.0])
@@ -50,7 +51,7 @@ def scenario(
 ) -> Scenario:
     """A noiseless MEMS unit, or a perfect one, unless something else is asked for."""
     accel, gyro = Block(kind="accel", axes=axes), Block(kind="gyro", axes=axes)
-    truth = draw_parameters("mems", (accel, gyro), np.random.default_rng(5))
+    truth = draw_parameters(GRADES["mems"], (accel, gyro), np.random.default_rng(5))
     return Scenario(
         course=course,
         accel=accel,
@@ -366,7 +367,7 @@ def test_noise_leaves_attitudes_and_times_as_they_are() -> None:
 def test_drawn_parameters_have_the_spreads_of_their_grade(grade: str) -> None:
     blocks = [Block(kind=kind, axes=TRIAD) for kind in ("accel", "gyro")]
     rng = np.random.default_rng(0)
-    draws = [draw_parameters(grade, blocks, rng) for _ in range(400)]
+    draws = [draw_parameters(GRADES[grade], blocks, rng) for _ in range(400)]
     for kind in ("accel", "gyro"):
         for what in ("bias", "scale", "axis"):
             values = [v for d in draws for k, v in d.items() if k.startswith(f"{kind}.{what}")]
@@ -387,7 +388,7 @@ def test_grades_go_from_the_best_to_the_worst() -> None:
 
 # -------------------- folders --------------------
 
-QUICK = Request(rest=0.5, rate_deg_s=90.0, sample_rate=20.0)
+QUICK = Setup.of(rest=0.5, rate_deg_s=90.0, sample_rate=20.0)
 
 
 def content(folder: Path) -> dict[str, Any]:
@@ -408,7 +409,7 @@ def test_a_folder_holds_session_log_and_truth(tmp_path: Path) -> None:
 
 
 def test_truth_has_the_values_of_every_parameter_and_the_log_was_made_with_them(tmp_path: Path) -> None:
-    folder = simulate_session(tmp_path / "launch", replace(QUICK, noiseless=True), seed=3)
+    folder = simulate_session(tmp_path / "launch", replace(QUICK, noise=NoiseModel()), seed=3)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     blocks = [Block(kind=kind, axes=TRIAD) for kind in ("accel", "gyro")]
     assert tuple(truth) == blocks[0].names + blocks[1].names
@@ -431,7 +432,7 @@ def test_the_same_seed_gives_the_same_session_and_another_one_does_not(tmp_path:
 
 def test_noiseless_is_the_same_instrument_in_the_same_attitudes(tmp_path: Path) -> None:
     noisy = simulate_session(tmp_path / "noisy", QUICK, seed=3)
-    quiet = simulate_session(tmp_path / "quiet", replace(QUICK, noiseless=True), seed=3)
+    quiet = simulate_session(tmp_path / "quiet", replace(QUICK, noise=NoiseModel()), seed=3)
     assert (noisy / "truth.json").read_bytes() == (quiet / "truth.json").read_bytes()
     difference = (pl.read_parquet(noisy / "log.parquet")["ax"] - pl.read_parquet(quiet / "log.parquet")["ax"]).abs()
     limit = 6 * GRADES["navigation"].noise.accel_white * math.sqrt(20.0)
@@ -446,7 +447,7 @@ def test_csv_and_parquet_hold_the_same_numbers_to_the_last_bit(tmp_path: Path) -
 
 
 def test_hand_held_sessions_name_no_programme(tmp_path: Path) -> None:
-    folder = simulate_session(tmp_path / "launch", Request(grade="mems", positions=5), seed=3)
+    folder = simulate_session(tmp_path / "launch", Setup.of(grade="mems", positions=5), seed=3)
     assert "programme" not in content(folder)
     t = pl.read_parquet(folder / "log.parquet")["t"]
     assert 60.0 < t[-1] < 60.0 + 4 * (180 / 80 + 0.5)  # 40 s and four times 5 s, and four moves
@@ -480,7 +481,7 @@ def test_a_session_reads_back_as_the_scenario_it_was_made_of(tmp_path: Path) -> 
 
 
 def test_a_request_is_met_in_its_own_units() -> None:
-    request = Request(
+    request = Setup.of(
         rest=7.0,
         rate_deg_s=30.0,
         sample_rate=50.0,
@@ -488,7 +489,7 @@ def test_a_request_is_met_in_its_own_units() -> None:
         mounting_error_deg=0.25,
         latitude_deg=-30,
     )
-    made = typical_scenario(request, np.random.default_rng(0), serial="S")
+    made = scenario_of(request, np.random.default_rng(0), serial="S")
     assert (made.profile.first_rest, made.profile.rest, made.profile.sample_rate) == (7.0, 7.0, 50.0)
     assert made.profile.rate == pytest.approx(math.pi / 6)
     assert isinstance(made.course, OnTable)
@@ -502,34 +503,41 @@ def test_a_request_is_met_in_its_own_units() -> None:
 
 
 @pytest.mark.parametrize(
-    ("request_", "said"),
+    ("words", "said"),
     [
-        (Request(grade="toy"), "grade: expected one of navigation, tactical, mems, consumer, found 'toy'"),
-        (Request(grade="navigaton"), "found 'navigaton'; did you mean 'navigation'?"),
-        (Request(programme="rough"), "programme: expected one of rough-table"),
-        (Request(positions=0), "positions: expected at least 1, found 0"),
-        (Request(rest=0.01), "rest: expected at least two samples, 0.02 s, found 0.01 s"),
-        (Request(rest=math.nan), "found nan s"),
-        (Request(rest=math.inf), "found inf s"),
-        (Request(rest=1e9), "session: expected at most 3e+07 samples, found 1.5e+12"),
-        (Request(rate_deg_s=0.0), "rate: expected more than 0, in deg/s, found 0"),
-        (Request(rate_deg_s=-5.0), "found -5"),
-        (Request(rate_deg_s=1e-9), "session: expected at most 3e+07 samples"),
-        (Request(sample_rate=0.0), "sample rate: expected more than 0, in Hz, found 0"),
-        (Request(sample_rate=math.inf), "found inf"),
-        (Request(table_error_deg=-1.0), "table error: expected 0 or more, in deg, found -1"),
-        (Request(mounting_error_deg=math.nan), "mounting error: expected 0 or more, in deg, found nan"),
-        (Request(latitude_deg=91.0), "latitude: expected -90 to 90 degrees, found 91"),
-        (Request(latitude_deg=math.nan), "found nan"),
-        (Request(vibration=Vibration(amplitude=1.0, frequency=2e3)), "at most 1000 Hz"),
+        ({"grade": "toy"}, "grade: expected one of navigation, tactical, mems, consumer, found 'toy'"),
+        ({"grade": "navigaton"}, "found 'navigaton'; did you mean 'navigation'?"),
+        ({"programme": "rough"}, "programme: expected one of rough-table"),
+        ({"positions": 0}, "positions: expected at least 1, found 0"),
+        ({"rest": 0.01}, "rest: expected at least two samples, 0.02 s, found 0.01 s"),
+        ({"rest": math.nan}, "found nan s"),
+        ({"rest": math.inf}, "found inf s"),
+        ({"rest": 1e9}, "session: expected at most 3e+07 samples, found 1.5e+12"),
+        ({"rate_deg_s": 0.0}, "rate: expected more than 0, in deg/s, found 0"),
+        ({"rate_deg_s": -5.0}, "found -5"),
+        ({"rate_deg_s": 1e-9}, "session: expected at most 3e+07 samples"),
+        ({"sample_rate": 0.0}, "sample rate: expected more than 0, in Hz, found 0"),
+        ({"sample_rate": math.inf}, "found inf"),
+        ({"table_error_deg": -1.0}, "table error: expected 0 or more, in deg, found -1"),
+        ({"mounting_error_deg": math.nan}, "mounting error: expected 0 or more, in deg, found nan"),
+        ({"latitude_deg": 91.0}, "latitude: expected -90 to 90 degrees, found 91"),
+        ({"latitude_deg": math.nan}, "found nan"),
     ],
     ids=str,
 )
-def test_an_impossible_request_is_one_line_and_leaves_no_folder(tmp_path: Path, request_: Request, said: str) -> None:
+def test_an_impossible_request_is_one_line_and_leaves_no_folder(
+    tmp_path: Path, words: dict[str, Any], said: str
+) -> None:
     with pytest.raises(InputError) as caught:
-        simulate_session(tmp_path / "launch", request_, seed=1)
+        simulate_session(tmp_path / "launch", Setup.of(**words), seed=1)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert not (tmp_path / "launch").exists()
+
+
+def test_an_impossible_vibration_is_one_line_and_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at most 1000 Hz"):
+        simulate_session(tmp_path / "launch", Setup.of(), seed=1, vibration=Vibration(amplitude=1.0, frequency=2e3))
     assert not (tmp_path / "launch").exists()
 
 

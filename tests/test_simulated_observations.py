@@ -6,20 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from formula_setup import device_setup
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.planning.budget import Setup
 from tumble.programme.positions import programme
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block, SensorModel
-from tumble.simulation.observations import scenario_of, simulate_observations
-from tumble.simulation.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary, scenario_of
 from tumble.units import DEGREE, Array
 
-SETUP = Setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0)
+SETUP = device_setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0)
 QUIET = replace(SETUP, noise=NoiseModel())
 PYRAMID = np.array([[0.8 * np.cos(a), 0.8 * np.sin(a), 0.6] for a in np.arange(4) * np.pi / 2.0])
 

@@ -302,9 +302,9 @@ def test_the_gyro_rows_have_the_right_derivatives(axes: Array) -> None:
     accel = staged_accelerometers.estimate_accelerometers(observations(device, in_the_hand(rng_full), rng_full))
     accel = replace(accel, vertical=way.attitudes[:, 1], gain=accel.gain[:, :6])
 
-    def rows(values: Array) -> staged_gyro_rows.Rows:
+    def rows(values: Array) -> staged_gyro_rows.GyroRows:
         turns = seen.turns_about(device.gyro.model(values))
-        return staged_gyro_rows.gyro_rows(seen, accel, turns, values, staged_gyro_rows.Scatter())
+        return staged_gyro_rows.gyro_rows(seen, accel, turns, values, staged_gyro_rows.GyroScatter())
 
     found = np.empty((18 + 10, 12))
     for k, step in enumerate(1e-6 * np.eye(12)):

@@ -19,13 +19,14 @@ from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.staged.method import staged
+from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations, Rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.frames import FRAMES
 from tumble.sensors.model import Block
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
 
 G = 9.8159
@@ -241,13 +242,13 @@ def test_an_error_of_gravity_that_is_common_cancels_and_one_that_is_not_counts()
 
 # -------------------- sessions, tables, refusals --------------------
 
-REQUEST = Request(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
+REQUEST = Setup.of(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
 
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     base = tmp_path_factory.mktemp("verify")
-    edges = replace(REQUEST, programme="cube-12")
+    edges = replace(REQUEST, programme=programme("cube-12"))
     return {
         "own": simulate_session(base / "own", REQUEST, seed=51),
         "check": simulate_session(base / "check", edges, seed=51, launch=2),

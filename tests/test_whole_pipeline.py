@@ -9,6 +9,7 @@ import pytest
 
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.staged.method import staged
+from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
 from tumble.reduction.blocks import Reducer
@@ -18,12 +19,11 @@ from tumble.reduction.segmentation import find_rests
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import Scenario, draw_parameters
-from tumble.simulation.session import Request, typical_scenario
+from tumble.simulation.scenario import Scenario, draw_parameters, scenario_of
 from tumble.units import Array
 
-TABLE = Request(grade="mems", rest=5.0, rate_deg_s=60.0, sample_rate=50.0)
-HAND = Request(grade="mems", positions=20, rest=5.0, rate_deg_s=80.0, sample_rate=100.0)
+TABLE = Setup.of(grade="mems", rest=5.0, rate_deg_s=60.0, sample_rate=50.0)
+HAND = Setup.of(grade="mems", positions=20, rest=5.0, rate_deg_s=80.0, sample_rate=100.0)
 TETRAD = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1 / 3**0.5] * 3])
 PERMUTED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -51,14 +51,14 @@ def errors(estimate: Estimate, scenario: Scenario) -> Array:
     return np.asarray(estimate.values - [scenario.truth[name] for name in estimate.names])
 
 
-def scenario_of(request: Request, seed: int = 1) -> Scenario:
-    return typical_scenario(request, np.random.default_rng(seed), serial="test")
+def drawn(request: Setup, seed: int = 1) -> Scenario:
+    return scenario_of(request, np.random.default_rng(seed), serial="test")
 
 
 @pytest.mark.parametrize("request_", [TABLE, HAND], ids=["table", "hand"])
-def test_noiseless_parameters_are_recovered(request_: Request) -> None:
+def test_noiseless_parameters_are_recovered(request_: Setup) -> None:
     """To 1e-9; what is left, up to 5e-12 in the hand, is the coning algorithm at 80 °/s and 100 Hz."""
-    scenario = scenario_of(replace(request_, noiseless=True))
+    scenario = drawn(replace(request_, noise=NoiseModel()))
     estimate = staged(observed(scenario, record(scenario, np.random.default_rng(2))))
     assert estimate.converged
     assert estimate.observable.all()
@@ -69,8 +69,8 @@ def test_noiseless_parameters_are_recovered(request_: Request) -> None:
 def test_noiseless_parameters_of_other_blocks_are_recovered(axes: Array) -> None:
     blocks = Block(kind="accel", axes=axes), Block(kind="gyro", axes=PERMUTED)
     rng = np.random.default_rng(3)
-    plain = scenario_of(replace(HAND, noiseless=True))
-    truth = draw_parameters("mems", blocks, rng)
+    plain = drawn(replace(HAND, noise=NoiseModel()))
+    truth = draw_parameters(GRADES["mems"], blocks, rng)
     scenario = replace(plain, accel=blocks[0], gyro=blocks[1], truth=truth)
     estimate = staged(observed(scenario, record(scenario, rng)))
     assert estimate.observable.all()
@@ -80,7 +80,7 @@ def test_noiseless_parameters_of_other_blocks_are_recovered(axes: Array) -> None
 def test_errors_are_as_large_as_their_uncertainties_say() -> None:
     """N = 50 sampled sessions with white noise through the whole pipeline: rms of (value − truth)/u of each group of
     parameters. It may be below 1, as a scatter is estimated half of the time where there is none."""
-    scenario = scenario_of(TABLE)
+    scenario = drawn(TABLE)
     white = GRADES["mems"].noise
     scenario = replace(scenario, noise=NoiseModel(accel_white=white.accel_white, gyro_white=white.gyro_white))
     z = []

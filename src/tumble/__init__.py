@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from tumble.calibration.calibration_file import read_calibration as read_calibration
     from tumble.calibration.compare import Comparison as Comparison
     from tumble.calibration.compare import compare_calibrations as compare_calibrations
-    from tumble.calibration.from_readings import TableResult as TableResult
+    from tumble.calibration.from_readings import ReadingsCalibration as ReadingsCalibration
     from tumble.calibration.from_readings import calibrate_table as calibrate_table
     from tumble.calibration.launches import Run as Run
     from tumble.calibration.launches import calibrate_launches as calibrate_launches
@@ -71,12 +71,12 @@ if TYPE_CHECKING:
     from tumble.planning.bounds import Bound as Bound
     from tumble.planning.bounds import bound as bound
     from tumble.planning.budget import Budget as Budget
-    from tumble.planning.budget import Setup as Setup
     from tumble.planning.budget import budget as budget
-    from tumble.planning.plan import Plan as Plan
+    from tumble.planning.plan import PlanResult as PlanResult
     from tumble.planning.plan import plan as plan
     from tumble.planning.requirements import Requirements as Requirements
     from tumble.planning.requirements import require as require
+    from tumble.planning.setup import Setup as Setup
     from tumble.programme.positions import Programme as Programme
     from tumble.programme.positions import programme_of as programme_of
     from tumble.programme.sheet import write_sheet as write_sheet
@@ -101,7 +101,6 @@ if TYPE_CHECKING:
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
     from tumble.sensors.model import SensorModel as SensorModel
-    from tumble.simulation.session import Request as Request
     from tumble.simulation.session import simulate_session as simulate_session
 
 __version__ = "0.1.0"
@@ -137,7 +136,7 @@ _PUBLIC = {
     "calibrate_launches": "calibration.launches",
     "mean_of_launches": "calibration.launches",
     "calibrate_table": "calibration.from_readings",
-    "TableResult": "calibration.from_readings",
+    "ReadingsCalibration": "calibration.from_readings",
     "Comparison": "calibration.compare",
     "compare_calibrations": "calibration.compare",
     "Positions": "calibration.verify",
@@ -159,16 +158,15 @@ _PUBLIC = {
     "records": "registry.store",
     "due": "registry.due",
     "monitored": "registry.monitor",
-    "Request": "simulation.session",
     "simulate_session": "simulation.session",
-    "Setup": "planning.budget",
+    "Setup": "planning.setup",
     "Budget": "planning.budget",
     "budget": "planning.budget",
     "Bound": "planning.bounds",
     "bound": "planning.bounds",
     "Requirements": "planning.requirements",
     "require": "planning.requirements",
-    "Plan": "planning.plan",
+    "PlanResult": "planning.plan",
     "plan": "planning.plan",
     "Programme": "programme.positions",
     "programme_of": "programme.positions",

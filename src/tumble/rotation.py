@@ -11,6 +11,19 @@ import numpy as np
 
 from tumble.units import Array
 
+UP = np.array([0.0, 1.0, 0.0])
+"""The unit vertical in geographic axes N, U, E."""
+
+
+def unit_vector(vectors: Array) -> Array:
+    """Vectors (..., 3) divided by their lengths: of specific forces at rest the vertical."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def onto_body(axes: Array) -> Array:
+    """The matrix (3, n) that takes readings along n sensing axes (n, 3) to the vector in the body, by least squares."""
+    return np.asarray(np.linalg.pinv(axes), dtype=float)
+
 
 def skew(vector: Array) -> Array:
     """[v×], shape (..., 3, 3): skew(v) @ w = v × w."""
@@ -49,6 +62,16 @@ def rotation_vector(matrix: Array) -> Array:
     angle = 2.0 * np.arctan2(sine, np.abs(q[..., :1]))
     ratio = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0)
     return np.asarray(np.where(q[..., :1] >= 0.0, ratio, -ratio) * q[..., 1:])
+
+
+def rotation_vector_near(matrix: Array, nominal: Array) -> Array:
+    """Rotation vectors (..., 3), rad, up to 2π, of rotation matrices (..., 3, 3): of the two ways round the one nearer
+    to the nominal turns (..., 3), given as rotation vectors."""
+    v = rotation_vector(matrix)
+    angle = np.linalg.norm(v, axis=-1, keepdims=True)
+    other = v * (1.0 - 2.0 * np.pi / np.where(angle > 0.0, angle, np.inf))
+    nearer = np.linalg.norm(v - nominal, axis=-1) <= np.linalg.norm(other - nominal, axis=-1)
+    return np.where(nearer[..., None], v, other)
 
 
 def axes_matrix(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float) -> Array:

@@ -29,17 +29,18 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.earth import normal_gravity
 from tumble.estimation.quadric import fit_many
 from tumble.files import FilePath, whole_file
+from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.allan_deviation import allan_deviation
-from tumble.simulation.scenario import Scenario
-from tumble.simulation.session import Request, session_in_memory, typical_scenario
+from tumble.simulation.scenario import Scenario, scenario_of
+from tumble.simulation.session import session_in_memory
 from tumble.units import DEGREE, G_STANDARD
 
 LIBRARIES = ("numpy", "scipy", "numba", "polars", "pydantic")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Case:
+class SelftestCase:
     """A reference case: what is compared with what, the figure found and the least and largest it may be."""
 
     name: str
@@ -56,7 +57,7 @@ class Case:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Record:
+class SelftestRecord:
     """All cases, with who ran them, when, on what and with what."""
 
     by: str
@@ -65,7 +66,7 @@ class Record:
     machine: dict[str, str]
     versions: dict[str, str]
     source_sha256: dict[str, str]
-    cases: tuple[Case, ...]
+    cases: tuple[SelftestCase, ...]
 
     @property
     def passed(self) -> bool:
@@ -91,19 +92,19 @@ def digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lambda _name: None) -> Record:
+def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lambda _name: None) -> SelftestRecord:
     """Run all cases, as the user of that name; `progress` is told the name of each before it runs.
 
     >>> import tumble
     >>> tumble.run_selftest().passed
     True
     """
-    cases: list[Case] = []
+    cases: list[SelftestCase] = []
     for run in (_gravity, _allan_deviation, _cube, _noiseless_table, _noiseless_hand, _noisy_table, _exchanged_columns):
         assert run.__doc__ is not None
         progress(run.__doc__)
         cases.extend(run())
-    return Record(
+    return SelftestRecord(
         by=by or getpass.getuser(),
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"tumble {__version__}",
@@ -129,7 +130,7 @@ def _sources() -> Iterator[tuple[str, str]]:
 # -------------------- the cases --------------------
 
 
-def _gravity() -> Iterator[Case]:
+def _gravity() -> Iterator[SelftestCase]:
     """normal gravity at the equator and at the pole"""
     for place, latitude, published in (("equator", 0.0, 9.7803253359), ("pole", 90.0, 9.8321849379)):
         yield _difference(
@@ -141,7 +142,7 @@ def _gravity() -> Iterator[Case]:
         )
 
 
-def _allan_deviation() -> Iterator[Case]:
+def _allan_deviation() -> Iterator[SelftestCase]:
     """Allan deviation of a published set of 1000 numbers"""
     numbers = [1234567890]
     for _ in range(999):
@@ -157,7 +158,7 @@ def _allan_deviation() -> Iterator[Case]:
         )
 
 
-def _cube() -> Iterator[Case]:
+def _cube() -> Iterator[SelftestCase]:
     """an accelerometer triad from 14 positions of a cube, without noise"""
     matrix = np.diag([-1.45, -1.43, -1.47]) @ np.array([[1.0, 6e-3, -2e-3], [0.0, 1.0, 4e-3], [0.0, 0.0, 1.0]])
     bias = np.array([0.003, -0.002, 0.001])
@@ -175,29 +176,29 @@ def _cube() -> Iterator[Case]:
     )
 
 
-def _noiseless_table() -> Iterator[Case]:
+def _noiseless_table() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, without noise"""
-    yield from _recovered("rough table", Request(noiseless=True, rest=4.0, rate_deg_s=30.0), 1e-9)
+    yield from _recovered("rough table", Setup.of(noise_factor=0.0, rest=4.0, rate_deg_s=30.0), 1e-9)
 
 
-def _noiseless_hand() -> Iterator[Case]:
+def _noiseless_hand() -> Iterator[SelftestCase]:
     """a simulated device in the hand, without noise"""
-    yield from _recovered("by hand", Request(grade="mems", positions=15, rest=3.0, noiseless=True), 1e-9)
+    yield from _recovered("by hand", Setup.of(grade="mems", positions=15, rest=3.0, noise_factor=0.0), 1e-9)
 
 
-def _recovered(name: str, request: Request, limit: float) -> Iterator[Case]:
-    calibration, truth = _simulated(request)
+def _recovered(name: str, setup: Setup, limit: float) -> Iterator[SelftestCase]:
+    calibration, truth = _simulated(setup)
     worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
     yield _difference(
         f"{name}, no noise: worst of {len(calibration.parameters)} parameters", "truth", worst, limit, "SI"
     )
 
 
-def _noisy_table() -> Iterator[Case]:
+def _noisy_table() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, with noise, and the file of its calibration"""
-    calibration, truth = _simulated(Request(rest=20.0))
+    calibration, truth = _simulated(Setup.of(rest=20.0))
     z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u])
-    yield Case(
+    yield SelftestCase(
         name=f"rough table: rms of (value − truth)/u of {len(z)} parameters",
         source="truth; chi-square, 1 of 10 000 either way",
         figure=float(np.sqrt(np.mean(z**2))),
@@ -214,7 +215,7 @@ def _noisy_table() -> Iterator[Case]:
     yield from _applied(calibration)
 
 
-def _applied(calibration: Calibration) -> Iterator[Case]:
+def _applied(calibration: Calibration) -> Iterator[SelftestCase]:
     """A reading of the model corrected again."""
     assert calibration.accel is not None
     true = G_STANDARD * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8]])
@@ -223,15 +224,15 @@ def _applied(calibration: Calibration) -> Iterator[Case]:
     yield _difference("readings of the model, corrected", "identity", worst, 1e-13 * G_STANDARD, "m/s^2")
 
 
-def _exchanged_columns() -> Iterator[Case]:
+def _exchanged_columns() -> Iterator[SelftestCase]:
     """a recording with two exchanged gyro columns, which must be refused"""
-    session, _ = _drawn(Request(grade="mems", positions=12, rest=3.0))
+    session, _ = _drawn(Setup.of(grade="mems", positions=12, rest=3.0))
     gyro = session.log.gyro
     assert gyro is not None
     x, y, z = gyro.columns
     exchanged = replace(session, log=replace(session.log, gyro=replace(gyro, columns=(y, x, z))))
     refused = not calibrate(exchanged).outcome.accepted
-    yield Case(
+    yield SelftestCase(
         name="exchanged gyro columns are refused",
         source="must be 1",
         figure=float(refused),
@@ -241,20 +242,20 @@ def _exchanged_columns() -> Iterator[Case]:
     )
 
 
-def _simulated(request: Request) -> tuple[Calibration, dict[str, float]]:
+def _simulated(setup: Setup) -> tuple[Calibration, dict[str, float]]:
     """The calibration of a simulated session, and its truth."""
-    session, scenario = _drawn(request)
+    session, scenario = _drawn(setup)
     return calibrate(session), dict(scenario.truth)
 
 
-def _drawn(request: Request) -> tuple[Session, Scenario]:
-    """The session of a request in memory, and its scenario with the truth."""
-    scenario = typical_scenario(request, np.random.default_rng(1), serial=f"{request.grade}-1")
+def _drawn(setup: Setup) -> tuple[Session, Scenario]:
+    """The session of a set-up in memory, and its scenario with the truth."""
+    scenario = scenario_of(setup, np.random.default_rng(1), serial=f"{setup.instrument}-1")
     return session_in_memory(scenario, np.random.default_rng([1, 1])), scenario
 
 
-def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> Case:
-    return Case(name=name, source=source, figure=abs(difference), low=0.0, high=limit, unit=unit)
+def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> SelftestCase:
+    return SelftestCase(name=name, source=source, figure=abs(difference), low=0.0, high=limit, unit=unit)
 
 
 # -------------------- on paper --------------------

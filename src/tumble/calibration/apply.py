@@ -29,7 +29,7 @@ from tumble.recording.arrays import SI
 from tumble.recording.description import description_of
 from tumble.recording.formats.columns import unit_of_name
 from tumble.recording.log import open_log
-from tumble.recording.readers import Source, rows_of_numbers, source_of
+from tumble.recording.readers import LogSource, rows_of_numbers, source_of
 from tumble.recording.session import Channels, Magnetometer, Session, session_from
 from tumble.recording.writer import write_tables
 from tumble.sensors.model import SensorModel
@@ -37,7 +37,7 @@ from tumble.units import Array, Unit
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Part:
+class _Correction:
     """The sensors of one kind and what corrects them."""
 
     kind: str
@@ -100,7 +100,7 @@ def apply_to_session(calibration: Calibration | FilePath, session: Session | Fil
     that cannot be read.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> description = tumble.apply_to_session(tumble.calibrate(folder), folder, "corrected.parquet")
     >>> description["log"]["gyro"]
     {'columns': ['gx', 'gy', 'gz'], 'unit': 'rad/s'}
@@ -112,14 +112,14 @@ def apply_to_session(calibration: Calibration | FilePath, session: Session | Fil
     return _described(session, parts, path)
 
 
-def _described(session: Session, parts: tuple[_Part, ...], out: Path) -> dict[str, Any]:
+def _described(session: Session, parts: tuple[_Correction, ...], out: Path) -> dict[str, Any]:
     """The description of the corrected log."""
     channels = {part.kind: part.written for part in parts}
     spec = replace(session.log, files=(out.resolve(),), accel=channels["accel"], gyro=channels.get("gyro"))
     return description_of(replace(session, log=spec))
 
 
-def _parts(calibration: Calibration, session: Session) -> tuple[_Part, ...]:
+def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
     """What is to be corrected; the calibration is that of the session's device."""
     if not calibration.outcome.accepted:
         raise InputError(f"calibration: expected an accepted one, found: {'; '.join(calibration.outcome.reasons)}")
@@ -136,17 +136,19 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Part, ...]:
     return tuple(parts)
 
 
-def _part(kind: str, model: SensorModel | None, channels: Channels, session: Session) -> _Part:
+def _part(kind: str, model: SensorModel | None, channels: Channels, session: Session) -> _Correction:
     found = 0 if model is None else len(model.bias)
     if model is None or found != len(channels.columns):
         raise InputError(
             f"{session.name}: log.{kind}: expected as many sensors as the calibration has, {found}, found "
             f"{len(channels.columns)}; columns that the session does not name are copied"
         )
-    return _Part(kind=kind, channels=channels, model=model)
+    return _Correction(kind=kind, channels=channels, model=model)
 
 
-def _magnetometer_part(calibration: Calibration, model: SensorModel, given: Magnetometer, session: Session) -> _Part:
+def _magnetometer_part(
+    calibration: Calibration, model: SensorModel, given: Magnetometer, session: Session
+) -> _Correction:
     unit = calibration["mag.bias.x"].unit
     if given.unit != unit:
         raise InputError(
@@ -162,10 +164,10 @@ def _magnetometer_part(calibration: Calibration, model: SensorModel, given: Magn
         axes=np.eye(3),
         range=None,
     )
-    return _Part(kind="mag", channels=channels, model=model)
+    return _Correction(kind="mag", channels=channels, model=model)
 
 
-def _tables(session: Session, parts: tuple[_Part, ...], interval: float) -> Iterator[pl.DataFrame]:
+def _tables(session: Session, parts: tuple[_Correction, ...], interval: float) -> Iterator[pl.DataFrame]:
     """The corrected rows of all files."""
     names: list[str] | None = None
     for file in session.log.files:
@@ -209,7 +211,7 @@ class _Clock:
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
 
 
-def _rows(source: Source, parts: tuple[_Part, ...]) -> Iterator[pl.DataFrame]:
+def _rows(source: LogSource, parts: tuple[_Correction, ...]) -> Iterator[pl.DataFrame]:
     """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are."""
     for added in (column for part in parts for column in part.added if column in source.names):
         raise InputError(f"{source.path}: expected no column '{added}', the block's vector gets it; rename it")
@@ -235,7 +237,7 @@ def rest_residuals(calibration: Calibration | FilePath, session: Session | FileP
     nothing rests.
 
     >>> import tumble
-    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
     >>> rests = tumble.rest_residuals(tumble.calibrate(folders[0]), folders[1])
     >>> max(abs(rest.after) for rest in rests) < max(abs(rest.before) for rest in rests)

@@ -88,7 +88,7 @@ def calibrate(
     outcome; unusable input raises an `InputError`.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder)
     <Calibration of mems-1: joint, 21 parameters, accepted>
     """

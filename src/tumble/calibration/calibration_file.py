@@ -314,7 +314,7 @@ def read_calibration(path: FilePath) -> Calibration:
     """A calibration file as written by `Calibration.write`. Raises CalibrationError for a file that is none.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> tumble.read_calibration("calibration.json")
     <Calibration of mems-1: joint, 21 parameters, accepted>

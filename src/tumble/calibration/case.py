@@ -29,12 +29,11 @@ from tumble.errors import InputError
 from tumble.estimation.estimate import Estimate
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_matrix, skew, tangent_basis
+from tumble.rotation import UP, rotation_matrix, skew, tangent_basis
 from tumble.sensors.frames import Alignment, Frame, convert
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array, IntArray
 
-_UP = np.array([0.0, 1.0, 0.0])
 _ON_A_FACE = np.cos(1.0 * DEGREE)
 _ITERATIONS = 5  # each leaves the square of ψ and t, which are below 0.2 rad
 _SINGULAR = 1e-6  # of the largest singular value
@@ -97,10 +96,11 @@ def verticals_of(model: SensorModel, jacobian: Array, readings: Array, covarianc
     )
 
 
-def wahba(first: Array, second: Array) -> Array:
-    """The rotation (3, 3) that best takes unit vectors (N, 3) `second` to `first`, by SVD."""
-    U, _, Vt = np.linalg.svd(first.T @ second)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt)
+def rotation_between(first: Array, second: Array) -> Array:
+    """The rotation (3, 3) that best takes unit vectors (N, 3) `second` to `first` (Wahba)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.align_vectors(first, second)[0].as_matrix())
 
 
 # -------------------- the case --------------------
@@ -123,7 +123,7 @@ def align_case(
         raise InputError(
             f"case: expected placements on faces in three directions, found {len(normals_c)} placements in fewer"
         )
-    mat_cb = wahba(normals_c, verticals.direction)
+    mat_cb = rotation_between(normals_c, verticals.direction)
     if attitudes is not None and not _tells_tilt(normals_c, attitudes @ mat_cb.T, tolerance):
         attitudes = None
     scatter, prior = 0.0, np.zeros((3, 3) if attitudes is None else (5, 5))
@@ -244,11 +244,11 @@ def _attitudes(observations: Observations, verticals: Array, gyro: SensorModel |
 def _levelled(attitude: Array, vertical: Array) -> Array:
     """An attitude turned the shortest way so that the vertical is up in it."""
     found = attitude @ vertical
-    cross = np.cross(found, _UP)
+    cross = np.cross(found, UP)
     sine = float(np.linalg.norm(cross))
-    if sine < _SINGULAR and found @ _UP < 0.0:
+    if sine < _SINGULAR and found @ UP < 0.0:
         return np.asarray(np.diag([1.0, -1.0, -1.0]) @ attitude)
-    scale = np.arctan2(sine, float(found @ _UP)) / sine if sine > 0.0 else 1.0
+    scale = np.arctan2(sine, float(found @ UP)) / sine if sine > 0.0 else 1.0
     return rotation_matrix(scale * cross) @ attitude
 
 
@@ -312,7 +312,7 @@ def relate(first: Verticals, second: Verticals) -> Relation:
         raise InputError(f"two blocks: expected rests in three or more positions, found {count}")
     if np.linalg.svd(first.direction, compute_uv=False)[1] < _SPREAD_OUT:
         raise InputError("two blocks: expected verticals in different directions, found them along one line")
-    mat_12 = wahba(first.direction, second.direction)
+    mat_12 = rotation_between(first.direction, second.direction)
     for _ in range(_ITERATIONS):
         turned = second.direction @ mat_12.T
         basis = tangent_basis(first.direction)

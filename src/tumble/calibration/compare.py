@@ -78,7 +78,7 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
     Raises InputError where they have no parameter in common, CalibrationError where they cannot be converted.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> found = tumble.compare_calibrations(tumble.calibrate(folder), tumble.calibrate(folder, method="staged"))
     >>> found.agree, len(found.differences)
     (True, 21)

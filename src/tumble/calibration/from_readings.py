@@ -19,7 +19,7 @@ from scipy.special import ndtri
 
 from tumble import __version__
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.readings_table import Nominal, Sensor, Table, plain_units, read_table, sizes_seen
+from tumble.calibration.readings_table import Nominal, ReadingsTable, Sensor, plain_units, read_table, sizes_seen
 from tumble.calibration.readings_table import nominal as nominal_of
 from tumble.calibration.results import Parameter, Readings
 from tumble.errors import InputError
@@ -49,17 +49,17 @@ _FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TableResult:
+class ReadingsCalibration:
     """A calibration from a table; `fit` is None where it was refused."""
 
     calibration: Calibration
-    table: Table
+    table: ReadingsTable
     nominal: Nominal
     fit: EllipsoidFit | None
 
 
 def calibrate_table(
-    readings: Table | FilePath,
+    readings: ReadingsTable | FilePath,
     nominal: Nominal | None = None,
     *,
     sensor: Sensor = "accel",
@@ -71,7 +71,7 @@ def calibrate_table(
     known: Mapping[int, Array] | None = None,
     frame: Frame = "accelerometer",
     serial: str | None = None,
-) -> TableResult:
+) -> ReadingsCalibration:
     """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions, a table or its CSV file. What the
     readings are worth is `nominal`, or comes from the options as `readings_table.nominal` takes them. What cannot be
     calibrated comes back with the reasons in its outcome. Without a `serial` number of the device it is the name of the
@@ -89,7 +89,7 @@ def calibrate_table(
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
-    table = readings if isinstance(readings, Table) else read_table(Path(readings))
+    table = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings))
     if nominal is None:
         nominal = nominal_of(
             table,
@@ -108,10 +108,10 @@ def calibrate_table(
         misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
         outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal))
         empty = _calibration(serial, table, nominal, None, None, outcome)
-        return TableResult(calibration=empty, table=table, nominal=nominal, fit=None)
+        return ReadingsCalibration(calibration=empty, table=table, nominal=nominal, fit=None)
     outcome = Outcome(reasons=tuple(_reasons(table, nominal, found)))
     calibration = _calibration(serial, table, nominal, found, _framed(found, frame), outcome)
-    return TableResult(calibration=calibration, table=table, nominal=nominal, fit=found)
+    return ReadingsCalibration(calibration=calibration, table=table, nominal=nominal, fit=found)
 
 
 def _framed(found: EllipsoidFit, frame: Frame) -> Framed:
@@ -124,7 +124,7 @@ def _names(nominal: Nominal, names: tuple[str, ...] = TRIAD.names) -> tuple[str,
     return tuple(f"{nominal.sensor}.{name.partition('.')[2]}" for name in names)
 
 
-def _reasons(table: Table, nominal: Nominal, found: EllipsoidFit) -> list[str]:
+def _reasons(table: ReadingsTable, nominal: Nominal, found: EllipsoidFit) -> list[str]:
     """What speaks against a fit."""
     misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + found.values[3:6]))
     if misstated is not None:
@@ -182,7 +182,12 @@ def _near_one(ratios: Array) -> bool:
 
 
 def _calibration(
-    serial: str, table: Table, nominal: Nominal, found: EllipsoidFit | None, framed: Framed | None, outcome: Outcome
+    serial: str,
+    table: ReadingsTable,
+    nominal: Nominal,
+    found: EllipsoidFit | None,
+    framed: Framed | None,
+    outcome: Outcome,
 ) -> Calibration:
     model = None if framed is None else framed.accel
     return Calibration(
@@ -224,7 +229,7 @@ def _site(nominal: Nominal) -> Site | None:
     return Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=0.0)
 
 
-def _readings(table: Table, nominal: Nominal) -> Readings:
+def _readings(table: ReadingsTable, nominal: Nominal) -> Readings:
     return Readings(
         columns=table.columns,
         unit=nominal.unit,
@@ -234,7 +239,7 @@ def _readings(table: Table, nominal: Nominal) -> Readings:
     )
 
 
-def _notes(table: Table, nominal: Nominal, found: EllipsoidFit | None) -> tuple[str, ...]:
+def _notes(table: ReadingsTable, nominal: Nominal, found: EllipsoidFit | None) -> tuple[str, ...]:
     notes = []
     per = ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
     if nominal.estimated:
@@ -272,7 +277,7 @@ class PaperForm:
     covariance: Array | None
 
 
-def paper_form(result: TableResult) -> PaperForm:
+def paper_form(result: ReadingsCalibration) -> PaperForm:
     """The coefficients of a fit in the form of Table 1 of the source."""
     assert result.fit is not None
     framed = _framed(result.fit, "paper")

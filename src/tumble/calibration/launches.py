@@ -53,7 +53,7 @@ def calibrate_launches(
     """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`.
 
     >>> import tumble
-    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
     >>> tumble.calibrate_launches(folders)
     <Calibration of mems-1: joint of 2 launches, 21 parameters, accepted>
@@ -75,7 +75,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     deviations from launch to launch, mean increments of each iteration, and every launch.
 
     >>> import tumble
-    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
     >>> sessions = [tumble.read_session(folder) for folder in folders]
     >>> runs = [tumble.Run(session=each, calibration=tumble.calibrate(each)) for each in sessions]

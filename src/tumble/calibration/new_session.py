@@ -28,6 +28,7 @@ from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
 from tumble.recording.readers import log_columns, log_head
 from tumble.recording.session import SESSION_FILE, session_of
+from tumble.reduction.sphere import sphere_through
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TIME_UNITS
 
 LOGS = (".csv", ".gz", ".zst", ".parquet")
@@ -66,7 +67,7 @@ def new_session(
     Raises InputError where there is a session already, and for a log that cannot be read or has no accelerometers.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("simulated", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("simulated", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> draft, faults = tumble.new_session("session", folder / "log.parquet")
     >>> print(draft.said[0], faults)
     time: column 't' in s (by its steps), 100 samples per second []
@@ -207,14 +208,13 @@ def _accel(log: Path, sensors: Sensors, time: Mapping[str, Any]) -> tuple[dict[s
 
 
 def _offset_and_scale(log: Path, columns: list[str]) -> tuple[list[float], float]:
-    """Centre and radius per m/s² of the sphere of all readings: |a|² = 2 a·c + r² − |c|², by least squares."""
+    """Centre and radius per m/s² of the sphere of all readings."""
     read = np.column_stack([log_head(log, column, _LONGEST) for column in columns])
     read = read[: len(read) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, 3)
     quiet = read.std(axis=1).max(axis=1)
     a = read.mean(axis=1)[quiet <= np.median(quiet)]
-    (x, y, z, rest), *_ = np.linalg.lstsq(np.column_stack([2.0 * a, np.ones(len(a))]), (a**2).sum(axis=1), rcond=None)
-    radius = float(np.sqrt(rest + x**2 + y**2 + z**2))
-    return [float(f"{c:.4g}") for c in (x, y, z)], float(f"{radius / G_STANDARD:.4g}")
+    centre, radius = sphere_through(a)
+    return [float(f"{c:.4g}") for c in centre], float(f"{radius / G_STANDARD:.4g}")
 
 
 def _gyro(log: Path, sensors: Sensors, *, raw: bool) -> tuple[dict[str, Any], list[str]]:

@@ -58,7 +58,7 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
     and what is wrong with the recording. Raises InputError for a session or a log that cannot be read.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=4), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1)
     >>> found = tumble.inspect_session(folder)
     >>> len(found.segmentation.rests), found.faults
     (4, ())

@@ -55,7 +55,7 @@ def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None
     Raises InputError where nothing rests, and for a recording that cannot be read.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=4), seed=3)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=3)
     >>> found = tumble.noise(folder)
     >>> found.source, [panel.title for panel in found.panels]
     ('the longest rest, 0.0–39.0 s', ['accelerometers', 'gyros'])

@@ -50,7 +50,7 @@ calibration: m/s², rad/s, or for magnetometers themselves."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Table:
+class ReadingsTable:
     """A table of readings: `values` (N, 3) as written, `lines` (N,) of the file they stand in."""
 
     path: Path
@@ -90,7 +90,7 @@ class Nominal:
 # -------------------- reading the file --------------------
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> ReadingsTable:
     """The readings of a CSV file. Raises InputError, one line that names the file, the line and the column, for
     anything but a header of three names and rows of three finite numbers."""
     try:
@@ -116,7 +116,7 @@ def read_table(path: Path) -> Table:
         [_number(path, line, column, cell) for column, cell in _cells(path, line, columns, row)]
         for line, row in rows[1:]
     ]
-    return Table(
+    return ReadingsTable(
         path=path,
         columns=columns,
         values=np.array(values),
@@ -181,7 +181,7 @@ def plain_units(sensor: Sensor) -> Mapping[str, float]:
 
 
 def nominal(
-    table: Table,
+    table: ReadingsTable,
     *,
     sensor: Sensor = "accel",
     unit: str = "V",
@@ -236,7 +236,7 @@ def _length(sensor: Sensor, gravity: float, modulus: float | None, factor: float
     return modulus * factor
 
 
-def _sizes(table: Table, unit: str, scale: Sequence[float] | None, length: float) -> tuple[Array, bool]:
+def _sizes(table: ReadingsTable, unit: str, scale: Sequence[float] | None, length: float) -> tuple[Array, bool]:
     """The scale (3,) per unit as stated, 1 where there is none, or from the readings, to three digits."""
     if unit not in _RAW:
         return np.ones(3), False
@@ -261,7 +261,7 @@ def sizes_seen(values: Array, length: float) -> Array | None:
     return np.linalg.norm(found.models(length).matrix[0], axis=1) if found.found[0] else None
 
 
-def _polarity(table: Table, sizes: Array, known: Mapping[int, Array], *, free: bool) -> tuple[Array, IntArray]:
+def _polarity(table: ReadingsTable, sizes: Array, known: Mapping[int, Array], *, free: bool) -> tuple[Array, IntArray]:
     """Signs (3,) that roughly known positions give the channels, and the number of the position that told each, 0 for
     none; where `free` is false the signs must not differ from those of the scale."""
     from tumble.estimation.observability import rough_directions

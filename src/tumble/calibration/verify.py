@@ -89,7 +89,7 @@ def positions_of(given: Session | FilePath, calibration: Calibration) -> Positio
     """The positions of a session, its folder, or a table of readings. Raises as `rests_of` and `positions_of_table`.
 
     >>> import tumble
-    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
     >>> tumble.positions_of(folders[1], tumble.calibrate(folders[0])).readings.shape
     (12, 3)
@@ -175,7 +175,7 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     positions of other sensors or of one of several launches behind the calibration.
 
     >>> import tumble
-    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> one, other = (tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2))
     >>> found = tumble.verify_calibration(tumble.calibrate(one), other)
     >>> len(found.labels), found.reasons

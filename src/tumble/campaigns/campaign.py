@@ -35,7 +35,7 @@ from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_ro
 from tumble.errors import InputError
 from tumble.programme.positions import BUILT_IN
 from tumble.sensors.grades import GRADES
-from tumble.simulation.session import Request
+from tumble.usual_setup import GRADE, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
 
 ESTIMATORS = (*METHODS, *ITERATED_METHODS)
 AXES = (
@@ -96,8 +96,7 @@ def run_campaign(
 
 def label(cell: Cell) -> Row:
     """The columns that tell a cell from others."""
-    found = {axis: getattr(cell.request, axis) for axis in AXES[:-1]} | {"noise_factor": cell.noise_factor}
-    return found | ({} if cell.request.positions is None else {"programme": None})
+    return {**cell.point} | ({} if cell.setup.by_hand is None else {"programme": None})
 
 
 def _label_schema() -> dict[str, Any]:
@@ -138,7 +137,7 @@ def read_campaign(path: Path) -> Campaign:
 def campaign_of(content: Mapping[str, Any]) -> Campaign:
     """The campaign of a file's content. Raises InputError with up to three faults."""
     try:
-        document = _Document.model_validate(content)
+        document = _CampaignKeys.model_validate(content)
     except ValidationError as error:
         faults = list(dict.fromkeys(_fault(fault, content) for fault in error.errors(include_url=False)))
         more = [f"and {len(faults) - _FAULTS_SHOWN} more"] if len(faults) > _FAULTS_SHOWN else []
@@ -155,16 +154,16 @@ def campaign_of(content: Mapping[str, Any]) -> Campaign:
     )
 
 
-def _cells(grid: _Grid) -> tuple[Cell, ...]:
+def _cells(grid: _GridKeys) -> tuple[Cell, ...]:
     points = [dict(zip(AXES, values, strict=True)) for values in product(*(getattr(grid, name) for name in AXES))]
-    return tuple(Cell(noise_factor=point.pop("noise_factor"), request=Request(**point)) for point in points)
+    return tuple(Cell.of(point) for point in points)
 
 
 def _fault(fault: Any, content: Mapping[str, Any]) -> str:
     """A fault as "key: expected …, found …"."""
     if fault["type"] == "value_error":
         return str(fault["ctx"]["error"])
-    table: type[BaseModel] = _Document
+    table: type[BaseModel] = _CampaignKeys
     value: Any = content
     keys: list[str] = []
     for part in fault["loc"]:
@@ -175,8 +174,8 @@ def _fault(fault: Any, content: Mapping[str, Any]) -> str:
         keys.append(part)
         value = value.get(part) if isinstance(value, Mapping) else None
         if part == "grid":
-            table = _Grid
-    expected = (_Grid if len(keys) > 1 else _Document).model_fields[keys[-1]].description
+            table = _GridKeys
+    expected = (_GridKeys if len(keys) > 1 else _CampaignKeys).model_fields[keys[-1]].description
     found = "none" if fault["type"] == "missing" else json.dumps(value, default=str, ensure_ascii=False)
     return f"{'.'.join(keys)}: expected {expected}, found {found}"
 
@@ -186,7 +185,7 @@ def _nearest(name: str, table: type[BaseModel]) -> str:
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
-class _Table(BaseModel):
+class _CampaignTable(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
@@ -195,19 +194,21 @@ _Seconds = Annotated[float, Field(ge=0.1, le=86_400.0)]
 _Positive = Annotated[float, Field(gt=0.0, le=10_000.0)]
 
 
-class _Grid(_Table):
+class _GridKeys(_CampaignTable):
     """Every axis is a list; a single value stands for a list of one. None, as with `tumble simulate`, for what is usual
     on a table or by hand."""
 
     method: list[str] = Field(default=[DEFAULT_METHOD], min_length=1, description=_one_of(ESTIMATORS))
-    grade: list[str] = Field(default=["navigation"], min_length=1, description=_one_of(GRADES))
-    programme: list[str] = Field(default=["rough-table"], min_length=1, description=_one_of(BUILT_IN))
+    grade: list[str] = Field(default=[GRADE], min_length=1, description=_one_of(GRADES))
+    programme: list[str] = Field(default=[PROGRAMME], min_length=1, description=_one_of(BUILT_IN))
     positions: list[Annotated[int, Field(ge=1, le=1000)] | None] = Field(
         default=[None], min_length=1, description="whole numbers from 1 to 1000"
     )
-    table_error_deg: list[_Degrees] = Field(default=[1.0], min_length=1, description="numbers from 0 to 10 (degrees)")
+    table_error_deg: list[_Degrees] = Field(
+        default=[TABLE_ERROR_DEG], min_length=1, description="numbers from 0 to 10 (degrees)"
+    )
     mounting_error_deg: list[_Degrees] = Field(
-        default=[1.0], min_length=1, description="numbers from 0 to 10 (degrees)"
+        default=[MOUNTING_ERROR_DEG], min_length=1, description="numbers from 0 to 10 (degrees)"
     )
     rest: list[_Seconds | None] = Field(default=[None], min_length=1, description="numbers from 0.1 to 86400 (s)")
     rate_deg_s: list[_Positive | None] = Field(
@@ -215,7 +216,7 @@ class _Grid(_Table):
     )
     sample_rate: list[_Positive | None] = Field(default=[None], min_length=1, description="numbers above 0 (Hz)")
     latitude_deg: list[Annotated[float, Field(ge=-90.0, le=90.0)]] = Field(
-        default=[56.84], min_length=1, description="numbers from -90 to 90"
+        default=[LATITUDE_DEG], min_length=1, description="numbers from -90 to 90"
     )
     noise_factor: list[Annotated[float, Field(ge=0.0, le=1000.0)]] = Field(
         default=[1.0], min_length=1, description="numbers from 0 to 1000"
@@ -237,12 +238,12 @@ class _Grid(_Table):
         return self
 
 
-class _Document(_Table):
+class _CampaignKeys(_CampaignTable):
     kind: Literal["sessions", "statics"] = Field(default="sessions", description='"sessions" or "statics"')
     source: Source = Field(default="observations", description='"observations" or "log"')
     seed: int = Field(default=0, ge=0, le=2**63, description="a whole number, not negative")
     trials: int = Field(ge=1, le=MOST_TASKS, description=f"a whole number from 1 to {MOST_TASKS}")
-    grid: _Grid = Field(default=_Grid(), description="a table")
+    grid: _GridKeys = Field(default=_GridKeys(), description="a table")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -10,7 +10,7 @@ from tumble.campaigns.campaign import Campaign, read_campaign, run_campaign
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Executor, Progress
 from tumble.campaigns.fleet import Tally, run_fleet, sessions_of, tally
-from tumble.campaigns.summary import Line, summary, write_summary
+from tumble.campaigns.summary import SummaryLine, summary, write_summary
 from tumble.files import FilePath
 
 SUMMARY_FILE = "summary.csv"
@@ -21,7 +21,7 @@ class CampaignResult:
     """The rows of a campaign, a Parquet file, their summary in lines, and the CSV file it is in."""
 
     rows: Path
-    lines: tuple[Line, ...]
+    lines: tuple[SummaryLine, ...]
     summary: Path
 
 
@@ -74,7 +74,7 @@ def fleet(
     already is not computed again. A session that cannot be calibrated does not stop the others: its row says why.
 
     >>> import tumble
-    >>> request = tumble.Request(grade="mems", positions=12)
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> for seed in (1, 2):
     ...     _ = tumble.simulate_session(f"sessions/{seed}", request, seed=seed)
     >>> tumble.fleet("sessions/*", "results", serial=True).tally.accepted

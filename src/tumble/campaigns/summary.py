@@ -35,7 +35,7 @@ COVERED_WITHIN = 1.96
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Line:
+class SummaryLine:
     """One method at one point of the grid, in one group of parameters: how many trials (or triads), of them accepted
     and failed, and over the accepted ones bias, scatter and rms error in `unit` (SI), rms over bound and coverage; None
     where there is nothing to tell it from."""
@@ -54,7 +54,7 @@ class Line:
     coverage: float | None
 
 
-def summary(rows: Path) -> tuple[Line, ...]:
+def summary(rows: Path) -> tuple[SummaryLine, ...]:
     """The lines of a campaign's rows (the path of `run_campaign`)."""
     frame = pl.read_parquet(rows)
     axes = list(AXES)
@@ -65,7 +65,7 @@ def summary(rows: Path) -> tuple[Line, ...]:
     return tuple(out)
 
 
-def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterator[Line]:
+def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterator[SummaryLine]:
     statics = "triads" in part.columns
     if statics:
         trials, failed = int(part["triads"].sum()), int(part["failed"].sum() or 0)
@@ -78,7 +78,7 @@ def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterato
     for group in GROUPS:
         members = [moments[name] for name in NAMES if name.startswith(group) and name in moments]
         if members or not accepted:
-            yield Line(
+            yield SummaryLine(
                 point=point,
                 method=method,
                 group=group,
@@ -162,12 +162,12 @@ def _of_group(members: Sequence[_Moments]) -> dict[str, float | None]:
     }
 
 
-def varying(lines: Sequence[Line]) -> tuple[str, ...]:
+def varying(lines: Sequence[SummaryLine]) -> tuple[str, ...]:
     """The axes of the grid that have more than one value."""
     return tuple(axis for axis in AXES if len({line.point[axis] for line in lines}) > 1)
 
 
-def write_summary(lines: Sequence[Line], path: Path) -> None:
+def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
     """Write the lines as CSV, SI, one row each."""
     figures = ("trials", "accepted", "failed", "unit", "bias", "scatter", "rms", "to_bound", "coverage")
     rows = [

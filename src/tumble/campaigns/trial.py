@@ -13,8 +13,7 @@ A trial of rests alone (`statics_rows`) is a block of BLOCK triads at once, and 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -27,14 +26,15 @@ from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import DETERMINED, spreads
 from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
 from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_matrix
-from tumble.sensors.grades import NoiseModel, grade
+from tumble.rotation import rotation_matrix, unit_vector
+from tumble.sensors.grades import Spread
 from tumble.sensors.model import Block
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import HandHeld, Scenario, draw_parameters, itinerary
-from tumble.simulation.session import Request, session_in_memory, typical_scenario
+from tumble.simulation.scenario import HandHeld, Scenario, itinerary, scenario_of
+from tumble.simulation.session import session_in_memory
 from tumble.units import Array
 
 Source = Literal["observations", "log"]
@@ -51,37 +51,20 @@ NEGLIGIBLE = 1e-2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cell:
-    """One point of a campaign's grid: what is simulated, with the noise of the grade multiplied by a factor."""
+    """One point of a campaign's grid, by axis in the words of `Setup.of`, and the set-up it is."""
 
-    request: Request
-    noise_factor: float
+    point: Mapping[str, Any]
+    setup: Setup
+
+    @staticmethod
+    def of(point: Mapping[str, Any]) -> Cell:
+        """The cell of a point. Raises InputError for a set-up that does not exist."""
+        return Cell(point=point, setup=Setup.of(**point))
 
 
 def stream(seed: int, number: int) -> np.random.Generator:
     """The random numbers of a trial."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
-
-
-def scenario_of(cell: Cell, rng: np.random.Generator) -> Scenario:
-    """The scenario of a cell with a device drawn from its grade."""
-    scenario = _nominal(cell)
-    return replace(scenario, truth=draw_parameters(cell.request.grade, (scenario.accel, scenario.gyro), rng))
-
-
-@cache
-def _nominal(cell: Cell) -> Scenario:
-    """The scenario of a cell, whose device is to be replaced; making a programme takes as long as many a trial."""
-    scenario = typical_scenario(cell.request, np.random.default_rng(0), serial="simulated")
-    return replace(scenario, noise=_scaled(scenario.noise, cell.noise_factor))
-
-
-def _scaled(noise: NoiseModel, factor: float) -> NoiseModel:
-    return NoiseModel(
-        accel_white=factor * noise.accel_white,
-        gyro_white=factor * noise.gyro_white,
-        accel_instability=factor * noise.accel_instability,
-        gyro_instability=factor * noise.gyro_instability,
-    )
 
 
 # Sessions
@@ -92,7 +75,7 @@ def session_rows(seed: int, source: Source, methods: Sequence[str], number: int,
     `error.p`, its value less the truth, `u.p`, its standard uncertainty, and, without a log, `bound.p`, the Cramér–Rao
     bound of the observations; nothing where there is none."""
     rng = stream(seed, number)
-    scenario = scenario_of(cell, rng)
+    scenario = scenario_of(cell.setup, rng)
     if source == "log":
         return _through_a_log(scenario, methods, rng)
     way = itinerary(scenario, stream(seed, number).spawn(1)[0])  # that of simulate_observations
@@ -156,9 +139,9 @@ def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
     and over the others, for every parameter p, the means `mean.p` of the errors, `square.p` of their squares, `bound.p`
     of the variances by the Cramér–Rao bound, and the part `covered.p` of the errors within 1.96 u."""
     rng = stream(seed, number)
-    scenario = scenario_of(cell, rng)
+    scenario = scenario_of(cell.setup, rng)
     gravity, sigma = scenario.site.gravity, _of_a_mean(scenario)
-    truth = _drawn_triads(cell.request.grade, rng)
+    truth = _drawn_triads(cell.setup.accel, rng)
     force = gravity * _verticals(scenario, rng)
     model = triad_model(truth[:, :3], truth[:, 3:6], truth[:, 6:])
     readings = force @ np.ascontiguousarray(np.swapaxes(model.matrix, 1, 2)) + model.bias[:, None]
@@ -188,9 +171,8 @@ def _of_a_mean(scenario: Scenario) -> float:
     )
 
 
-def _drawn_triads(name: str, rng: np.random.Generator) -> Array:
-    """Parameters (BLOCK, 9) of accelerometer triads of a grade."""
-    spread = grade(name).accel
+def _drawn_triads(spread: Spread, rng: np.random.Generator) -> Array:
+    """Parameters (BLOCK, 9) of accelerometer triads."""
     spreads = np.repeat([spread.bias, spread.scale, spread.axis], 3)
     return np.asarray(spreads * rng.standard_normal((BLOCK, len(spreads))))
 
@@ -200,8 +182,7 @@ def _verticals(scenario: Scenario, rng: np.random.Generator) -> Array:
     position and M of the mounting."""
     course = scenario.course
     if isinstance(course, HandHeld):
-        free = rng.standard_normal((BLOCK, course.positions, 3))
-        return np.asarray(free / np.linalg.norm(free, axis=2, keepdims=True))
+        return unit_vector(rng.standard_normal((BLOCK, course.positions, 3)))
     nominal = np.array([position.matrix for position in course.programme.positions])
     table = course.table_error * rng.uniform(-1.0, 1.0, (BLOCK, len(nominal), 3))
     mounting = rotation_matrix(course.mounting_error * rng.uniform(-1.0, 1.0, (BLOCK, 3)))

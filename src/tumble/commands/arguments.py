@@ -11,9 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tumble import usual_setup
+
 if TYPE_CHECKING:
-    from tumble.planning.budget import Setup
+    from tumble.planning.setup import Setup
     from tumble.recording.log import Chunk, Log
+
+
+_Command = Callable[..., None]
 
 
 class _NamedPath(click.Path):
@@ -28,7 +33,7 @@ class _NamedPath(click.Path):
 EXISTING_FOLDER = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
-METHODS = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
+METHOD_NAMES = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
 BUDGETED_METHODS = ["staged", "sequential", "scalar"]
 """Methods whose errors are known before anything is measured."""
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]
@@ -51,48 +56,45 @@ def with_progress(log: Log) -> Iterator[Chunk]:
             yield chunk
 
 
-def setup_options(command: Callable[..., None]) -> Callable[..., None]:
+def number(name: str, default: float, says: str) -> Callable[[_Command], _Command]:
+    """An option for a number that has a usual value."""
+    return click.option(name, type=float, default=default, show_default=True, help=says)
+
+
+def setup_options(command: _Command) -> _Command:
     """The options that describe a set-up before anything is measured."""
-    for option in reversed(
-        [
-            click.option("--programme", default="rough-table", show_default=True, help="Built-in programme."),
-            click.option("--grade", default="navigation", show_default=True, help="Class of the instrument."),
-            click.option("--table-error", type=float, default=1.0, show_default=True, help="Of a position, ±°."),
-            click.option("--mounting-error", type=float, default=1.0, show_default=True, help="Of the launch, ±°."),
-            click.option("--rest", type=float, default=60.0, show_default=True, help="Duration of a rest, s."),
-            click.option("--rate", type=float, default=10.0, show_default=True, help="Rate of the turns, °/s."),
-            click.option("--latitude", type=float, default=56.84, show_default=True, help="Of the site, °."),
-            click.option("--gravity", type=float, help="Measured gravity, m/s²; default: normal gravity."),
-            click.option("--gravity-u", type=float, default=0.0, show_default=True, help="Its uncertainty, m/s²."),
-            click.option("--noiseless", is_flag=True, help="Errors of the method alone."),
-        ]
-    ):
+    options: list[Callable[[_Command], _Command]] = [
+        click.option("--programme", default=usual_setup.PROGRAMME, show_default=True, help="Built-in programme."),
+        click.option("--grade", default=usual_setup.GRADE, show_default=True, help="Class of the instrument."),
+        number("--table-error", usual_setup.TABLE_ERROR_DEG, "Of a position, ±°."),
+        number("--mounting-error", usual_setup.MOUNTING_ERROR_DEG, "Of the launch, ±°."),
+        number("--rest", usual_setup.ON_TABLE.rest, "Duration of a rest, s."),
+        number("--rate", usual_setup.ON_TABLE.rate_deg_s, "Rate of the turns, °/s."),
+        number("--latitude", usual_setup.LATITUDE_DEG, "Of the site, °."),
+        click.option("--gravity", type=float, help="Measured gravity, m/s²; default: normal gravity."),
+        number("--gravity-u", usual_setup.GRAVITY_U, "Its uncertainty, m/s²."),
+        click.option("--noiseless", is_flag=True, help="Errors of the method alone."),
+    ]
+    for option in reversed(options):
         command = option(command)
     return command
 
 
 def setup_of(options: dict[str, Any]) -> Setup:
     """A set-up from the options of `setup_options`."""
-    from tumble.earth import normal_gravity
-    from tumble.planning.budget import Setup
-    from tumble.programme.positions import programme
-    from tumble.sensors.grades import NoiseModel, grade
-    from tumble.units import DEGREE
+    from tumble.planning.setup import Setup
 
-    kind = grade(options["grade"])
-    latitude = options["latitude"] * DEGREE
-    return Setup(
-        table_error=options["table_error"] * DEGREE,
-        mounting_error=options["mounting_error"] * DEGREE,
+    return Setup.of(
+        grade=options["grade"],
+        programme=options["programme"],
         rest=options["rest"],
-        turn_rate=options["rate"] * DEGREE,
-        noise=NoiseModel() if options["noiseless"] else kind.noise,
-        accel=kind.accel,
-        gyro=kind.gyro,
-        latitude=latitude,
-        gravity=options["gravity"] if options["gravity"] is not None else normal_gravity(latitude, 0.0),
+        rate_deg_s=options["rate"],
+        table_error_deg=options["table_error"],
+        mounting_error_deg=options["mounting_error"],
+        latitude_deg=options["latitude"],
+        gravity=options["gravity"],
         gravity_u=options["gravity_u"],
-        programme=programme(options["programme"]),
+        noise_factor=0.0 if options["noiseless"] else 1.0,
     )
 
 

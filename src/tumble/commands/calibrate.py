@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, METHODS, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, METHOD_NAMES, with_progress
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 @click.option(
     "--method",
     "methods",
-    type=click.Choice(METHODS),
+    type=click.Choice(METHOD_NAMES),
     multiple=True,
-    default=METHODS[:1],
+    default=METHOD_NAMES[:1],
     show_default=True,
     help="How to estimate; given again: another method beside it.",
 )

@@ -7,14 +7,16 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import METHODS, cluster_options, task_progress
+from tumble.commands.arguments import METHOD_NAMES, cluster_options, task_progress
 
 SHOWN = 20
 
 
 @click.command()
 @click.argument("sessions", metavar="GLOB|MANIFEST")
-@click.option("--method", type=click.Choice(METHODS), default=METHODS[0], show_default=True, help="How to estimate.")
+@click.option(
+    "--method", type=click.Choice(METHOD_NAMES), default=METHOD_NAMES[0], show_default=True, help="How to estimate."
+)
 @cluster_options
 def fleet(sessions: str, method: str, serial: bool, cluster: str | None, workers: int | None, out: Path) -> None:
     """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.

@@ -33,7 +33,7 @@ def plan(
     """The least uncertainty a programme allows, the best next position, and better programmes."""
     from tumble.planning.best_positions import Aim
     from tumble.planning.plan import plan as best
-    from tumble.planning.reachable_attitudes import Table
+    from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.programme.positions import from_attitudes
     from tumble.terminal.plan import plan_report, short_of
@@ -44,7 +44,7 @@ def plan(
         setup = replace(setup, programme=from_attitudes(attitudes))
     wishes = wanted_of(wanted, None, setup) if wanted else {}
     aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
-    table = Table.of(axes, step)
+    table = TurnTable.of(axes, step)
     found = best(setup, positions=positions, aim=aim, table=table)
     print_report(plan_report(found, aim))
     reasons = short_of(found.bound, aim, found.setup)

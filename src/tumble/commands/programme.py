@@ -8,13 +8,14 @@ import click
 
 from tumble.commands.arguments import FILE
 from tumble.errors import InputError
+from tumble.usual_setup import ON_TABLE
 
 
 @click.command()
 @click.argument("name", metavar="[NAME]", required=False)
 @click.option("--attitude", "attitudes", multiple=True, help="Instead of NAME: a position's attitude code; repeat.")
-@click.option("--rest", type=float, default=60.0, show_default=True, help="Duration of a rest, s.")
-@click.option("--rate", type=float, default=10.0, show_default=True, help="Rate of the turns, °/s.")
+@click.option("--rest", type=float, default=ON_TABLE.rest, show_default=True, help="Duration of a rest, s.")
+@click.option("--rate", type=float, default=ON_TABLE.rate_deg_s, show_default=True, help="Rate of the turns, °/s.")
 @click.option("-o", "--out", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
 def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: float, out: Path | None) -> None:
     """The operator's sheet of a built-in programme NAME or of a list of attitudes."""

@@ -7,20 +7,40 @@ from typing import Literal
 
 import click
 
+from tumble import usual_setup
 from tumble.commands.arguments import EXISTING_FOLDER
+from tumble.usual_setup import BY_HAND, ON_TABLE
 
 
 @click.command()
 @click.argument("folder", type=EXISTING_FOLDER)
-@click.option("--programme", default="rough-table", show_default=True, help="Built-in programme to go through.")
+@click.option("--programme", default=usual_setup.PROGRAMME, show_default=True, help="Built-in programme to go through.")
 @click.option("--positions", type=int, help="Hand-held instead: this many positions in any attitude.")
-@click.option("--grade", default="navigation", show_default=True, help="navigation, tactical, mems or consumer.")
-@click.option("--rest", type=float, help="Duration of a rest, s; default 60, by hand 5.")
-@click.option("--rate", type=float, help="Rate of the turns, °/s; default 10, by hand 80.")
-@click.option("--sample-rate", type=float, help="Samples per second; default 100.")
-@click.option("--table-error", type=float, default=1.0, show_default=True, help="Largest error of a position, °.")
-@click.option("--mounting-error", type=float, default=1.0, show_default=True, help="Largest error of the mounting, °.")
-@click.option("--latitude", type=float, default=56.84, show_default=True, help="Latitude of the site, °.")
+@click.option("--grade", default=usual_setup.GRADE, show_default=True, help="navigation, tactical, mems or consumer.")
+@click.option("--rest", type=float, help=f"Duration of a rest, s; default {ON_TABLE.rest:g}, by hand {BY_HAND.rest:g}.")
+@click.option(
+    "--rate",
+    type=float,
+    help=f"Rate, °/s; default {ON_TABLE.rate_deg_s:g}, by hand {BY_HAND.rate_deg_s:g}.",
+)
+@click.option("--sample-rate", type=float, help=f"Samples per second; default {usual_setup.SAMPLE_RATE:g}.")
+@click.option(
+    "--table-error",
+    type=float,
+    default=usual_setup.TABLE_ERROR_DEG,
+    show_default=True,
+    help="Largest error of a position, °.",
+)
+@click.option(
+    "--mounting-error",
+    type=float,
+    default=usual_setup.MOUNTING_ERROR_DEG,
+    show_default=True,
+    help="Largest error of the mounting, °.",
+)
+@click.option(
+    "--latitude", type=float, default=usual_setup.LATITUDE_DEG, show_default=True, help="Latitude of the site, °."
+)
 @click.option("--noiseless", is_flag=True, help="No noise and no instability.")
 @click.option("--vibration", metavar="AMPLITUDE@HZ", help="Vibration throughout, m/s² at Hz, e.g. 0.05@30.")
 @click.option("--format", "log_format", type=click.Choice(["csv", "parquet"]), default="parquet", show_default=True)
@@ -44,10 +64,11 @@ def simulate(
     launch: int,
 ) -> None:
     """Write a session with known truth (truth.json) into FOLDER."""
-    from tumble.simulation.scenario import Vibration
-    from tumble.simulation.session import Request, simulate_session, vibration_of
+    from tumble.planning.setup import Setup
+    from tumble.simulation.scenario import NO_VIBRATION
+    from tumble.simulation.session import simulate_session, vibration_of
 
-    request = Request(
+    setup = Setup.of(
         grade=grade,
         programme=programme,
         positions=positions,
@@ -57,8 +78,8 @@ def simulate(
         table_error_deg=table_error,
         mounting_error_deg=mounting_error,
         latitude_deg=latitude,
-        noiseless=noiseless,
-        vibration=vibration_of(vibration) if vibration else Vibration(),
+        noise_factor=0.0 if noiseless else 1.0,
     )
-    written = simulate_session(folder, request, seed=seed, launch=launch, log_format=log_format)
+    shaken = vibration_of(vibration) if vibration else NO_VIBRATION
+    written = simulate_session(folder, setup, seed=seed, launch=launch, vibration=shaken, log_format=log_format)
     click.echo(f"written to {written}", err=True)

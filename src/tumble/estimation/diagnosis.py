@@ -19,7 +19,7 @@ from tumble.recording.session import Channels, Session
 from tumble.reduction.blocks import ChannelState, Reduction
 from tumble.reduction.observations import Observations
 from tumble.reduction.segmentation import Segmentation
-from tumble.rotation import skew, tangent_basis
+from tumble.rotation import onto_body, skew, tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TIME_UNITS, Array, Unit
 
@@ -70,7 +70,7 @@ def recording_faults(reduction: Reduction, session: Session) -> list[str]:
         faults += _channel_faults(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice)
     if faults:
         return faults
-    force = accel @ np.linalg.pinv(log.accel.axes).T
+    force = accel @ onto_body(log.accel.axes).T
     magnitude = float(np.median(np.linalg.norm(force, axis=1)))
     g = session.site.gravity
     if abs(magnitude / g - 1.0) < UNIT_TOLERANCE:
@@ -152,7 +152,7 @@ def _as_logged_by(readings: Array, written: Channels, meant: Channels) -> Array:
     n = min(readings.shape[1], len(meant.columns))
     logged = readings[:, :n] / written.unit.factor * written.scale[:n] + written.offset[:n]
     meant_si = (logged - meant.offset[:n]) / meant.scale[:n] * meant.unit.factor
-    return np.asarray(meant_si @ np.linalg.pinv(meant.axes[:n]).T)
+    return np.asarray(meant_si @ onto_body(meant.axes[:n]).T)
 
 
 def _channel_faults(
@@ -315,7 +315,7 @@ def _misses(observations: Observations, gyro: SensorModel) -> Array:
 def _verticals(observations: Observations) -> Array:
     """Verticals (N, 3) in the body, from nominal accelerometers."""
     force = observations.accel_block.nominal().apply(observations.rests.accel)
-    return np.asarray(force / np.linalg.norm(force, axis=1, keepdims=True))
+    return unit_vector(force)
 
 
 def _other_units(channels: Channels, rate: float) -> Iterator[tuple[str, float]]:
@@ -566,7 +566,7 @@ def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
     block = observations.gyro_block
     assert block is not None
     n = np.eye(3)[axis]
-    derivative = np.einsum("ap,pqm->aqm", np.linalg.pinv(block.axes), block.jacobian(np.zeros(len(block.names))))
+    derivative = np.einsum("ap,pqm->aqm", onto_body(block.axes), block.jacobian(np.zeros(len(block.names))))
     path = np.pi * np.outer(n, n) + 2.0 * skew(n)  # ∫ C dθ of a turn by π, Eq. (6.2)
     rows = tangent_basis(np.eye(3)[up]) @ skew(np.eye(3)[up]) @ path @ np.einsum("aqm,q->am", derivative[:, :3], n)
     return np.asarray(rows * spreads(block))

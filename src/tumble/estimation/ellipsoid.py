@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.estimation.estimate import SCATTER_PROBABILITY, Fit, Solution, chance_of, least_squares, scatter_of, sigmas
+from tumble.estimation.gauss_newton import gauss_newton, negligible
 from tumble.estimation.observability import Refusal, undetermined
 from tumble.estimation.quadric import fit_many
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
@@ -43,8 +44,6 @@ the modulus itself, is not determined. Positions that determine less are refused
 BAD_SIGMAS = 5.0
 """A position so far from the fit through all others is bad, unless stated otherwise: it is named and left out."""
 
-MAX_ITERATIONS = 30
-CONVERGED = 1e-3  # of the standard uncertainty
 FLOOR = 1e-13
 """Part of the modulus: no reading is taken to be better known, one without noise included."""
 
@@ -178,7 +177,7 @@ class _Task:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Rows:
+class _EllipsoidRows:
     """Of each reading: the residual |t| − m, minus its derivatives with respect to the values (N, 9), its variance
     from noise, and what a unit variance of scatter adds."""
 
@@ -195,13 +194,13 @@ class _Rows:
         return np.sqrt(self.noise + scatter**2 * self.by_scatter)
 
 
-def _rows(task: _Task, values: Array) -> _Rows:
+def _rows(task: _Task, values: Array) -> _EllipsoidRows:
     model = task.block.model(values)
     true = model.apply(task.readings)
     length = np.linalg.norm(true, axis=1)
     normal = (true / length[:, None]) @ model.inverse()
     homogeneous = np.concatenate([true, np.ones((len(true), 1))], axis=1)
-    return _Rows(
+    return _EllipsoidRows(
         residual=length - task.modulus,
         jacobian=np.einsum("ip,pqm,iq->im", normal, task.block.jacobian(values), homogeneous),
         noise=np.einsum("ip,ipq,iq->i", normal, task.covariance, normal),
@@ -212,7 +211,7 @@ def _rows(task: _Task, values: Array) -> _Rows:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Found:
     values: Array
-    rows: _Rows
+    rows: _EllipsoidRows
     solution: Solution
     chi_square: float
     degrees: int
@@ -232,7 +231,7 @@ def _found(task: _Task, used: BoolArray) -> _Found | None:
         for _ in range(3):
             size = float(np.sqrt(np.mean(rows.residual[used] ** 2 / rows.by_scatter[used])))
 
-            def excess(trial: float, at: _Rows = rows) -> float:
+            def excess(trial: float, at: _EllipsoidRows = rows) -> float:
                 return _chi_square(at, used, trial) - degrees
 
             scatter = scatter_of(excess, size)
@@ -264,27 +263,17 @@ def _algebraic(task: _Task, used: BoolArray) -> Array | None:
     return np.asarray(task.block.parameters(own))
 
 
-def _iterated(task: _Task, values: Array, used: BoolArray, scatter: float) -> tuple[Array, _Rows, tuple[Array, ...]]:
+def _iterated(
+    task: _Task, values: Array, used: BoolArray, scatter: float
+) -> tuple[Array, _EllipsoidRows, tuple[Array, ...]]:
     """Gauss–Newton at a given scatter."""
-    increments: list[Array] = []
-    rows = _rows(task, values)
-    for _ in range(MAX_ITERATIONS):
-        solution = rows.solution(used, scatter, task.spread)
-        values = values + solution.step
-        increments.append(solution.step)
-        rows = _rows(task, values)
-        if _negligible(task, solution):
-            break
-    return values, rows, tuple(increments)
+    values, increments = gauss_newton(
+        lambda at: _rows(task, at).solution(used, scatter, task.spread), values, task.spread, FLOOR * task.spread
+    )
+    return values, _rows(task, values), increments
 
 
-def _negligible(task: _Task, solution: Solution) -> bool:
-    """Whether a step is small against the uncertainties, or no more than rounding."""
-    rounding = FLOOR * task.spread
-    return bool(np.all(np.abs(solution.step) <= CONVERGED * np.sqrt(np.diag(solution.covariance)) + rounding))
-
-
-def _chi_square(rows: _Rows, used: BoolArray, scatter: float) -> float:
+def _chi_square(rows: _EllipsoidRows, used: BoolArray, scatter: float) -> float:
     """Of the residuals of a fit that has converged."""
     return float(np.sum((rows.residual[used] / rows.sigma(scatter)[used]) ** 2))
 
@@ -322,7 +311,7 @@ def _finished(
         scatter=found.scatter,
         worst=worst,
         increments=found.increments,
-        converged=_negligible(task, found.solution),
+        converged=negligible(found.solution, FLOOR * task.spread),
     )
 
 

@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 
 from tumble.estimation.estimate import SEEN
+from tumble.reduction.sphere import sphere_through
 from tumble.sensors.model import Block
 from tumble.units import Array
 
@@ -22,6 +23,9 @@ which the device stands askew by up to 5° reach 350 at best, good programmes 2 
 
 COUNTED = 20.0
 """A combination determined so much worse than the best does not count in the rank of refused positions."""
+
+SURROUNDED = 0.05
+"""Part of their widest spread by which readings must be spread in a direction for their centre to be told along it."""
 
 DISTINCT = np.radians(10.0)
 """Positions whose verticals differ by less count as one."""
@@ -64,11 +68,8 @@ def undetermined(readings: Array, *, block: Block) -> Refusal | None:
 
 def rough_directions(readings: Array) -> Array:
     """Unit vectors (N, 3) from the centre of the sphere nearest the readings, taken along the body axes."""
-    mean = readings.mean(axis=0)
-    away = readings - mean
-    square = (away**2).sum(axis=1)
-    offset = np.linalg.lstsq(2.0 * away, square - square.mean(), rcond=0.05)[0]
-    out = away - offset
+    centre, _ = sphere_through(readings, least=SURROUNDED)
+    out = readings - centre
     length = np.linalg.norm(out, axis=1, keepdims=True)
     return np.asarray(out / np.where(length > 0.0, length, 1.0))
 

@@ -50,7 +50,7 @@ def export_calibration(
     Raises InputError for a calibration that was not accepted or that the format has no place for.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> exported = tumble.export_calibration(tumble.calibrate(folder), "csv")
     >>> exported.content.splitlines()[0].split(b",")[0]
     b'# device mems-1'

@@ -37,11 +37,11 @@ _Text = Field(pattern=r"^\S+(\s+\S+)*$")
 _Country = Field(pattern="^[A-Z]{2}$")
 
 
-class _Table(BaseModel):
+class _CertificateTable(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
 
-class Party(_Table):
+class Party(_CertificateTable):
     """A laboratory or a customer: `code` is the laboratory's accreditation mark."""
 
     name: str = _Text
@@ -53,14 +53,14 @@ class Party(_Table):
     postcode: str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
 
 
-class Person(_Table):
+class Person(_CertificateTable):
     """Who answers for a certificate."""
 
     name: str = _Text
     role: str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
 
 
-class Certificate(_Table):
+class Certificate(_CertificateTable):
     """The administrative part of a calibration certificate."""
 
     number: str = _Text

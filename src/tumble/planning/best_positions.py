@@ -28,8 +28,8 @@ from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED, spreads
 from tumble.planning.bounds import Bound, blocks_of, bound, course_of, view
-from tumble.planning.budget import Setup
-from tumble.planning.reachable_attitudes import ANY, Places, Table, Ways, ways_through
+from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways, ways_through
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
 from tumble.programme.positions import programme as built_in
 from tumble.units import Array, IntArray
@@ -206,7 +206,7 @@ def _repeated(last: Array, q: int) -> Array:
 # Optimised programmes
 
 
-def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: Table = ANY) -> Programme:
+def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: TurnTable = ANY) -> Programme:
     """A programme of so many positions that shows most by a criterion; the set-up's own does not count.
 
     Raises InputError for fewer than two positions, for values that make no sense, and where there is no noise."""
@@ -257,7 +257,7 @@ class Next:
     bound: Bound
 
 
-def next_positions(setup: Setup, aim: Aim = Aim(), table: Table = ANY, *, count: int = 5) -> tuple[Next, ...]:
+def next_positions(setup: Setup, aim: Aim = Aim(), table: TurnTable = ANY, *, count: int = 5) -> tuple[Next, ...]:
     """The positions that a set-up's programme gains most by, the best first; of equally good ones the first.
 
     Raises InputError for values that make no sense, and where there is no noise."""

@@ -24,12 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import least_squares
 from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, Weights, left_jacobian, linearise, weights
-from tumble.planning.budget import Setup, check_setup
+from tumble.planning.inertial_turns import inertial_turns
+from tumble.planning.setup import Setup, check_setup
 from tumble.recording.session import Site
 from tumble.reduction.observations import ACCEL_FLOOR, GYRO_FLOOR, TURN_FLOOR, Observations, Rests, Turns
 from tumble.rotation import rotation_matrix, rotation_vector
@@ -99,7 +99,7 @@ def bound(setup: Setup, *, gyros: bool = True) -> Bound:
     Raises InputError for values that make no sense, and where there is no noise.
 
     >>> import tumble
-    >>> setup = tumble.Setup(latitude=0.992, gravity=9.816, rest=120.0)
+    >>> setup = tumble.Setup.of(rest=120.0)
     >>> found = tumble.bound(setup)
     >>> found.rank == len(found.names)
     True
@@ -256,7 +256,8 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
 
 def _turns(course: Course, setup: Setup) -> Turns:
     """The turns as they are integrated with perfect gyros."""
-    T, v = course.seconds, _inertial(course, setup)
+    T, start, end = course.seconds, course.attitudes[course.first], course.attitudes[course.first + 1]
+    v = inertial_turns(start, end, course.moves, T, setup.latitude)
     path = left_jacobian(v)
     variance = setup.noise.gyro_white**2 * T + TURN_FLOOR**2
     return Turns(
@@ -268,16 +269,3 @@ def _turns(course: Course, setup: Setup) -> Turns:
         B=T[:, None, None] * path,
         covariance=variance[:, None, None] * np.eye(3),
     )
-
-
-def _inertial(course: Course, setup: Setup) -> Array:
-    """Rotation vectors (K, 3) of the body in inertial space, in the body at the start: of the two ways round, the one
-    of the move."""
-    back = np.swapaxes(course.attitudes[course.first], 1, 2)
-    earth = rotation_matrix(course.seconds[:, None] * np.array(earth_rate(setup.latitude)))
-    v = rotation_vector(back @ earth @ course.attitudes[course.first + 1])
-    angle = np.linalg.norm(v, axis=1, keepdims=True)
-    other = v - 2.0 * np.pi * v / np.where(angle > 0.0, angle, 1.0)
-    move = np.einsum("kij,kj->ki", back, course.moves)
-    nearer = np.linalg.norm(v - move, axis=1) <= np.linalg.norm(other - move, axis=1)
-    return np.where(nearer[:, None], v, other)

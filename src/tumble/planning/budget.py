@@ -24,20 +24,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 
 from tumble.earth import earth_rate
-from tumble.errors import InputError
 from tumble.estimation.methods.paper.accuracy_formulas import turn_bias_error
 from tumble.planning.error_propagation import (
-    METHODS,
+    BUDGETED_METHODS,
     NAME_UNITS,
     NAMES,
-    Method,
+    BudgetedMethod,
     Plan,
     Seen,
     estimates,
@@ -45,15 +43,13 @@ from tumble.planning.error_propagation import (
     plan_of,
     second_order,
 )
-from tumble.programme.positions import Programme
-from tumble.programme.positions import programme as built_in
-from tumble.sensors.grades import DEGREE_PER_ROOT_HOUR, Grade, NoiseModel, Spread
-from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
+from tumble.planning.setup import Setup, check_setup
+from tumble.units import DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 GROUPS = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
 """The groups of parameters, in the order of the calibration file."""
 
-ESTIMATORS: Mapping[Method, Mapping[str, str]] = MappingProxyType(
+ESTIMATORS: Mapping[BudgetedMethod, Mapping[str, str]] = MappingProxyType(
     {
         "sequential": {
             "accel.bias": "up and down, levelled, Eq. (4)",
@@ -83,36 +79,6 @@ ESTIMATORS: Mapping[Method, Mapping[str, str]] = MappingProxyType(
 )
 """How each method finds each group of parameters."""
 
-_USUAL = Grade(
-    accel=Spread(bias=2e-3, scale=1e-4, axis=25.0 * ARCSEC),
-    gyro=Spread(bias=0.3 * DEGREE_PER_HOUR, scale=1e-4, axis=10.0 * ARCSEC),
-    noise=NoiseModel(accel_white=1e-4, gyro_white=0.003 * DEGREE_PER_ROOT_HOUR),
-)
-"""Navigation-grade instruments: what a set-up has unless it says otherwise."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Setup:
-    """What is known of a calibration before it is made.
-
-    `table_error`, `mounting_error`: every position, and the whole launch, off by up to so much, rad, uniform within ±
-    about each axis, as in `tumble simulate`. `rest`: duration of a rest, s; `turn_rate`, rad/s. `noise`,
-    and the spreads `accel` and `gyro` of the parameters before calibration, are those of a
-    `tumble.sensors.grades.Grade`. `latitude`, rad; `gravity`, m/s², with its standard uncertainty `gravity_u`
-    (`earth.NORMAL_GRAVITY_U` if it is not measured)."""
-
-    table_error: float = DEGREE
-    mounting_error: float = DEGREE
-    rest: float = 60.0
-    turn_rate: float = 10.0 * DEGREE
-    noise: NoiseModel = _USUAL.noise
-    accel: Spread = _USUAL.accel
-    gyro: Spread = _USUAL.gyro
-    latitude: float
-    gravity: float
-    gravity_u: float = 0.0
-    programme: Programme = field(default_factory=lambda: built_in("rough-table"))
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Term:
@@ -123,14 +89,14 @@ class Term:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Row:
+class BudgetRow:
     """Expected error of a group of parameters after `iteration` passes of a method.
 
     `error`: rms over the group's parameters and over instruments and set-ups, in `unit` (SI); `relative`: the same
     over the spread before calibration; `errors`: rms by parameter name; `terms`: what it is made of, largest first."""
 
     group: str
-    method: Method
+    method: BudgetedMethod
     estimator: str
     iteration: int
     unit: str
@@ -151,10 +117,10 @@ class Budget:
     is outside what the formulas hold for."""
 
     setup: Setup
-    rows: tuple[Row, ...]
+    rows: tuple[BudgetRow, ...]
     remarks: tuple[str, ...]
 
-    def row(self, method: Method, group: str, iteration: int) -> Row:
+    def row(self, method: BudgetedMethod, group: str, iteration: int) -> BudgetRow:
         """The row of this method, group and iteration. Raises KeyError if there is none."""
         for row in self.rows:
             if (row.method, row.group, row.iteration) == (method, group, iteration):
@@ -162,20 +128,20 @@ class Budget:
         raise KeyError((method, group, iteration))
 
 
-def budget(setup: Setup, methods: Sequence[Method] = METHODS, iterations: int = 2) -> Budget:
+def budget(setup: Setup, methods: Sequence[BudgetedMethod] = BUDGETED_METHODS, iterations: int = 2) -> Budget:
     """Expected errors of every group of parameters after each of so many passes of these methods.
 
     Groups that the programme cannot give (gyro scale factors without known turns) have no row. Raises InputError for
     values that make no sense, ProgrammeError for a programme without the positions a method needs.
 
     >>> import tumble
-    >>> setup = tumble.Setup(latitude=0.992, gravity=9.816, rest=120.0)
+    >>> setup = tumble.Setup.of(rest=120.0)
     >>> found = tumble.budget(setup, methods=["staged"])
     >>> sorted({row.method for row in found.rows})
     ['staged']
     """
     check_setup(setup, iterations)
-    rows: list[Row] = []
+    rows: list[BudgetRow] = []
     for method in methods:
         pipeline = pipeline_of(setup, method)
         for iteration in range(1, iterations + 1):
@@ -183,7 +149,7 @@ def budget(setup: Setup, methods: Sequence[Method] = METHODS, iterations: int = 
     return Budget(setup=setup, rows=tuple(rows), remarks=_remarks(setup, methods))
 
 
-def _remarks(setup: Setup, methods: Sequence[Method]) -> tuple[str, ...]:
+def _remarks(setup: Setup, methods: Sequence[BudgetedMethod]) -> tuple[str, ...]:
     """What a set-up has that the formulas do not hold for."""
     out = []
     if max(setup.table_error, setup.mounting_error) > LARGEST_DEVIATION:
@@ -209,7 +175,7 @@ LARGEST_AZIMUTH = 0.1
 """Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
 
 
-def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[Row]:
+def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[BudgetRow]:
     """The rows of one method after so many passes."""
     variances = pipeline.variances(iteration)
     out = []
@@ -219,7 +185,7 @@ def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[Row]:
         terms = [Term(name=n, error=size * _rms(v[members])) for n, v in variances.items() if v[members].any()]
         error = size * math.sqrt(total.mean())
         out.append(
-            Row(
+            BudgetRow(
                 group=group,
                 method=pipeline.method,
                 estimator=ESTIMATORS[pipeline.method][group],
@@ -285,7 +251,7 @@ class Pipeline:
     the 0th, 2nd and 4th power of the deviations, `twice`. `second_order` (21,) and `noise` (21,) by cause are variances
     themselves; `spread` (21,) the rms of the parameters."""
 
-    method: Method
+    method: BudgetedMethod
     groups: tuple[str, ...]
     exact: Array
     by_table: Array
@@ -338,7 +304,7 @@ def _gain(first: Array, second: Array) -> Array:
     return gain
 
 
-def pipeline_of(setup: Setup, method: Method) -> Pipeline:
+def pipeline_of(setup: Setup, method: BudgetedMethod) -> Pipeline:
     """A method on the programme of a set-up."""
     plan = plan_of(setup.programme, method, turn_rate=setup.turn_rate, latitude=setup.latitude)
     T0, D = first_order(plan, method)
@@ -390,7 +356,7 @@ def _mean_square(form: Callable[[Array], Array], spread: Array) -> Array:
     return np.asarray(diagonal.sum(axis=0) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)))
 
 
-def _noise(setup: Setup, plan: Plan, method: Method) -> dict[str, Array]:
+def _noise(setup: Setup, plan: Plan, method: BudgetedMethod) -> dict[str, Array]:
     """Variances (21,) of the parameters from noise, by cause, on an exact programme: each noise as if alone."""
     N, K = len(plan.nominal), len(plan.duration)
     accel = np.eye(3 * N).reshape(3 * N, N, 3)
@@ -415,7 +381,7 @@ REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
 """The causes that longer rests reduce."""
 
 
-def _gains(plan: Plan, method: Method, seen: Seen) -> Array:
+def _gains(plan: Plan, method: BudgetedMethod, seen: Seen) -> Array:
     """Estimates (m, 21) that m unit errors of what is seen lead to."""
     return estimates(plan, method, plan.nominal, seen)
 
@@ -426,30 +392,3 @@ def _held(plan: Plan, gyro: Array) -> Array:
         return np.zeros((len(gyro), 0, 3))
     turns = plan.turns
     return turn_bias_error(turns.start, turns.axis, turns.angle, plan.duration, gyro[:, turns.first])
-
-
-# -------------------- checks --------------------
-
-
-def check_setup(setup: Setup, iterations: int) -> None:
-    """Raise InputError for values that make no sense."""
-    if iterations < 1:
-        raise InputError(f"iterations: expected at least 1, found {iterations}")
-    if not abs(setup.latitude) < 0.5 * math.pi - DEGREE:
-        found = setup.latitude / DEGREE
-        raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
-    for name in ("rest", "turn_rate", "gravity"):
-        expect(name, getattr(setup, name), least="more than 0")
-    for name in ("table_error", "mounting_error", "gravity_u"):
-        expect(name, getattr(setup, name), least="0 or more")
-    for noise in fields(setup.noise):
-        expect(f"noise.{noise.name}", getattr(setup.noise, noise.name), least="0 or more")
-    for kind in ("accel", "gyro"):
-        for what in ("bias", "scale", "axis"):
-            expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
-
-
-def expect(name: str, value: float, *, least: Literal["more than 0", "0 or more"]) -> None:
-    """Raise InputError unless a value is finite and as large as that."""
-    if not (0.0 < value < math.inf or (value == 0.0 and least == "0 or more")):
-        raise InputError(f"{name}: expected {least}, in SI, found {value:g}")

@@ -29,7 +29,6 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     indirect_matrix,
     modulus_residual,
     reference_rate_error,
-    scalar_matrix,
     scalar_residuals,
     start_error_growth,
     transposed,
@@ -39,8 +38,9 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
     turn_error,
     turns_of,
 )
+from tumble.estimation.methods.paper.scalar import scalar_rows
 from tumble.programme.positions import Programme
-from tumble.rotation import axes_matrix, rotation_matrix
+from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector_near, unit_vector
 from tumble.sensors.model import Block
 from tumble.units import Array, IntArray
 
@@ -54,9 +54,9 @@ NAMES = _ACCEL.names + _GYRO.names
 NAME_UNITS = _ACCEL.units + _GYRO.units
 """The SI unit of each of `NAMES`."""
 
-Method = Literal["sequential", "scalar", "staged"]
+BudgetedMethod = Literal["sequential", "scalar", "staged"]
 
-METHODS: tuple[Method, ...] = ("sequential", "scalar", "staged")
+BUDGETED_METHODS: tuple[BudgetedMethod, ...] = ("sequential", "scalar", "staged")
 
 
 # What the programme's positions and turns are good for
@@ -78,7 +78,7 @@ class Plan:
     latitude: float
 
 
-def plan_of(programme: Programme, method: Method, *, turn_rate: float, latitude: float) -> Plan:
+def plan_of(programme: Programme, method: BudgetedMethod, *, turn_rate: float, latitude: float) -> Plan:
     """What a method does with a programme at this rate of the turns, rad/s, and latitude, rad.
 
     Raises ProgrammeError for a programme without the positions the method needs."""
@@ -108,7 +108,7 @@ def _astride(u: Array, p: int, q: int) -> Array:
     return np.asarray((np.abs(u[:, p] + u[:, q]) < _NEAR) & (np.abs(u[:, 3 - p - q]) < _NEAR))
 
 
-def _check_positions(programme: Programme, method: Method, u: Array, plan: Plan) -> None:
+def _check_positions(programme: Programme, method: BudgetedMethod, u: Array, plan: Plan) -> None:
     """Raise ProgrammeError unless a method finds the positions it needs."""
     if method == "sequential":
         both = [{*np.sign(u[rests, p])} == {-1.0, 1.0} for p, rests in enumerate(plan.standing)]
@@ -121,7 +121,7 @@ def _check_positions(programme: Programme, method: Method, u: Array, plan: Plan)
                 f"programme {programme.name}: expected rests with {missing[0]} for the method sequential, found none; "
                 "take rough-table or nine, or another method"
             )
-    rank = int(np.linalg.matrix_rank(scalar_matrix(u)))
+    rank = int(np.linalg.matrix_rank(scalar_rows(u)))
     if rank < 9:
         raise ProgrammeError(
             f"programme {programme.name}: expected positions that determine nine accelerometer parameters, "
@@ -163,17 +163,11 @@ def _seen(plan: Plan, attitudes: Array) -> Seen:
 def _rotation_between(start: Array, stop: Array, nominal: KnownTurns) -> tuple[Array, Array]:
     """Axis (..., K, 3) and angle (..., K) of the rotations that lead from one attitude to the other, the way round
     that is nearer to the nominal turn."""
-    R = stop @ transposed(start)
-    trace = np.trace(R, axis1=-2, axis2=-1)
-    along = R + transposed(R) + (1.0 - trace)[..., None, None] * np.eye(3)  # 2 (1 − cos Θ) n nᵀ
-    axis = applied(along, nominal.axis)
-    axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    sine = 0.5 * dot(axis, _vee(R - transposed(R)))
-    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
-    return axis, angle + 2.0 * np.pi * np.round((nominal.angle - angle) / (2.0 * np.pi))
+    vector = rotation_vector_near(stop @ transposed(start), nominal.angle[:, None] * nominal.axis)
+    return unit_vector(vector), np.linalg.norm(vector, axis=-1)
 
 
-def estimates(plan: Plan, method: Method, attitudes: Array, seen: Seen) -> Array:
+def estimates(plan: Plan, method: BudgetedMethod, attitudes: Array, seen: Seen) -> Array:
     """What one pass of a method makes of what is seen: parameters (..., m, 21), linear in it. Gyro parameters that the
     programme does not give are zero."""
     L = attitudes[..., None, :, :, :]
@@ -181,7 +175,7 @@ def estimates(plan: Plan, method: Method, attitudes: Array, seen: Seen) -> Array
     if method == "sequential":
         accel_values = _sequential_accelerometers(plan, u, seen.accel)
     else:
-        accel_values = _solved(scalar_matrix(u), dot(u, seen.accel))
+        accel_values = _solved(scalar_rows(u), dot(u, seen.accel))
     accel = seen.accel - accelerometer_errors(accel_values[..., None, :], u)
     bias = _gyro_bias(plan, method, L, accel, seen.gyro)
     if plan.turns is None:
@@ -218,7 +212,7 @@ def _oblique_angles(plan: Plan, u: Array, accel: Array) -> Array:
     return np.stack(out, axis=-1)
 
 
-def _gyro_bias(plan: Plan, method: Method, L: Array, accel: Array, gyro: Array) -> Array:
+def _gyro_bias(plan: Plan, method: BudgetedMethod, L: Array, accel: Array, gyro: Array) -> Array:
     """Stage 3: gyro biases (..., m, 3), rad/s."""
     if method == "sequential":
         shown = gyro - reference_rate_error(L, accel, gyro, plan.latitude)
@@ -268,7 +262,7 @@ def _logged_matrix(plan: Plan, attitudes: Array) -> Array:
 # What a pass leaves
 
 
-def first_order(plan: Plan, method: Method) -> tuple[Array, Array]:
+def first_order(plan: Plan, method: BudgetedMethod) -> tuple[Array, Array]:
     """What one pass leaves of the parameters: T₀ (21, 21) on an exact programme and its derivatives D (3N + 3, 21, 21)
     with respect to the deviations, per rad, by central differences."""
     N = len(plan.nominal)
@@ -289,7 +283,7 @@ _ROUNDING = 1e-12
 # Errors of second order in the parameters
 
 
-def second_order(plan: Plan, method: Method, X: Array) -> Array:
+def second_order(plan: Plan, method: BudgetedMethod, X: Array) -> Array:
     """Errors (..., 21) of second order in the parameters X (..., 21) that a method makes on an exact programme."""
     b, k, γ = X[..., 0:3], X[..., 3:6], X[..., 6:9]
     u = plan.nominal[:, 1, :]
@@ -301,7 +295,7 @@ def second_order(plan: Plan, method: Method, X: Array) -> Array:
         left = np.concatenate([accel[..., :6], np.zeros((*accel.shape[:-1], 3))], axis=-1)
         accel[..., 6:] = -_oblique_angles(plan, u, accelerometer_errors(left[..., None, :], u))
     else:
-        accel = _solved(scalar_matrix(u), linearised + orientation)
+        accel = _solved(scalar_rows(u), linearised + orientation)
     bias = np.zeros((*X.shape[:-1], 3))
     if method == "scalar":
         E = gyro_matrix_error(X[..., None, 12:15], X[..., None, 15:])
@@ -315,13 +309,13 @@ def second_order(plan: Plan, method: Method, X: Array) -> Array:
     return np.concatenate([accel, bias, gyro], axis=-1)
 
 
-def _turns_second_order(turns: KnownTurns, method: Method, values: Array) -> Array:
+def _turns_second_order(turns: KnownTurns, method: BudgetedMethod, values: Array) -> Array:
     """What the differences y (..., 2K) of exact turns have beyond the matrix of the method times the gyros' k and γ
     (..., 9), to second order: half the sum for these values and their opposites."""
     return 0.5 * (_turns_beyond(turns, method, values) + _turns_beyond(turns, method, -values))
 
 
-def _turns_beyond(turns: KnownTurns, method: Method, values: Array) -> Array:
+def _turns_beyond(turns: KnownTurns, method: BudgetedMethod, values: Array) -> Array:
     """Differences y (..., 2K) of exact turns without Earth's rate, less those the method's matrix gives.
 
     In such a turn the rate is constant in the body, and so is what the gyros make of it."""
@@ -352,8 +346,3 @@ def _turns_beyond(turns: KnownTurns, method: Method, values: Array) -> Array:
 def _solved(rows: Array, right: Array) -> Array:
     """Least squares (..., m) of rows (..., r, m) for right-hand sides (..., r)."""
     return applied(np.asarray(np.linalg.pinv(rows), dtype=float), right)
-
-
-def _vee(matrix: Array) -> Array:
-    """v (..., 3) of an antisymmetric matrix [v×] (..., 3, 3)."""
-    return np.stack([matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0]], axis=-1)

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 from tumble.planning.best_positions import Aim, Compared, Next, compared, next_positions, of_the_literature, optimised
 from tumble.planning.bounds import Bound, bound
-from tumble.planning.budget import Setup
-from tumble.planning.reachable_attitudes import ANY, Table
+from tumble.planning.reachable_attitudes import ANY, TurnTable
+from tumble.planning.setup import Setup
 
 FOR_ALL = Aim()
 """The mean uncertainty of all parameters in units of their spreads, gyros included."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Plan:
+class PlanResult:
     """What a set-up's programme can show at best. `following` are the positions it would gain most by, where it was
     given; `programmes` the programme that was found and those of the literature, where one was to be found."""
 
@@ -24,20 +24,20 @@ class Plan:
     programmes: tuple[Compared, ...]
 
 
-def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, table: Table = ANY) -> Plan:
+def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, table: TurnTable = ANY) -> PlanResult:
     """The least uncertainty that the programme of a set-up allows, and the best next positions on a table; with
     `positions` the best programme of so many that is found, beside those of the literature. Raises InputError for
     values that make no sense, and where there is no noise.
 
     >>> import tumble
-    >>> setup = tumble.Setup(latitude=0.992, gravity=9.816, rest=120.0)
+    >>> setup = tumble.Setup.of(rest=120.0)
     >>> found = tumble.plan(setup)
     >>> len(found.following), found.bound.groups[0]
     (5, 'accel.bias')
     """
     if positions is None:
         best = bound(setup, gyros=aim.gyros)
-        return Plan(setup=setup, bound=best, following=next_positions(setup, aim, table), programmes=())
+        return PlanResult(setup=setup, bound=best, following=next_positions(setup, aim, table), programmes=())
     setup = replace(setup, programme=optimised(setup, positions, aim, table))
     rows = compared(setup, (setup.programme, *of_the_literature()), aim)
-    return Plan(setup=setup, bound=rows[0].bound, following=(), programmes=rows)
+    return PlanResult(setup=setup, bound=rows[0].bound, following=(), programmes=rows)

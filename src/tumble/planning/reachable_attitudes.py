@@ -16,7 +16,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.planning.bounds import Course, course_through, view
-from tumble.planning.budget import Setup
+from tumble.planning.setup import Setup
 from tumble.programme.positions import TRIPLES, Position, from_attitudes
 from tumble.rotation import rotation_vector
 from tumble.units import DEGREE, Array, BoolArray, IntArray
@@ -26,7 +26,7 @@ _T = TypeVar("_T", Array, IntArray, BoolArray)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Table:
+class TurnTable:
     """A table that turns about `axes`, some of N, U, E, and stops at multiples of `step`, rad, a part of 90°. If not
     `by_hand`, the device stays as it is mounted: every move is one turn about one of the axes."""
 
@@ -35,20 +35,20 @@ class Table:
     by_hand: bool = True
 
     @staticmethod
-    def of(axes: str | None, step_deg: float) -> Table:
+    def of(axes: str | None, step_deg: float) -> TurnTable:
         """The table of axes written like "N,U", where the device stays as it is mounted, or of none, where any move
         will do. Raises InputError."""
         if not step_deg >= SMALLEST_STEP or abs(90.0 / step_deg - round(90.0 / step_deg)) > 1e-9:
             raise InputError(f"step: expected a part of 90 degrees, at least {SMALLEST_STEP:g}, found {step_deg:g}")
         if axes is None:
-            return Table(step=step_deg * DEGREE)
+            return TurnTable(step=step_deg * DEGREE)
         letters = [letter.strip().upper() for letter in axes.split(",")]
         if not set(letters) <= set(_AXES) or len(set(letters)) < len(letters):
             raise InputError(f"axes: expected some of N, U, E, as in N,U, found {axes!r}")
-        return Table(axes="".join(letters), step=step_deg * DEGREE, by_hand=False)
+        return TurnTable(axes="".join(letters), step=step_deg * DEGREE, by_hand=False)
 
 
-ANY = Table()
+ANY = TurnTable()
 """Whatever the table, the device can be taken in hand."""
 
 SMALLEST_STEP = 5.0
@@ -70,7 +70,7 @@ class Legs:
 class Places:
     """Where a table can be: positions and attitudes (n, 3, 3), and the whitened rows of a rest in each."""
 
-    table: Table
+    table: TurnTable
     setup: Setup
     gyros: bool
     positions: tuple[Position, ...]
@@ -80,7 +80,7 @@ class Places:
     _backward: dict[int, Legs] = field(default_factory=dict, repr=False)
 
     @staticmethod
-    def of(table: Table, setup: Setup, *, gyros: bool, last: Position | None = None) -> Places:
+    def of(table: TurnTable, setup: Setup, *, gyros: bool, last: Position | None = None) -> Places:
         """The places of a table, after those the one where the device is and what a turn from there leads to, if that
         is none of them."""
         codes = [letters + turn for turn in ("", *_turns(table.step)) for letters in TRIPLES]
@@ -151,7 +151,7 @@ def _turns(step: float) -> list[str]:
     return [f" {axis}{angle:+.10g}" for axis in _AXES for angle in angles]
 
 
-def _all_turns(table: Table) -> list[str]:
+def _all_turns(table: TurnTable) -> list[str]:
     """All turns of a table by up to 180°, as they are added to a code."""
     angles = table.step / DEGREE * np.arange(1, round(180.0 * DEGREE / table.step) + 1)
     return [f"{axis}{sign * angle:+.10g}" for axis in table.axes for angle in angles for sign in (1, -1)]

@@ -19,15 +19,13 @@ from tumble.planning.budget import (
     REST_NOISE,
     UNITS,
     Pipeline,
-    Setup,
-    check_setup,
-    expect,
     members_of,
     pipeline_of,
     size_of,
     total_of,
 )
-from tumble.planning.error_propagation import Method
+from tumble.planning.error_propagation import BudgetedMethod
+from tumble.planning.setup import Setup, check_setup, expect
 from tumble.units import Array, quantity
 
 REST_SHARE = 0.25
@@ -61,7 +59,7 @@ class Requirements:
     """All requirements, and what meets those that can be met: the smallest tolerances and the longest rest."""
 
     setup: Setup
-    method: Method
+    method: BudgetedMethod
     iteration: int
     rows: tuple[Requirement, ...]
 
@@ -90,7 +88,7 @@ def require(
     wanted: Mapping[str, float],
     setup: Setup,
     *,
-    method: Method = "sequential",
+    method: BudgetedMethod = "sequential",
     iteration: int = 1,
     gyro_bias: BiasEstimator = "programme",
 ) -> Requirements:
@@ -102,7 +100,7 @@ def require(
     Raises InputError for a group that does not exist or values that make no sense.
 
     >>> import tumble
-    >>> setup = tumble.Setup(latitude=0.992, gravity=9.816, rest=120.0)
+    >>> setup = tumble.Setup.of(rest=120.0)
     >>> tumble.require({"accel.scale": 10e-6}, setup).feasible
     True
     """
@@ -241,13 +239,11 @@ _REMEDY: Mapping[str, str] = MappingProxyType(
 
 def _largest(function: Callable[[float], float], limit: float, most: float) -> float:
     """The largest x up to `most` with function(x) ≤ limit, of a function that grows from zero."""
+    from scipy.optimize import brentq
+
     if function(most) <= limit:
         return most
-    low, high = 0.0, most
-    while high - low > 1e-6 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if function(middle) <= limit else (low, middle)
-    return low
+    return float(brentq(lambda x: function(x) - limit, 0.0, most, rtol=1e-9))
 
 
 def _unit_ratio(setup: Setup) -> Setup:

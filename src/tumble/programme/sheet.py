@@ -21,7 +21,8 @@ from tumble.programme.sheet_pictures import (
     svg_picture,
     text_element,
 )
-from tumble.programme.sheet_words import MOVE, RATE, REST, Row, notes_of, pace_of, sheet_rows
+from tumble.programme.sheet_words import RATE, REST, SheetRow, notes_of, pace_of, sheet_rows
+from tumble.usual_setup import MOVE
 
 # -------------------- the table --------------------
 
@@ -121,14 +122,14 @@ def _head(programme: Programme) -> str:
     return element("div", legend(), element("div", key, notes), class_="head")
 
 
-def _positions(rows: Sequence[Row]) -> str:
+def _positions(rows: Sequence[SheetRow]) -> str:
     columns = (("", "9mm"), ("position", "32mm"), ("how to get there", "70mm"), ("times and notes", "auto"))
     widths = element("colgroup", *(element("col", style=f"width: {width}") for _, width in columns))
     heads = element("thead", element("tr", *(text_element("th", heading) for heading, _ in columns)))
     return element("table", widths, heads, element("tbody", *map(_position, rows)))
 
 
-def _position(row: Row) -> str:
+def _position(row: SheetRow) -> str:
     points = [text_element("span", f"{name} → {where}") for name, where in zip("XYZ", row.points, strict=True)]
     words = (
         text_element("div", row.how, class_="how"),

@@ -11,21 +11,16 @@ import numpy as np
 
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme, timetable
 from tumble.units import DEGREE, Array
+from tumble.usual_setup import MOVE, ON_TABLE
 
-REST = 60.0
-"""Duration of a rest, s, where nothing else is asked for."""
-
-RATE = 10.0 * DEGREE
-"""Rate of programmed turns, rad/s, where nothing else is asked for."""
-
-MOVE = 30.0
-"""What is allowed for a move that is not a programmed turn, s, where nothing else is asked for."""
+REST, RATE = ON_TABLE.rest, ON_TABLE.rate_deg_s * DEGREE
+"""Duration of a rest, s, and rate of programmed turns, rad/s, where nothing else is asked for."""
 
 _COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Row:
+class SheetRow:
     """A position as the sheet says it. `points` is where body X, Y, Z point; start and stop of the rest in s."""
 
     number: int
@@ -43,13 +38,15 @@ class Row:
         return f"{clock(self.start)} – {clock(self.stop)}"
 
 
-def sheet_rows(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> tuple[Row, ...]:
+def sheet_rows(
+    programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE
+) -> tuple[SheetRow, ...]:
     """Every position of a programme in words, with its time: rests of `rest` s, turns at `rate` rad/s, and `move` s
     for each other move. Raises ProgrammeError as `programme.timetable`."""
     times = timetable(programme, rest=rest, rate=rate, move=move)
     moves = (ANY_MOVE, *programme.moves)
     return tuple(
-        Row(
+        SheetRow(
             number=number,
             position=position,
             move=reached,
@@ -119,7 +116,7 @@ def short_code(code: str) -> str:
     return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.6g}", code)
 
 
-def pace_of(programme: Programme, rows: Sequence[Row], rate: float, move: float) -> str:
+def pace_of(programme: Programme, rows: Sequence[SheetRow], rate: float, move: float) -> str:
     """ "15 positions, 20:12 in all: rests of 60 s, turns at 10 °/s, 30 s for any other move"."""
     parts = [f"rests of {rows[0].stop - rows[0].start:g} s"]
     if any(m.angle is not None for m in programme.moves):

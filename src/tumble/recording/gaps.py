@@ -18,7 +18,7 @@ import numpy.typing as npt
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.readers import Source
+from tumble.recording.readers import LogSource
 from tumble.recording.session import LogSpec
 from tumble.units import Array
 
@@ -46,7 +46,7 @@ class Gap:
     what: str
 
 
-def check_time(source: Source, spec: LogSpec, first: int, time: Array) -> None:
+def check_time(source: LogSource, spec: LogSpec, first: int, time: Array) -> None:
     """Times (m,) from data row `first` on must be finite and increase."""
     if not np.isfinite(time).all():
         at = int(np.argmin(np.isfinite(time)))
@@ -62,7 +62,7 @@ def check_time(source: Source, spec: LogSpec, first: int, time: Array) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Rows:
+class LogRows:
     """Consecutive rows of a file: the number of the first, times (m,), s, and the numbers of accelerometers
     (m, na), gyros (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them."""
 
@@ -70,15 +70,15 @@ class Rows:
     time: Array
     values: tuple[Array, ...]
 
-    def part(self, start: int, stop: int) -> Rows:
-        return Rows(
+    def part(self, start: int, stop: int) -> LogRows:
+        return LogRows(
             first=self.first + start,
             time=self.time[start:stop],
             values=tuple(v[start:stop] for v in self.values),
         )
 
-    def followed_by(self, other: Rows) -> Rows:
-        return Rows(
+    def followed_by(self, other: LogRows) -> LogRows:
+        return LogRows(
             first=self.first,
             time=np.concatenate([self.time, other.time]),
             values=tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True)),
@@ -91,7 +91,7 @@ class Rows:
         return np.asarray(~np.isfinite(np.hstack(self.values)).all(axis=1))
 
 
-def rows_of(source: Source, spec: LogSpec) -> Iterator[Rows]:
+def rows_of(source: LogSource, spec: LogSpec) -> Iterator[LogRows]:
     """The rows of a file; without a time column sample k, counted from 1, ends at k / rate."""
     groups = [spec.accel.columns]
     groups += [spec.gyro.columns] if spec.gyro else []
@@ -103,7 +103,7 @@ def rows_of(source: Source, spec: LogSpec) -> Iterator[Rows]:
             time = table[spec.time].to_numpy() * spec.time_factor
         else:
             time = np.arange(first, first + table.height) / (spec.rate or 1.0)
-        yield Rows(first=first, time=time, values=tuple(_matrix(table, group) for group in groups))
+        yield LogRows(first=first, time=time, values=tuple(_matrix(table, group) for group in groups))
         first += table.height
 
 
@@ -122,17 +122,17 @@ class Bridge:
     `last`: the last row that went out, always a sound one; `held`: lost rows after it, whose end is not yet
     known."""
 
-    source: Source
+    source: LogSource
     file: int
     spec: LogSpec
     interval: float
     gaps: list[Gap]
-    last: Rows | None = None
-    held: Rows | None = None
+    last: LogRows | None = None
+    held: LogRows | None = None
     start: float = 0.0
     bridged: int = 0
 
-    def samples(self, stream: Iterator[Rows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
+    def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
         """Times, intervals, s, and numbers of all samples, those of lost ones interpolated."""
         for new in stream:
             rows = new if self.held is None else self.held.followed_by(new)
@@ -146,12 +146,12 @@ class Bridge:
                 yield self._repaired(rows.part(0, sound), lost[:sound])
         self._check_end()
 
-    def _hold(self, rows: Rows) -> Rows | None:
+    def _hold(self, rows: LogRows) -> LogRows | None:
         if len(rows.time) > _BRIDGED_SAMPLES:
             raise self._too_long(rows)
         return rows if len(rows.time) else None
 
-    def _repaired(self, rows: Rows, lost: npt.NDArray[np.bool_]) -> tuple[Array, Array, tuple[Array, ...]]:
+    def _repaired(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> tuple[Array, Array, tuple[Array, ...]]:
         """Samples of rows of which the last is sound; the row before them went out already, or is none."""
         before, self.last = self.last, rows.part(len(rows.time) - 1, len(rows.time))
         time = rows.time if before is None else np.concatenate([before.time, rows.time])
@@ -167,7 +167,7 @@ class Bridge:
             dt = np.full(len(dt), self.interval)
         return time[before is not None :], dt, values
 
-    def _filled(self, rows: Rows, steps: Array) -> Rows:
+    def _filled(self, rows: LogRows, steps: Array) -> LogRows:
         """Rows of which the first and the last are sound, missing rows put in and every number finite."""
         missing = self._missing(rows, steps)
         place = np.arange(len(rows.time)) + np.concatenate([[0], np.cumsum(missing)])
@@ -175,9 +175,9 @@ class Bridge:
         lost = np.ones(len(time), dtype=bool)
         lost[place] = rows.lost()
         self._report(rows, place, lost, time)
-        return Rows(first=rows.first, time=time, values=tuple(_interpolated(v, place, time) for v in rows.values))
+        return LogRows(first=rows.first, time=time, values=tuple(_interpolated(v, place, time) for v in rows.values))
 
-    def _missing(self, rows: Rows, steps: Array) -> npt.NDArray[np.int64]:
+    def _missing(self, rows: LogRows, steps: Array) -> npt.NDArray[np.int64]:
         """How many samples are missing before rows 1, 2, …, by their steps in time."""
         missing = np.where(steps > _JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
         if (missing > _BRIDGED_SAMPLES).any():
@@ -190,7 +190,7 @@ class Bridge:
             )
         return missing.astype(np.int64)
 
-    def _report(self, rows: Rows, place: npt.NDArray[np.int64], lost: npt.NDArray[np.bool_], time: Array) -> None:
+    def _report(self, rows: LogRows, place: npt.NDArray[np.int64], lost: npt.NDArray[np.bool_], time: Array) -> None:
         """Add every run of lost samples to the gaps; row i of `rows` is sample place[i]."""
         edges = np.flatnonzero(np.diff(lost)) + 1
         for start, stop in edges.reshape(-1, 2).tolist():
@@ -212,14 +212,14 @@ class Bridge:
         if self.bridged > _BRIDGED_MOST:
             raise self._too_many(f"{_BRIDGED_MOST}", "a file")
 
-    def _not_finite(self, rows: Rows) -> list[tuple[str, float]]:
+    def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
         """Columns with numbers that are not finite, and the first such number of each."""
         numbers = np.hstack(rows.values)
         bad = ~np.isfinite(numbers)
         columns = [column for column in self.spec.columns if column != self.spec.time]
         return [(columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
 
-    def _check_begins_sound(self, rows: Rows, lost: npt.NDArray[np.bool_]) -> None:
+    def _check_begins_sound(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> None:
         if lost[0]:
             column, value = self._not_finite(rows.part(0, 1))[0]
             raise LogError(
@@ -244,7 +244,7 @@ class Bridge:
         if self.bridged > allowed:
             raise self._too_many(f"{allowed}", f"{self.last.first} rows ({_BRIDGED_SHARE:.1%} and {_BRIDGED_FREE})")
 
-    def _too_long(self, rows: Rows) -> LogError:
+    def _too_long(self, rows: LogRows) -> LogError:
         column, value = self._not_finite(rows)[0]
         return LogError(
             f"{self.source.place(rows.first, column)}: expected a finite number, found {value} and more than "

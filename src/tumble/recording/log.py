@@ -18,7 +18,7 @@ import numpy as np
 
 from tumble.errors import LogError
 from tumble.recording.gaps import Bridge, Gap, check_time, rows_of
-from tumble.recording.readers import LINE_BYTES, Source, readable, source_of
+from tumble.recording.readers import LINE_BYTES, LogSource, readable, source_of
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
@@ -52,7 +52,7 @@ class Log:
 
     session: Session
     rate: float
-    _sources: tuple[Source, ...] = field(repr=False)
+    _sources: tuple[LogSource, ...] = field(repr=False)
     _intervals: tuple[float, ...] = field(repr=False)
     _gaps: list[Gap] = field(default_factory=list, repr=False)
 
@@ -157,7 +157,7 @@ def _part(chunk: Chunk, rows: slice) -> Chunk:
 # -------------------- what is checked when a log is opened --------------------
 
 
-def _check_columns(source: Source, spec: LogSpec) -> None:
+def _check_columns(source: LogSource, spec: LogSpec) -> None:
     names = source.names
     for column in spec.columns:
         if column not in names:
@@ -169,7 +169,7 @@ def _check_columns(source: Source, spec: LogSpec) -> None:
             raise LogError(f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one")
 
 
-def _interval(source: Source, spec: LogSpec) -> float:
+def _interval(source: LogSource, spec: LogSpec) -> float:
     """The interval of a file's samples, s: the median over its first rows, or that of the nominal rate."""
     head = source.head(spec.time or spec.accel.columns[0], _HEAD_ROWS)
     if not len(head):

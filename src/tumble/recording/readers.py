@@ -39,7 +39,7 @@ _PARQUET_ROWS = 1 << 15
 _SLICE_ROWS = 1 << 17
 
 
-class Source(Protocol):
+class LogSource(Protocol):
     """A file of a log as tables."""
 
     @property
@@ -76,12 +76,12 @@ def readable(path: Path) -> Iterator[None]:
         ) from None
 
 
-def source_of(file: Path | Samples) -> Source:
+def source_of(file: Path | Samples) -> LogSource:
     """The reader of a file. Raises LogError for a format that cannot be read and an empty or damaged file."""
     return _Frame.of(file.path, file.table.lazy) if isinstance(file, Samples) else _source_of_file(file)
 
 
-def _source_of_file(path: Path) -> Source:
+def _source_of_file(path: Path) -> LogSource:
     ending = _ending(path)
     if ending not in _READERS:
         raise LogError(f"{path}: expected a file that ends in {', '.join(_READERS)}, found another; convert it")
@@ -302,7 +302,7 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
         yield rest.rstrip()
 
 
-_READERS: Mapping[str, Callable[[Path], Source]] = {
+_READERS: Mapping[str, Callable[[Path], LogSource]] = {
     ".csv": _open_csv,
     ".csv.gz": _open_csv,
     ".csv.zst": _open_csv,

@@ -22,11 +22,11 @@ from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath, whole_file
 from tumble.recording.session_keys import (
-    Document,
     LogTable,
     MagnetometerTable,
     ProgrammeTable,
     SensorsTable,
+    SessionDocument,
     SiteTable,
     faults_of,
 )
@@ -136,7 +136,7 @@ class LogSpec:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Position:
+class ListedPosition:
     """A position of the programme: its attitude code, and the rest's start and stop, s, where given."""
 
     attitude: str
@@ -149,7 +149,7 @@ class ProgrammeSpec:
     """Either the name of a built-in programme, or positions in order."""
 
     name: str | None
-    positions: tuple[Position, ...]
+    positions: tuple[ListedPosition, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -201,7 +201,7 @@ def read_session(folder: FilePath) -> Session:
     value that is not what its key expects, a log that does not exist.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=4), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1)
     >>> tumble.read_session(folder).device.serial
     'mems-1'
     """
@@ -294,9 +294,9 @@ def _parsed(path: Path) -> dict[str, Any]:
         raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
 
 
-def _checked(content: Mapping[str, Any], where: str) -> Document:
+def _checked(content: Mapping[str, Any], where: str) -> SessionDocument:
     try:
-        return Document.model_validate(content)
+        return SessionDocument.model_validate(content)
     except ValidationError as error:
         faults = faults_of(error, content)
     said = faults[:_FAULTS_SHOWN]
@@ -317,7 +317,7 @@ def _check_files(session: Session, where: str) -> None:
 # -------------------- from the tables to SI --------------------
 
 
-def _session(document: Document, folder: Path | None) -> Session:
+def _session(document: SessionDocument, folder: Path | None) -> Session:
     device, place = document.device, folder or Path()
     return Session(
         folder=folder,
@@ -386,7 +386,7 @@ def _channels(sensors: SensorsTable, rate: float | None) -> Channels:
 
 def _programme(given: ProgrammeTable) -> ProgrammeSpec:
     positions = [
-        Position(attitude=position.attitude, start=position.start, stop=position.stop)
+        ListedPosition(attitude=position.attitude, start=position.start, stop=position.stop)
         for position in given.position or []
     ]
     return ProgrammeSpec(name=given.name, positions=tuple(positions))

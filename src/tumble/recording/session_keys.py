@@ -31,13 +31,13 @@ _LEAST_SINE = 1e-3
 # -------------------- the tables of the file --------------------
 
 
-class Table(BaseModel):
+class SessionTable(BaseModel):
     """A table of the file: no other keys, no other types."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
-class DeviceTable(Table):
+class DeviceTable(SessionTable):
     """[device]"""
 
     serial: str = Field(min_length=1, description="the serial number, a string that is not empty")
@@ -45,7 +45,7 @@ class DeviceTable(Table):
     systematic: str | None = Field(default=None, min_length=1, description="the path of a calibration file")
 
 
-class SiteTable(Table):
+class SiteTable(SessionTable):
     """[site]"""
 
     latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="a number from -90 to 90")
@@ -63,7 +63,7 @@ class SiteTable(Table):
         return self
 
 
-class SensorsTable(Table):
+class SensorsTable(SessionTable):
     """The common keys of [log.accel] and [log.gyro]."""
 
     UNITS: ClassVar[Mapping[str, Unit]]
@@ -162,14 +162,14 @@ class GyroTable(SensorsTable):
     SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
 
 
-class TemperatureTable(Table):
+class TemperatureTable(SessionTable):
     """[log.temperature]"""
 
     columns: list[str] = Field(min_length=1, max_length=1, description="a list of one column name")
     unit: Literal["degC"] = Field(default="degC", description='"degC"')
 
 
-class MagnetometerTable(Table):
+class MagnetometerTable(SessionTable):
     """[log.magnetometer]"""
 
     columns: list[str] = Field(min_length=3, max_length=3, description="a list of three column names")
@@ -181,7 +181,7 @@ class MagnetometerTable(Table):
         return self
 
 
-class LogTable(Table):
+class LogTable(SessionTable):
     """[log]"""
 
     file: str | list[str] = Field(min_length=1, description="a file name or a list of file names")
@@ -237,7 +237,7 @@ class LogTable(Table):
                 )
 
 
-class PositionTable(Table):
+class PositionTable(SessionTable):
     """[[programme.position]]"""
 
     attitude: str = Field(description="an attitude code, a string")
@@ -258,7 +258,7 @@ class PositionTable(Table):
         return self
 
 
-class ProgrammeTable(Table):
+class ProgrammeTable(SessionTable):
     """[programme]"""
 
     name: str | None = Field(default=None, description="the name of a built-in programme")
@@ -276,7 +276,7 @@ class ProgrammeTable(Table):
         return self
 
 
-class Document(Table):
+class SessionDocument(SessionTable):
     """The whole file."""
 
     format: int = Field(ge=1, le=1, description="1, the format of this file")
@@ -301,7 +301,7 @@ class Document(Table):
         return self
 
 
-TABLES: Mapping[str, type[Table]] = {
+TABLES: Mapping[str, type[SessionTable]] = {
     "device": DeviceTable,
     "site": SiteTable,
     "log": LogTable,
@@ -346,9 +346,9 @@ def faults_of(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
     return list(faults.values())
 
 
-def _located(loc: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], type[Table], str]:
+def _located(loc: tuple[int | str, ...]) -> tuple[tuple[int | str, ...], type[SessionTable], str]:
     """The key a fault belongs to, the innermost table on the way, and what the key expects."""
-    table: type[Table] = Document
+    table: type[SessionTable] = SessionDocument
     expected = ""
     key: list[int | str] = []
     for part in loc:

@@ -26,7 +26,7 @@ def due(registry: Registry) -> list[Due]:
     """Every device, the most urgent first; those without an interval last.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
     ...     _ = tumble.add_calibration(registry, "calibration.json")

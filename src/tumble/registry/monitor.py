@@ -50,7 +50,7 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
     device or parameter, and for a record in another frame that cannot be taken to this one.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
     ...     _ = tumble.add_calibration(registry, "calibration.json")

@@ -19,7 +19,7 @@ from tumble.registry.store import LimitsRecord, file_of, parameters_of, records
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Point:
+class SeriesPoint:
     """A parameter in one calibration: value and standard uncertainty (SI), and both in each of its launches, where
     it is the mean of several."""
 
@@ -37,7 +37,7 @@ class Series:
 
     name: str
     unit: str
-    points: tuple[Point, ...]
+    points: tuple[SeriesPoint, ...]
 
 
 def series_of(registry: Registry, serial: str, frame: str) -> list[Series]:
@@ -55,12 +55,12 @@ def series_of(registry: Registry, serial: str, frame: str) -> list[Series]:
 
 def _points(
     name: str, unit: str, found: Iterable[Record], rows: Mapping[int, Sequence[ParameterRow]]
-) -> Iterable[Point]:
+) -> Iterable[SeriesPoint]:
     for record in found:
         own = [row for row in rows[record.number] if (row.name, row.unit) == (name, unit)]
         for row in own:
             if row.launch == 0:
-                yield Point(
+                yield SeriesPoint(
                     number=record.number,
                     performed=record.performed,
                     state=record.state,

@@ -66,7 +66,7 @@ def add_calibration(registry: Registry, file: FilePath, particulars: Particulars
     `read_submission` and `add`.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
     ...     added = tumble.add_calibration(registry, "calibration.json")
@@ -204,7 +204,7 @@ def records(registry: Registry, serial: str | None = None) -> list[Record]:
     Raises InputError for a device that has none.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
     ...     _ = tumble.add_calibration(registry, "calibration.json")

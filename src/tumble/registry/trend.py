@@ -34,7 +34,7 @@ from scipy import special
 
 from tumble.calibration.coverage import COVERAGE
 from tumble.estimation.estimate import scatter_of
-from tumble.registry.series import Point, Series
+from tumble.registry.series import Series, SeriesPoint
 from tumble.units import Array
 
 YEAR = timedelta(days=365.25)
@@ -107,17 +107,17 @@ def trend_of(series: Series) -> Trend:
     )
 
 
-def launch_values(point: Point) -> Array:
+def launch_values(point: SeriesPoint) -> Array:
     """The values (L,) of the launches behind a point."""
     return np.array([value for value, _ in point.launches])
 
 
-def years(points: Sequence[Point]) -> Array:
+def years(points: Sequence[SeriesPoint]) -> Array:
     """When points were measured, years since the first."""
     return np.array([(p.performed - points[0].performed) / YEAR for p in points], dtype=float)
 
 
-def _changes(points: Sequence[Point]) -> Iterable[Change]:
+def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
     for earlier, later in pairwise(points):
         known = earlier.u is not None and later.u is not None
         yield Change(
@@ -141,7 +141,7 @@ class _Line:
     chi_square: float
 
 
-def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift | None]:
+def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None, Drift | None]:
     """τ and the drift, as far as the points say anything about them (module docstring)."""
     if not points or not all(_certain(p) for p in points):
         return None, None
@@ -167,18 +167,18 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
     )
 
 
-def _certain(point: Point) -> bool:
+def _certain(point: SeriesPoint) -> bool:
     """Whether a point and its launches have uncertainties."""
     return bool(point.u) and all(u for _, u in point.launches)
 
 
-def _stretch(points: Sequence[Point]) -> list[int]:
+def _stretch(points: Sequence[SeriesPoint]) -> list[int]:
     """The number of the stretch between adjustments each point is in, from 0."""
     begins = [i > 0 and p.state == "as-left" for i, p in enumerate(points)]
     return [int(n) for n in np.cumsum(begins)]
 
 
-def _design(points: Sequence[Point]) -> Array:
+def _design(points: Sequence[SeriesPoint]) -> Array:
     """A column for the level of each stretch and, where any has two times, one of the years since their mean."""
     stretch = np.array(_stretch(points))
     t = years(points)
@@ -188,7 +188,7 @@ def _design(points: Sequence[Point]) -> Array:
     return np.asarray(np.column_stack([levels, t - t.mean()]))
 
 
-def _variance(point: Point, tau: float) -> float:
+def _variance(point: SeriesPoint, tau: float) -> float:
     u = point.u or 0.0
     if not point.launches:
         return u**2 + tau**2
@@ -196,7 +196,7 @@ def _variance(point: Point, tau: float) -> float:
     return max(u**2, sum(w**2 for w in own) / len(own) ** 2 + tau**2 / len(own))
 
 
-def _line(X: Array, y: Array, points: Sequence[Point], tau: float) -> _Line:
+def _line(X: Array, y: Array, points: Sequence[SeriesPoint], tau: float) -> _Line:
     u = np.sqrt([_variance(p, tau) for p in points])
     Q, R = np.linalg.qr(X / u[:, None])
     values = np.linalg.solve(R, Q.T @ (y / u))
@@ -204,7 +204,7 @@ def _line(X: Array, y: Array, points: Sequence[Point], tau: float) -> _Line:
     return _Line(values=values, covariance=inverse @ inverse.T, chi_square=float(np.sum(((y - X @ values) / u) ** 2)))
 
 
-def _within(points: Sequence[Point], tau: float) -> float:
+def _within(points: Sequence[SeriesPoint], tau: float) -> float:
     """Chi-square of the launches about the means of their calibrations."""
     total = 0.0
     for point in points:

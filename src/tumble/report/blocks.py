@@ -37,7 +37,7 @@ class Facts:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Table:
+class ReportTable:
     """Rows of cells. Columns in `text` are words, set to the left; all others are numbers, set to the right."""
 
     columns: tuple[str, ...]
@@ -83,7 +83,7 @@ class Formula:
     kind: Literal["formula"] = "formula"
 
 
-Block = Text | Items | Facts | Table | Figure | Matrices | Formula
+Block = Text | Items | Facts | ReportTable | Figure | Matrices | Formula
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -16,13 +16,13 @@ from tumble.units import engineering
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-from tumble.campaigns.summary import Line, _plain, varying
+from tumble.campaigns.summary import SummaryLine, _plain, varying
 
 WIDE = 5.0
 """Ratio of the errors in a panel from which its scale is logarithmic."""
 
 
-def plot(lines: Sequence[Line], path: Path) -> None:
+def plot(lines: Sequence[SummaryLine], path: Path) -> None:
     """Draw the rms errors, a panel for each group, over the first axis of numbers that varies (over the methods if none
     does), with one line for each method and value of the other axes; where it is known, the bound dotted. As svg, png
     or pdf by the ending of the file.
@@ -49,10 +49,10 @@ def plot(lines: Sequence[Line], path: Path) -> None:
             figure.savefig(temporary, dpi=150, metadata=undated.get(path.suffix.lower()))
 
 
-def _draw(panel: Axes, lines: Sequence[Line], axes: Sequence[str], along: str | None) -> None:
+def _draw(panel: Axes, lines: Sequence[SummaryLine], axes: Sequence[str], along: str | None) -> None:
     """One group: rms errors against the axis `along`."""
     size, unit = engineering(lines[0].unit, max(line.rms or 0.0 for line in lines))
-    series: dict[str, list[Line]] = {}
+    series: dict[str, list[SummaryLine]] = {}
     for line in lines:
         others = [f"{axis} {_plain(line.point[axis])}" for axis in axes if axis != along]
         series.setdefault(", ".join([line.method, *others]), []).append(line)

@@ -9,7 +9,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.errors import CalibrationError
 from tumble.report import figures
-from tumble.report.blocks import Block, Figure, Section, Table, Text
+from tumble.report.blocks import Block, Figure, ReportTable, Section, Text
 from tumble.report.numbers import NONE, as_value, with_expanded
 from tumble.terminal.text import shown_units
 
@@ -50,7 +50,7 @@ def _said(calibrations: Sequence[Calibration]) -> str:
     return f"{frame} The spread is the standard deviation of the values."
 
 
-def _side_by_side(titles: Sequence[str], calibrations: Sequence[Calibration]) -> Table:
+def _side_by_side(titles: Sequence[str], calibrations: Sequence[Calibration]) -> ReportTable:
     units = shown_units(calibrations[0].parameters)
     found = [{p.name: p for p in calibration.parameters} for calibration in calibrations]
     spread = not _one_log(calibrations)
@@ -63,7 +63,7 @@ def _side_by_side(titles: Sequence[str], calibrations: Sequence[Calibration]) ->
         last = width if spread else max(values) - min(values)
         rows.append((p.name, *cells, as_value(last, p, size), unit))
     columns = ("parameter", *titles, "spread" if spread else "range", "unit")
-    return Table(
+    return ReportTable(
         columns=columns,
         rows=tuple(rows),
         text=(0, len(columns) - 1),

@@ -10,7 +10,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import shortfalls
 from tumble.registry.limits import RULE, Judgement, Limits, Verdict, judge
 from tumble.registry.records import OCCASIONS, parameter_rows
-from tumble.report.blocks import Block, Items, Section, Table, Text
+from tumble.report.blocks import Block, Items, ReportTable, Section, Text
 from tumble.report.numbers import NONE, minus
 from tumble.terminal.text import shown_units
 from tumble.units import engineering, rounded
@@ -45,7 +45,7 @@ def section(calibration: Calibration, limits: Limits | None) -> Section:
         said = f"{check}: {verdict.result}" + (f" ({reasons})" if reasons else "")
         rows = tuple(_row(judgement, units) for judgement in verdict.judgements)
         columns = ("parameter", "low", "value", "U (k = 2)", "high", "unit", "verdict")
-        blocks += [Text(text=said + ".", tone=tone), Table(columns=columns, rows=rows, text=(0, 5, 6))]
+        blocks += [Text(text=said + ".", tone=tone), ReportTable(columns=columns, rows=rows, text=(0, 5, 6))]
     return Section(title="Limits and verdict", blocks=tuple(blocks))
 
 

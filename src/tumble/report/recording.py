@@ -15,14 +15,15 @@ from tumble.estimation.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
 from tumble.recording.session import Site
 from tumble.report import drawings, figures
-from tumble.report.blocks import Block, Facts, Figure, Section, Table, Text
+from tumble.report.blocks import Block, Facts, Figure, ReportTable, Section, Text
 from tumble.report.numbers import NONE, fixed, minus, significant
+from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array, engineering
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Recording:
+class RecordedSession:
     """One session behind a calibration: its rests, turns and fits, the sensor model that corrects them, and what its
     readings are. `title` is empty where there is one only."""
 
@@ -36,12 +37,12 @@ class Recording:
     readings: Mapping[str, Readings]
 
 
-def recordings(calibration: Calibration) -> list[Recording]:
+def recordings(calibration: Calibration) -> list[RecordedSession]:
     """The sessions of a calibration: itself, or its launches."""
     common = {"accel": calibration.accel, "programme": calibration.programme, "readings": calibration.readings}
     if not calibration.launches:
         return [
-            Recording(
+            RecordedSession(
                 title="",
                 site=calibration.site,
                 rests=calibration.rests,
@@ -51,7 +52,7 @@ def recordings(calibration: Calibration) -> list[Recording]:
             )
         ]
     return [
-        Recording(
+        RecordedSession(
             title=launch.session,
             site=launch.site,
             rests=launch.rests,
@@ -73,7 +74,7 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
     return (("latitude", latitude), *height, ("gravity", gravity))
 
 
-def site(all_of_them: Sequence[Recording]) -> Section:
+def site(all_of_them: Sequence[RecordedSession]) -> Section:
     """The site of the recordings, once where they share it."""
     if all(recording.site == all_of_them[0].site for recording in all_of_them):
         return Section(title="Site", blocks=(Facts(rows=site_facts(all_of_them[0].site)),))
@@ -86,7 +87,7 @@ def site(all_of_them: Sequence[Recording]) -> Section:
 # Programme and what was found
 
 
-def found(recording: Recording, name: str) -> Section | None:
+def found(recording: RecordedSession, name: str) -> Section | None:
     """Every rest and every turn against the programme, and where the vertical was in the body."""
     if not recording.rests:
         return None
@@ -109,11 +110,11 @@ def found(recording: Recording, name: str) -> Section | None:
     return Section(title=_titled("Programme and what was found", recording), blocks=tuple(blocks))
 
 
-def _titled(title: str, recording: Recording) -> str:
+def _titled(title: str, recording: RecordedSession) -> str:
     return f"{title}: {recording.title}" if recording.title else title
 
 
-def _programme_said(recording: Recording) -> str:
+def _programme_said(recording: RecordedSession) -> str:
     count = f"{len(recording.rests)} rests"
     if recording.programme is None:
         return f"No programme: {count} were found, in attitudes that were not prescribed."
@@ -136,16 +137,18 @@ def _position(code: str | None) -> Position | None:
         return None
 
 
-def _verticals(recording: Recording) -> Array | None:
+def _verticals(recording: RecordedSession) -> Array | None:
     """Vertical in the body (N, 3) at every rest from its corrected reading; None where it cannot be known."""
     readings = [rest.accel.mean for rest in recording.rests if rest.accel is not None]
     if recording.accel is None or len(readings) < len(recording.rests):
         return None
     force = recording.accel.apply(np.array(readings))
-    return np.asarray(force / np.linalg.norm(force, axis=1, keepdims=True))
+    return unit_vector(force)
 
 
-def _rest_table(recording: Recording, positions: Sequence[Position | None], verticals: Array | None) -> Table:
+def _rest_table(
+    recording: RecordedSession, positions: Sequence[Position | None], verticals: Array | None
+) -> ReportTable:
     several = len({rest.file for rest in recording.rests}) > 1
     warm = any(rest.temperature is not None for rest in recording.rests)
     programmed = any(rest.attitude is not None for rest in recording.rests)
@@ -168,7 +171,7 @@ def _rest_table(recording: Recording, positions: Sequence[Position | None], vert
         row += [NONE if rest.temperature is None else fixed(rest.temperature, 1)] if warm else []
         rows.append(tuple(row))
     caption = "Rests." if verticals is None else "Rests. X, Y, Z: the vertical in the body as it was found."
-    return Table(columns=tuple(headings), rows=tuple(rows), text=words, caption=caption, dense=True)
+    return ReportTable(columns=tuple(headings), rows=tuple(rows), text=words, caption=caption, dense=True)
 
 
 def _off(position: Position | None, vertical: Array) -> str:
@@ -178,7 +181,7 @@ def _off(position: Position | None, vertical: Array) -> str:
     return fixed(math.atan2(np.linalg.norm(np.cross(nominal, vertical)), nominal @ vertical) / DEGREE, 2)
 
 
-def _turn_table(turns: Sequence[TurnResult]) -> Table:
+def _turn_table(turns: Sequence[TurnResult]) -> ReportTable:
     programmed = any(turn.programmed is not None for turn in turns)
     columns = ("turn from rest", "duration s", *(("programme °",) if programmed else ()), "found °", "sigmas")
     rows = tuple(
@@ -192,7 +195,7 @@ def _turn_table(turns: Sequence[TurnResult]) -> Table:
         for turn in turns
     )
     caption = "Turns. Found is the whole angle between two rests as the calibrated gyros saw it (0 to 180°)."
-    return Table(columns=columns, rows=rows, caption=caption, dense=True)
+    return ReportTable(columns=columns, rows=rows, caption=caption, dense=True)
 
 
 def _degrees(angle: float | None, digits: int) -> str:
@@ -202,7 +205,7 @@ def _degrees(angle: float | None, digits: int) -> str:
 # Residuals
 
 
-def residuals(recording: Recording, name: str) -> Section | None:
+def residuals(recording: RecordedSession, name: str) -> Section | None:
     """The plot of residuals, and what chi-square says of them."""
     if not recording.rests:
         table = (_fit_table(recording.fits),) if recording.fits else ()
@@ -226,14 +229,14 @@ def residuals(recording: Recording, name: str) -> Section | None:
     return Section(title=_titled("Residuals", recording), blocks=tuple(blocks))
 
 
-def _fit_table(fits: Mapping[str, Fit]) -> Table:
+def _fit_table(fits: Mapping[str, Fit]) -> ReportTable:
     rows = []
     for name, fit in fits.items():
         size, unit = engineering(fit.scatter_unit, fit.scatter)
         scatter = f"{significant(fit.scatter / size, 3)} {unit}" if fit.scatter > 0.0 else "none"
         chance = fixed(fit.probability, 2) if fit.degrees >= 0.5 else NONE
         rows.append((name, fixed(fit.chi_square, 1), fixed(fit.degrees, 1), chance, scatter))
-    return Table(
+    return ReportTable(
         columns=("residuals of", "chi-square", "degrees of freedom", "probability", "scatter added"),
         rows=tuple(rows),
         caption="Probability: of a larger chi-square by chance alone. Scatter added: what the residuals show beyond "
@@ -244,7 +247,7 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table:
 # Noise and drift
 
 
-def noise(recording: Recording, name: str) -> Section | None:
+def noise(recording: RecordedSession, name: str) -> Section | None:
     """Noise density and drift of every sensor over the rests."""
     kinds = [kind for kind in ("accel", "gyro") if _seen(recording, kind)]
     if not kinds:
@@ -252,7 +255,7 @@ def noise(recording: Recording, name: str) -> Section | None:
     sensors = {kind: _sensor_names(recording, kind) for kind in kinds}
     rows = [row for kind in kinds for row in _noise_rows(_seen(recording, kind), sensors[kind], kind)]
     blocks: list[Block] = [
-        Table(
+        ReportTable(
             columns=("sensor", "noise density, median", "drift over a rest, rms", "drift, largest"),
             rows=tuple(rows),
             caption="Noise density: of the mean of a rest, whatever the colour of the noise. Drift: the change of a "
@@ -266,12 +269,12 @@ def noise(recording: Recording, name: str) -> Section | None:
     return Section(title=_titled("Noise and drift of the rests", recording), blocks=tuple(blocks))
 
 
-def _seen(recording: Recording, kind: str) -> list[SensorsAtRest]:
+def _seen(recording: RecordedSession, kind: str) -> list[SensorsAtRest]:
     seen = [getattr(rest, kind) for rest in recording.rests]
     return [] if any(each is None for each in seen) else seen
 
 
-def _sensor_names(recording: Recording, kind: str) -> tuple[str, ...]:
+def _sensor_names(recording: RecordedSession, kind: str) -> tuple[str, ...]:
     """Names of the sensors: their columns in the log, else numbers."""
     if kind in recording.readings:
         return recording.readings[kind].columns
@@ -300,7 +303,7 @@ def _warmth(rests: Sequence[RestResult]) -> str:
     return f", and the temperature: {fixed(min(seen), 1)} to {fixed(max(seen), 1)} °C"
 
 
-def temperature(all_of_them: Sequence[Recording]) -> str:
+def temperature(all_of_them: Sequence[RecordedSession]) -> str:
     """The range of temperatures of the rests."""
     seen = [rest.temperature for r in all_of_them for rest in r.rests if rest.temperature is not None]
     return minus(f"{min(seen):.1f} to {max(seen):.1f} °C") if seen else "not recorded"

@@ -9,7 +9,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Launch, Parameter
 from tumble.report import drawings, figures
-from tumble.report.blocks import Block, Facts, Figure, Formula, Items, Matrices, Matrix, Section, Table, Text
+from tumble.report.blocks import Block, Facts, Figure, Formula, Items, Matrices, Matrix, ReportTable, Section, Text
 from tumble.report.numbers import NONE, as_value, fixed, significant, with_expanded
 from tumble.sensors.model import SensorModel
 from tumble.terminal.text import shown_units
@@ -50,7 +50,7 @@ def described(name: str) -> str:
     return f"{sensor}, {said[found['what']]}"
 
 
-def parameter_table(calibration: Calibration) -> Table:
+def parameter_table(calibration: Calibration) -> ReportTable:
     """Parameters with U (k = 2); where there are such, deviations from the systematic values and from launch to
     launch."""
     units = shown_units(calibration.parameters)
@@ -65,7 +65,7 @@ def parameter_table(calibration: Calibration) -> Table:
         row += [as_value(p.run_to_run, p, size)] if launches else []
         row += [as_value(p.deviation, p, size)] if passport else []
         rows.append(tuple(row))
-    return Table(columns=tuple(columns), rows=tuple(rows), text=(0, 1, 4))
+    return ReportTable(columns=tuple(columns), rows=tuple(rows), text=(0, 1, 4))
 
 
 def launches(calibration: Calibration) -> Section:
@@ -83,7 +83,7 @@ def launches(calibration: Calibration) -> Section:
             text="The result is the mean of these launches (power-ons). Run to run is the standard deviation from one "
             "launch to another; it is in the uncertainty of the mean."
         ),
-        Table(
+        ReportTable(
             columns=("parameter", *titles, "run to run", "unit"),
             rows=tuple(rows),
             text=(0, len(titles) + 2),
@@ -149,7 +149,7 @@ def _what_a_reading_is(calibration: Calibration) -> list[Block]:
     if any(readings.increments for readings in calibration.readings.values()):
         said += ", for increments divided by the interval of the sample"
     columns = ("column of the log", "sensor", "raw unit", "scale (raw per SI unit)", "offset (raw)")
-    return [Text(text=said + "."), Table(columns=columns, rows=tuple(rows), text=(0, 1, 2))]
+    return [Text(text=said + "."), ReportTable(columns=columns, rows=tuple(rows), text=(0, 1, 2))]
 
 
 def _unit(calibration: Calibration, kind: str) -> str:
@@ -236,7 +236,7 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
     ]
     if rows:
         said = "The covariance of two parameters is their coefficient times both standard uncertainties. The strongest:"
-        blocks += [Text(text=said), Table(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
+        blocks += [Text(text=said), ReportTable(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
 
@@ -255,7 +255,7 @@ def covariance(calibration: Calibration) -> Section | None:
                 for i in members[first]
             )
             columns = (first, *(names[j].split(".", 1)[1] for j in members[second]))
-            blocks.append(Table(columns=columns, rows=rows, dense=True, caption=f"{first} with {second}"))
+            blocks.append(ReportTable(columns=columns, rows=rows, dense=True, caption=f"{first} with {second}"))
     return Section(title="Covariance matrix", blocks=tuple(blocks))
 
 
@@ -281,7 +281,7 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
             size, unit = engineering(alike[0].unit, rms)
             row.append(f"{significant(rms / size, 3)} {unit}" if rms > 0.0 else NONE)
         rows.append(tuple(row))
-    table = Table(
+    table = ReportTable(
         columns=("iteration", *kinds),
         rows=tuple(rows),
         dense=len(kinds) > 5,

@@ -24,7 +24,7 @@ def write_report(
     Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`.
 
     >>> import tumble
-    >>> folder = tumble.simulate_session("session", tumble.Request(grade="mems", positions=12), seed=1)
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> tumble.write_report("calibration.json", "report.html")
     []

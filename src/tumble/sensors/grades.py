@@ -25,6 +25,15 @@ class NoiseModel:
     accel_instability: float = 0.0
     gyro_instability: float = 0.0
 
+    def scaled(self, factor: float) -> NoiseModel:
+        """The same with every noise so many times as large."""
+        return NoiseModel(
+            accel_white=factor * self.accel_white,
+            gyro_white=factor * self.gyro_white,
+            accel_instability=factor * self.accel_instability,
+            gyro_instability=factor * self.gyro_instability,
+        )
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Spread:

@@ -1,7 +1,7 @@
 """Observations of a simulated session, made directly from the truth: no log is sampled, so a session takes a
 millisecond and thousands are cheap.
 
-    scenario = scenario_of(setup, rng)                   or `simulate.typical_scenario`, or a `Scenario` of one's own
+    scenario = scenario_of(setup, rng)                   or a `Scenario` of one's own
     observations = simulate_observations(scenario, rng)
     estimate = joint(observations)                       or any other method; compare with scenario.truth
 
@@ -26,8 +26,7 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.planning.budget import Setup
-from tumble.recording.session import Site
+from tumble.planning.inertial_turns import inertial_turns
 from tumble.reduction.blocks import GyroSamples
 from tumble.reduction.observations import (
     ACCEL_FLOOR,
@@ -39,39 +38,13 @@ from tumble.reduction.observations import (
     Turns,
     TurnSamples,
 )
-from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.sensors.grades import Spread
+from tumble.rotation import onto_body, rotation_matrix
 from tumble.sensors.model import Block, SensorModel
-from tumble.simulation.scenario import Itinerary, OnTable, Profile, Scenario, Vibration, itinerary
+from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.units import Array, IntArray
 
 SAMPLES = 64
 """Samples of a turn."""
-
-RAMP = 1.0
-"""s: what reaching and leaving the rate of a turn adds to its duration."""
-
-
-def scenario_of(setup: Setup, rng: np.random.Generator) -> Scenario:
-    """The scenario of a set-up on a table: a triad of each kind along the body axes, with errors drawn from the
-    spreads of the set-up."""
-    accel, gyro = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
-    return Scenario(
-        course=OnTable(programme=setup.programme, table_error=setup.table_error, mounting_error=setup.mounting_error),
-        accel=accel,
-        gyro=gyro,
-        truth=_drawn(accel, setup.accel, rng) | _drawn(gyro, setup.gyro, rng),
-        noise=setup.noise,
-        profile=Profile(first_rest=setup.rest, rest=setup.rest, rate=setup.turn_rate, ramp=RAMP, sample_rate=100.0),
-        site=Site(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u),
-        vibration=Vibration(),
-        serial="simulated",
-    )
-
-
-def _drawn(block: Block, spread: Spread, rng: np.random.Generator) -> dict[str, float]:
-    """Values by parameter name, Gaussian with these spreads."""
-    return {name: float(getattr(spread, name.split(".")[1]) * rng.standard_normal()) for name in block.names}
 
 
 def simulate_observations(
@@ -88,8 +61,8 @@ def simulate_observations(
         )
     geometry, noise, place = rng.spawn(3)
     way = itinerary(scenario, geometry)
-    accel = _Sensors.of(scenario.accel, scenario, len(way.rests), noise)
-    gyro = _Sensors.of(scenario.gyro, scenario, len(way.rests), noise)
+    accel = _NoisyBlock.of(scenario.accel, scenario, len(way.rests), noise)
+    gyro = _NoisyBlock.of(scenario.gyro, scenario, len(way.rests), noise)
     rests = _rests(scenario, way, accel, gyro, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
     turns, samples, readings = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), gyro, noise)
@@ -109,7 +82,7 @@ def simulate_observations(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Sensors:
+class _NoisyBlock:
     """A block at work: its model, the bias (N, n) it has at each rest and in the move that follows, and the density
     of its white noise."""
 
@@ -118,7 +91,7 @@ class _Sensors:
     white: float
 
     @staticmethod
-    def of(block: Block, scenario: Scenario, rests: int, rng: np.random.Generator) -> _Sensors:
+    def of(block: Block, scenario: Scenario, rests: int, rng: np.random.Generator) -> _NoisyBlock:
         noise = scenario.noise
         white, instability = (
             (noise.accel_white, noise.accel_instability)
@@ -126,7 +99,7 @@ class _Sensors:
             else (noise.gyro_white, noise.gyro_instability)
         )
         model = block.model(np.array([scenario.truth[name] for name in block.names]))
-        return _Sensors(
+        return _NoisyBlock(
             model=model, bias=model.bias + instability * rng.standard_normal((rests, block.size)), white=white
         )
 
@@ -141,7 +114,9 @@ class _Sensors:
         return np.asarray(variance[:, None, None] * np.eye(self.bias.shape[1]))
 
 
-def _rests(scenario: Scenario, way: Itinerary, accel: _Sensors, gyro: _Sensors, rng: np.random.Generator) -> Rests:
+def _rests(
+    scenario: Scenario, way: Itinerary, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
+) -> Rests:
     start, stop = way.rests.T
     seconds = stop - start
     force = scenario.site.gravity * way.attitudes[:, 1]
@@ -163,14 +138,15 @@ def _rests(scenario: Scenario, way: Itinerary, accel: _Sensors, gyro: _Sensors, 
 
 
 def _turns(
-    scenario: Scenario, way: Itinerary, first: IntArray, gyro: _Sensors, rng: np.random.Generator
+    scenario: Scenario, way: Itinerary, first: IntArray, gyro: _NoisyBlock, rng: np.random.Generator
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
     """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn one more is kept
     ahead of it, which the coning term wants."""
     block = scenario.gyro
-    K, n, to_body = len(first), block.size, np.linalg.pinv(block.axes)
+    K, n, to_body = len(first), block.size, onto_body(block.axes)
     T = way.rests[first + 1, 0] - way.rests[first, 1]
-    vector = _inertial(scenario, way, first, T)
+    before, after = way.attitudes[first], way.attitudes[first + 1]
+    vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
     readings = (vector / T[:, None]) @ gyro.model.matrix.T + gyro.bias[first]
     dt = T / SAMPLES
     sampled = np.repeat(readings[:, None, :], SAMPLES + 1, axis=1)
@@ -192,18 +168,6 @@ def _turns(
         integral=sampled[:, 1:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
     )
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
-
-
-def _inertial(scenario: Scenario, way: Itinerary, first: IntArray, T: Array) -> Array:
-    """Rotation vectors (K, 3) of the body over the turns, in the body, with the Earth's rotation: of the two ways
-    round, the one of the move."""
-    earth = np.array(earth_rate(scenario.latitude))
-    start, end = way.attitudes[first], way.attitudes[first + 1]
-    back = np.swapaxes(start, 1, 2)
-    vector = rotation_vector(back @ rotation_matrix(T[:, None] * earth) @ end)
-    angle = np.linalg.norm(vector, axis=1)
-    other = np.einsum("kij,kj,ki->k", back, way.moves[first], vector) < 0.0
-    return vector * np.where(other, 1.0 - 2.0 * np.pi / np.where(angle > 0.0, angle, 1.0), 1.0)[:, None]
 
 
 def _carried(vector: Array, density: Array) -> Array:

@@ -24,8 +24,9 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
+from tumble.rotation import UP
 from tumble.sensors.model import SensorModel
-from tumble.simulation.scenario import UP, Scenario, itinerary
+from tumble.simulation.scenario import Scenario, itinerary
 from tumble.units import Array
 
 _LEGENDRE = np.polynomial.legendre.leggauss(6)
@@ -106,7 +107,7 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
-class _Sensors:
+class _SampledBlock:
     """One block at work: its readings (n, N) as they fill up, the noise `sigma` of a sample, and the bias it
     has in the current rest and move."""
 
@@ -128,7 +129,7 @@ class _Sensors:
             out += self.sigma * self.rng.standard_normal(out.shape)
 
 
-def _sensors(scenario: Scenario, samples: int, rng: np.random.Generator) -> tuple[_Sensors, _Sensors]:
+def _sensors(scenario: Scenario, samples: int, rng: np.random.Generator) -> tuple[_SampledBlock, _SampledBlock]:
     """Accelerometers and gyros, ready to fill."""
     noise, root = scenario.noise, math.sqrt(scenario.profile.sample_rate)
     levels = ((noise.accel_white, noise.accel_instability), (noise.gyro_white, noise.gyro_instability))
@@ -136,7 +137,7 @@ def _sensors(scenario: Scenario, samples: int, rng: np.random.Generator) -> tupl
     for block, (white, instability), own in zip((scenario.accel, scenario.gyro), levels, rng.spawn(2), strict=True):
         model = block.model(np.array([scenario.truth[name] for name in block.names]))
         made.append(
-            _Sensors(
+            _SampledBlock(
                 model=model,
                 sigma=white * root,
                 instability=instability,

@@ -1,4 +1,5 @@
-"""Scenarios: an IMU with given errors goes through a programme, or through a hand.
+"""Scenarios: an IMU with given errors goes through a programme, or through a hand. `scenario_of` draws one from a
+set-up.
 
 Every move is a rotation about an axis fixed in the geographic frame, with the smooth angle θ(t) of `Profile`;
 between moves the table stands still.
@@ -13,15 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.errors import InputError
+from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
-from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.sensors.grades import NoiseModel
-from tumble.sensors.grades import grade as typical
+from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vector_near
+from tumble.sensors.grades import Grade, NoiseModel, Spread
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 
-UP = np.array([0.0, 1.0, 0.0])
 _MAX_CYCLES_PER_SAMPLE = 10.0
 
 
@@ -108,17 +108,46 @@ class Scenario:
         return self.accel.names + self.gyro.names
 
 
-ON_TABLE = Profile(first_rest=60.0, rest=60.0, rate=10 * DEGREE, ramp=1.0, sample_rate=100.0)
-IN_HAND = Profile(first_rest=40.0, rest=5.0, rate=80 * DEGREE, ramp=0.5, sample_rate=100.0)
+def scenario_of(
+    setup: Setup, rng: np.random.Generator, *, serial: str = "simulated", vibration: Vibration = NO_VIBRATION
+) -> Scenario:
+    """A scenario of a set-up: a triad of each kind along the body axes, with errors drawn from its spreads."""
+    accel, gyro = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
+    return Scenario(
+        course=_course_of(setup),
+        accel=accel,
+        gyro=gyro,
+        truth=draw_parameters(setup, (accel, gyro), rng),
+        noise=setup.noise,
+        profile=profile_of(setup),
+        site=Site(latitude=setup.latitude, height=setup.height, gravity=setup.gravity, gravity_u=setup.gravity_u),
+        vibration=vibration,
+        serial=serial,
+    )
 
 
-def draw_parameters(grade: str, blocks: Sequence[Block], rng: np.random.Generator) -> dict[str, float]:
-    """True values by parameter name for blocks of a grade, Gaussian with the grade's spreads.
+def profile_of(setup: Setup) -> Profile:
+    """The times of a set-up."""
+    return Profile(
+        first_rest=max(setup.rest, setup.first_rest),
+        rest=setup.rest,
+        rate=setup.turn_rate,
+        ramp=setup.ramp,
+        sample_rate=setup.sample_rate,
+    )
 
-    Raises InputError for a grade that does not exist."""
+
+def _course_of(setup: Setup) -> OnTable | HandHeld:
+    if setup.by_hand is not None:
+        return HandHeld(positions=setup.by_hand)
+    return OnTable(programme=setup.programme, table_error=setup.table_error, mounting_error=setup.mounting_error)
+
+
+def draw_parameters(instrument: Setup | Grade, blocks: Sequence[Block], rng: np.random.Generator) -> dict[str, float]:
+    """True values by parameter name of blocks, Gaussian with the spreads of a set-up or a grade."""
     values: dict[str, float] = {}
     for block in blocks:
-        spread = getattr(typical(grade), block.kind)
+        spread: Spread = getattr(instrument, block.kind)
         for name in block.names:
             values[name] = float(getattr(spread, name.split(".")[1]) * rng.standard_normal())
     return values
@@ -167,24 +196,19 @@ def _attitudes(course: OnTable | HandHeld, rng: np.random.Generator) -> tuple[tu
 
 
 def _random_rotations(n: int, rng: np.random.Generator) -> Array:
-    """n rotation matrices, uniform over all orientations."""
-    q = rng.standard_normal((n, 4))
-    q /= np.linalg.norm(q, axis=1)[:, None]
-    angle = 2.0 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), q[:, 0])
-    axis = q[:, 1:] / np.linalg.norm(q[:, 1:], axis=1)[:, None]
-    return rotation_matrix(angle[:, None] * axis)
+    """n rotation matrices, uniform over all orientations: of quaternions of Gaussian components."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_quat(rng.standard_normal((n, 4)), scalar_first=True).as_matrix())
 
 
 def _move(start: Array, end: Array, nominal: Move) -> Array:
     """Rotation vector, geographic frame, rad, of the rotation from one true attitude to the next: of the two
     ways round, the one nearer to the nominal move, or the shorter one if any movement will do."""
-    vector = rotation_vector(end @ start.T)
-    angle = float(np.linalg.norm(vector))
-    if nominal.axis is None or nominal.angle is None or angle == 0.0:
-        return vector
-    other = vector * (1.0 - 2.0 * np.pi / angle)
-    wanted = nominal.angle * nominal.axis
-    return min(vector, other, key=lambda way: float(np.linalg.norm(way - wanted)))
+    turned = end @ start.T
+    if nominal.axis is None or nominal.angle is None:
+        return rotation_vector(turned)
+    return rotation_vector_near(turned, nominal.angle * nominal.axis)
 
 
 def _timetable(profile: Profile, moves: Array) -> Array:

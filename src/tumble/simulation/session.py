@@ -1,127 +1,50 @@
-"""Session folders with known truth: a request in the words of the command line becomes a scenario, its log and
-truth.json."""
+"""Session folders with known truth: a set-up becomes a scenario, its log and truth.json."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from tumble.earth import normal_gravity
 from tumble.errors import InputError
 from tumble.files import FilePath, whole_file
-from tumble.programme.positions import BUILT_IN, Programme, programme
-from tumble.recording.session import Session, Site, session_of, write_session
-from tumble.sensors.grades import NoiseModel
-from tumble.sensors.grades import grade as typical
+from tumble.planning.setup import Setup
+from tumble.programme.positions import BUILT_IN, Programme
+from tumble.recording.session import Session, session_of, write_session
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import (
-    IN_HAND,
-    NO_VIBRATION,
-    ON_TABLE,
-    HandHeld,
-    OnTable,
-    Profile,
-    Scenario,
-    Vibration,
-    draw_parameters,
-)
+from tumble.simulation.scenario import NO_VIBRATION, OnTable, Scenario, Vibration, scenario_of
 from tumble.units import DEGREE, Array
 
 LogFormat = Literal["parquet", "csv"]
 TRUTH_FILE = "truth.json"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Request:
-    """What to simulate, in the words of the command line: a typical instrument of a `grade` in a built-in
-    programme or, if `positions` is given, in the hand at so many random positions.
-
-    `rest` (s), `rate_deg_s` and `sample_rate` (Hz) are those of `ON_TABLE` or `IN_HAND` where None. The
-    errors of table and mounting do not apply in the hand. `noiseless` leaves out noise and instability."""
-
-    grade: str = "navigation"
-    programme: str = "rough-table"
-    positions: int | None = None
-    rest: float | None = None
-    rate_deg_s: float | None = None
-    sample_rate: float | None = None
-    table_error_deg: float = 1.0
-    mounting_error_deg: float = 1.0
-    latitude_deg: float = 56.84
-    noiseless: bool = False
-    vibration: Vibration = NO_VIBRATION
-
-
 def simulate_session(
-    folder: FilePath, request: Request, *, seed: int, launch: int = 1, log_format: LogFormat = "parquet"
+    folder: FilePath,
+    setup: Setup,
+    *,
+    seed: int,
+    launch: int = 1,
+    vibration: Vibration = NO_VIBRATION,
+    log_format: LogFormat = "parquet",
 ) -> Path:
     """Write a simulated session, session.toml, log and truth.json, into a new folder, and return the folder.
 
-    The same request, seed and launch give the same numbers; another launch of a seed is the same device, put on the
-    table and turned anew. Raises InputError, one line, for a request that cannot be met, and for a folder that holds a
+    The same set-up, seed and launch give the same numbers; another launch of a seed is the same device, put on the
+    table and turned anew. Raises InputError, one line, for a set-up that is impossible, and for a folder that holds a
     session already.
 
     >>> import tumble
-    >>> tumble.simulate_session("session", tumble.Request(grade="mems", positions=4), seed=1).name
+    >>> tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1).name
     'session'
     """
     truth, course = np.random.default_rng(seed), np.random.default_rng([seed, launch])
-    scenario = typical_scenario(request, truth, serial=f"{request.grade}-{seed}")
+    scenario = scenario_of(setup, truth, serial=f"{setup.instrument}-{seed}", vibration=vibration)
     return write_simulation(Path(folder), scenario, course, log_format=log_format)
-
-
-def typical_scenario(request: Request, rng: np.random.Generator, *, serial: str) -> Scenario:
-    """The scenario of a request: a triad of each kind along the body axes, errors drawn from its grade."""
-    grade = typical(request.grade)
-    accel, gyro = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
-    return Scenario(
-        course=_course(request),
-        accel=accel,
-        gyro=gyro,
-        truth=draw_parameters(request.grade, (accel, gyro), rng),
-        noise=NoiseModel() if request.noiseless else grade.noise,
-        profile=_profile(request),
-        site=_site(request.latitude_deg),
-        vibration=request.vibration,
-        serial=serial,
-    )
-
-
-def _course(request: Request) -> OnTable | HandHeld:
-    if request.positions is not None:
-        return HandHeld(positions=request.positions)
-    return OnTable(
-        programme=programme(request.programme),
-        table_error=request.table_error_deg * DEGREE,
-        mounting_error=request.mounting_error_deg * DEGREE,
-    )
-
-
-def _profile(request: Request) -> Profile:
-    """The usual profile with what the request changes; on a table the first rest is like the others."""
-    usual = ON_TABLE if request.positions is None else IN_HAND
-    rest = usual.rest if request.rest is None else request.rest
-    return Profile(
-        first_rest=rest if request.positions is None else max(rest, usual.first_rest),
-        rest=rest,
-        rate=usual.rate if request.rate_deg_s is None else request.rate_deg_s * DEGREE,
-        ramp=usual.ramp,
-        sample_rate=usual.sample_rate if request.sample_rate is None else request.sample_rate,
-    )
-
-
-def _site(latitude_deg: float) -> Site:
-    """A site 270 m up whose gravity, the normal one, has been measured."""
-    if not abs(latitude_deg) <= 90.0:
-        raise InputError(f"latitude: expected -90 to 90 degrees, found {latitude_deg:g}")
-    latitude, height = latitude_deg * DEGREE, 270.0
-    return Site(latitude=latitude, height=height, gravity=normal_gravity(latitude, height), gravity_u=1e-7)
 
 
 def vibration_of(text: str) -> Vibration:

@@ -13,10 +13,10 @@ from tumble.units import engineering
 
 if TYPE_CHECKING:
     pass
-from tumble.campaigns.summary import Line, _plain, varying
+from tumble.campaigns.summary import SummaryLine, _plain, varying
 
 
-def summary_report(lines: Sequence[Line]) -> RenderableType:
+def summary_report(lines: Sequence[SummaryLine]) -> RenderableType:
     """The lines as tables: first how the trials ended, then the errors."""
     axes = varying(lines)
     ended, errors = Table(box=None, pad_edge=False), Table(box=None, pad_edge=False)
@@ -43,7 +43,7 @@ def summary_report(lines: Sequence[Line]) -> RenderableType:
     return Group(ended, Text(""), errors)
 
 
-def _figures(line: Line) -> list[str]:
+def _figures(line: SummaryLine) -> list[str]:
     assert line.bias is not None
     assert line.scatter is not None
     assert line.rms is not None

@@ -13,17 +13,18 @@ from rich.text import Text
 from tumble.estimation.observability import in_words, sum_in_words
 from tumble.planning.best_positions import Aim, Compared, Next
 from tumble.planning.bounds import Bound
-from tumble.planning.budget import Setup
-from tumble.planning.plan import Plan
+from tumble.planning.plan import PlanResult
+from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme, duration
-from tumble.programme.sheet_words import MOVE, clock, move_text
+from tumble.programme.sheet_words import clock, move_text
 from tumble.units import DEGREE, engineering
+from tumble.usual_setup import MOVE
 
 LARGEST = 4
 """So many parameters of a combination are named."""
 
 
-def plan_report(plan: Plan, aim: Aim) -> RenderableType:
+def plan_report(plan: PlanResult, aim: Aim) -> RenderableType:
     """What a programme can show at best, with what one more position would add; or the best programme that was found,
     what it can show, and others beside it."""
     best = bound_report(plan.setup, plan.bound)

@@ -14,10 +14,10 @@ from tumble.units import engineering, rounded
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-from tumble.calibration.from_readings import TableResult, paper_form
+from tumble.calibration.from_readings import ReadingsCalibration, paper_form
 
 
-def result_report(result: TableResult) -> RenderableType:
+def result_report(result: ReadingsCalibration) -> RenderableType:
     """Parameters, positions, what the fit says and the verdict."""
     from rich.console import Group
     from rich.text import Text
@@ -36,7 +36,7 @@ def result_report(result: TableResult) -> RenderableType:
     return Group(*parts)
 
 
-def _paper_table(result: TableResult) -> RenderableType:
+def _paper_table(result: ReadingsCalibration) -> RenderableType:
     form, nominal = paper_form(result), result.nominal
     table = plain_table("axis")
     for heading in (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}"):
@@ -52,7 +52,7 @@ def _paper_table(result: TableResult) -> RenderableType:
     return table
 
 
-def _positions_table(result: TableResult) -> RenderableType:
+def _positions_table(result: ReadingsCalibration) -> RenderableType:
     """Residual |corrected reading| less the modulus of every position, plain and against the fit through the others."""
     found = result.fit
     assert found is not None

@@ -16,7 +16,7 @@ from tumble.registry.due import Due
 from tumble.registry.limits import RULE, Judgement, Verdict
 from tumble.registry.monitor import Monitored
 from tumble.registry.records import LaunchRow, ParameterRow, Record
-from tumble.registry.series import Point
+from tumble.registry.series import SeriesPoint
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
 from tumble.terminal.text import shown_units
@@ -298,7 +298,7 @@ def _units(values: Iterable[tuple[str, str, float]]) -> Mapping[str, tuple[float
     return shown_units([Parameter(name=name, value=value, u=None, unit=unit) for name, unit, value in values])
 
 
-def expanded_of(result: Point | ParameterRow) -> float | None:
+def expanded_of(result: SeriesPoint | ParameterRow) -> float | None:
     """U (k = 2), SI."""
     return None if result.u is None else COVERAGE * result.u
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from rich.table import Table
 
-from tumble.selftest import Record
+from tumble.selftest import SelftestRecord
 from tumble.terminal.table import add_numbers, plain_table
 
 
-def record_table(record: Record) -> Table:
+def record_table(record: SelftestRecord) -> Table:
     """The cases of a record."""
     table = plain_table("case", "compared with")
     add_numbers(table, "found", "allowed")

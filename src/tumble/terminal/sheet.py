@@ -6,8 +6,9 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from tumble.programme.positions import Programme
-from tumble.programme.sheet_words import MOVE, RATE, REST, notes_of, pace_of, sheet_rows
+from tumble.programme.sheet_words import RATE, REST, notes_of, pace_of, sheet_rows
 from tumble.terminal.table import add_numbers, plain_table
+from tumble.usual_setup import MOVE
 
 
 def sheet_table(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> RenderableType:

@@ -150,13 +150,6 @@ def axis_angle_rms(tilt: float, bias: float, angle: float) -> float:
 # -------------------- the scalar method --------------------
 
 
-def scalar_matrix(verticals: Array) -> Array:
-    """Matrix H (..., N, 9) of the scalar method for verticals u (..., N, 3) in the body: Eq. (13). The unknowns are
-    b (3), k (3), γ_yx, γ_zx, γ_zy."""
-    u = np.asarray(verticals)
-    return np.concatenate([u, u**2, u[..., [1, 2, 2]] * u[..., [0, 0, 1]]], axis=-1)
-
-
 def coefficient_error(matrix: Array, matrix_error: Array, parameters: Array) -> Array:
     """Error ΔX (9,) of the scalar method when H (N, 9) is taken wrong by δH (N, 9): Eq. (14)."""
     return np.asarray(-np.linalg.pinv(matrix) @ (matrix_error @ parameters))

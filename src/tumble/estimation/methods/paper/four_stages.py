@@ -42,7 +42,7 @@ from tumble.units import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Method:
+class PaperMethod:
     """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2, and
     `check(nominal)` raises ProgrammeError where the rests, with nominal verticals (N, 3), are not enough."""
 
@@ -52,7 +52,7 @@ class Method:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Course:
+class ProgrammeCourse:
     """What is known of a session's rests and turns from its programme: nominal verticals (N, 3) in the body, series
     of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix."""
 
@@ -67,27 +67,27 @@ class Course:
 
 
 def accelerometer_pass(
-    method: Method, course: Course, readings: Array, gravity: Array, before: SensorModel
+    method: PaperMethod, course: ProgrammeCourse, readings: Array, gravity: Array, before: SensorModel
 ) -> SensorModel:
     """Stages 1 and 2: the model after a pass over readings (..., N, 3), given the one before."""
     found = method.accelerometers(compensated(before, readings), course.nominal, gravity)
     return composed(before, found)
 
 
-def gyro_bias_pass(course: Course, rates: Array, force: Array, before: SensorModel) -> SensorModel:
+def gyro_bias_pass(course: ProgrammeCourse, rates: Array, force: Array, before: SensorModel) -> SensorModel:
     """Stage 3: the gyro model with the biases of this pass, from rates (..., N, 3) and calibrated specific forces."""
     bias = vertical_bias(compensated(before, rates), force, course.earth_rate, course.nominal)
     return composed(before, SensorModel(matrix=np.eye(3), bias=bias))
 
 
-def gyro_matrix_pass(course: Course, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
+def gyro_matrix_pass(course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
     """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
     y = differences(course, rates, force, C, before)
     x = (np.linalg.pinv(course.matrix) @ y[..., None])[..., 0]
     return composed(before, triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
 
 
-def differences(course: Course, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
+def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
     """y (..., 2T) of the indirect method for a gyro model and the turns integrated about it."""
     attitude = triad(force, compensated(model, rates))
     return horizontal_differences(course.series, attitude, force, C, course.duration, course.earth_rate)
@@ -96,7 +96,7 @@ def differences(course: Course, rates: Array, force: Array, C: Array, model: Sen
 # The course of a session
 
 
-def course_of(observations: Observations, method: Method) -> Course:
+def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCourse:
     """The course of a session, with everything the method needs checked. Raises InputError."""
     programme, position = observations.programme, observations.position
     if programme is None or position is None:
@@ -108,10 +108,12 @@ def course_of(observations: Observations, method: Method) -> Course:
     nominal = np.array([programme.positions[k].vertical_b for k in position])
     method.check(nominal)
     if observations.gyro_block is None:
-        return Course(nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9)))
+        return ProgrammeCourse(
+            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9))
+        )
     _check_standing(nominal, method)
     check_directions(programme)
-    return Course(
+    return ProgrammeCourse(
         nominal=nominal,
         series=_recorded(observations, programme),
         duration=np.empty(0) if observations.turns is None else observations.turns.duration,
@@ -120,7 +122,7 @@ def course_of(observations: Observations, method: Method) -> Course:
     )
 
 
-def _check_sensors(observations: Observations, method: Method) -> None:
+def _check_sensors(observations: Observations, method: PaperMethod) -> None:
     for block in (observations.accel_block, observations.gyro_block):
         if block is not None and not block.triad:
             raise InputError(
@@ -129,7 +131,7 @@ def _check_sensors(observations: Observations, method: Method) -> None:
             )
 
 
-def _check_standing(nominal: Array, method: Method) -> None:
+def _check_standing(nominal: Array, method: PaperMethod) -> None:
     if not np.all(np.any(np.abs(nominal) > 1.0 - STANDING, axis=0)):
         raise ProgrammeError(
             f"method {method.name}: expected rests in which X, Y and Z each are vertical, found others in the "
@@ -137,7 +139,7 @@ def _check_standing(nominal: Array, method: Method) -> None:
         )
 
 
-def _earth_rate(observations: Observations, method: Method) -> Array:
+def _earth_rate(observations: Observations, method: PaperMethod) -> Array:
     if observations.site.latitude is None:
         raise SessionError(
             f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "

@@ -30,8 +30,8 @@ from tumble.estimation.methods.paper.compensation import (
     triad_parameters,
 )
 from tumble.estimation.methods.paper.four_stages import (
-    Course,
-    Method,
+    PaperMethod,
+    ProgrammeCourse,
     accelerometer_pass,
     course_of,
     differences,
@@ -49,12 +49,12 @@ NEGLIGIBLE = 1e-2
 """Of the uncertainties, or of the steps of the differences: increments that mean nothing."""
 
 
-def iterated(observations: Observations, method: Method, iterations: int) -> Estimate:
+def iterated(observations: Observations, method: PaperMethod, iterations: int) -> Estimate:
     """The estimate after so many iterations, at least one, with covariance. The first starts from what is known of the
     sensors (`Observations.start`). Raises InputError."""
     if iterations < 1:
         raise InputError(f"iterations: expected at least 1, found {iterations}")
-    launch = _Launch.of(observations, method)
+    launch = _SessionData.of(observations, method)
     values = np.concatenate([observations.start_values(block) for block in launch.blocks])
     derivative = np.zeros((len(values), len(launch.data)))
     increments = []
@@ -83,24 +83,24 @@ class _Turned:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Launch:
+class _SessionData:
     """A session as one vector of data, the mean readings in body axes, the errors of the turns and gravity, and one
     of values, the parameters of the blocks in their order; with either, leading axes for many at once."""
 
     observations: Observations
-    method: Method
-    course: Course
+    method: PaperMethod
+    course: ProgrammeCourse
     data: Array
 
     @staticmethod
-    def of(observations: Observations, method: Method) -> _Launch:
+    def of(observations: Observations, method: PaperMethod) -> _SessionData:
         course = course_of(observations, method)
         rests, block = observations.rests, observations.gyro_block
         parts = [(rests.accel @ observations.accel_block.axes).ravel()]
         if block is not None:
             parts += [(rests.gyro @ block.axes).ravel(), np.zeros(3 * len(course.duration))]
         parts.append(np.array([observations.site.gravity]))
-        return _Launch(observations=observations, method=method, course=course, data=np.concatenate(parts))
+        return _SessionData(observations=observations, method=method, course=course, data=np.concatenate(parts))
 
     @property
     def blocks(self) -> tuple[Block, ...]:
@@ -197,7 +197,7 @@ class _Launch:
         both = (high - low).T / (2.0 * steps)
         return both[:, :d], both[:, d:]
 
-    def covariance(self, scatter: _Scatter) -> Array:
+    def covariance(self, scatter: _PassScatter) -> Array:
         """Covariance (d, d) of the data: noise within rests and turns, scatter between them, and gravity."""
         rests, (accel, *gyro) = self.observations.rests, self.blocks
         parts = list(accel.axes.T @ rests.accel_covariance @ accel.axes + scatter.accel**2 * np.eye(3))
@@ -218,7 +218,7 @@ def _vectors(flat: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Scatter:
+class _PassScatter:
     """Scatter on top of the noise within rests and turns: of accelerometers between rests (m/s²), of gyros between
     rests (rad/s), of turns (rad)."""
 
@@ -236,11 +236,11 @@ _GROUPS = {
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Left:
+class _PassResiduals:
     """The residuals that a pipeline leaves, and their derivatives with respect to the data: at fixed values, and with
     what the values take up."""
 
-    launch: _Launch
+    launch: _SessionData
     residual: Array
     direct: Array
     total: Array
@@ -250,7 +250,7 @@ class _Left:
         n = len(self.launch.observations.rests)
         return {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}[group]
 
-    def agreement(self, group: str, scatter: _Scatter) -> tuple[float, float]:
+    def agreement(self, group: str, scatter: _PassScatter) -> tuple[float, float]:
         """Sum of the squared residuals of a group in units of their variances, scaled so that it has the mean of a
         chi-square with the degrees of freedom that are also returned (matched in mean and variance)."""
         rows, noise = self.rows(group), self.launch.covariance(scatter)
@@ -262,7 +262,7 @@ class _Left:
             return 0.0, 0.0
         return float(((self.residual[rows] / scale) ** 2).sum()) * trace / squares, trace**2 / squares
 
-    def normalised(self, group: str, scatter: _Scatter, size: int) -> Array:
+    def normalised(self, group: str, scatter: _PassScatter, size: int) -> Array:
         """Residuals of a group, `size` at a time, in units of their standard deviation; zero where the method takes
         them up whatever they are."""
         rows, noise = self.rows(group), self.launch.covariance(scatter)
@@ -275,15 +275,15 @@ class _Left:
     def groups(self) -> tuple[str, ...]:
         return tuple(_GROUPS) if len(self.launch.blocks) == 2 else ("accelerometers",)
 
-    def found_scatter(self) -> _Scatter:
+    def found_scatter(self) -> _PassScatter:
         """The scatter that explains the residuals of each group in turn, where they need one."""
-        scatter = _Scatter()
+        scatter = _PassScatter()
         for group in self.groups():
             statistic, degrees = self.agreement(group, scatter)
             if degrees < 0.5 or chance_of(statistic, degrees) > SCATTER_PROBABILITY:
                 continue
 
-            def excess(trial: float, name: str = group, known: _Scatter = scatter) -> float:
+            def excess(trial: float, name: str = group, known: _PassScatter = scatter) -> float:
                 statistic, degrees = self.agreement(name, replace(known, **{_GROUPS[name][0]: trial}))
                 return statistic - degrees
 
@@ -293,11 +293,11 @@ class _Left:
 
     def _noise(self, group: str) -> Array:
         """Covariance of the data of one kind, without scatter."""
-        n, noise = 3 * len(self.launch.observations.rests), self.launch.covariance(_Scatter())
+        n, noise = 3 * len(self.launch.observations.rests), self.launch.covariance(_PassScatter())
         kind = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, -1)}[group]
         return noise[kind, kind]
 
-    def fits(self, scatter: _Scatter) -> dict[str, Fit]:
+    def fits(self, scatter: _PassScatter) -> dict[str, Fit]:
         found = {}
         for group in self.groups():
             name, unit = _GROUPS[group]
@@ -305,12 +305,12 @@ class _Left:
             found[group] = Fit(chi_square=statistic, degrees=degrees, scatter=getattr(scatter, name), scatter_unit=unit)
         return found
 
-    def rest_sigmas(self, scatter: _Scatter) -> Array:
+    def rest_sigmas(self, scatter: _PassScatter) -> Array:
         """How many sigmas each rest is out, (N,): the worse of accelerometers and gyros."""
         groups = [group for group in self.groups() if group != "gyro turns"]
         return np.asarray(np.max([self._sigmas(group, scatter, 1) for group in groups], axis=0))
 
-    def turn_sigmas(self, scatter: _Scatter) -> Array:
+    def turn_sigmas(self, scatter: _PassScatter) -> Array:
         """How many sigmas each recorded turn is out, (K,); zero for those the method does not use."""
         out = np.zeros(len(self.launch.course.duration))
         counted = [t.turn for series in self.launch.course.series for t in series if t.counts]
@@ -318,19 +318,19 @@ class _Left:
             out[counted] = self._sigmas("gyro turns", scatter, 2)
         return out
 
-    def _sigmas(self, group: str, scatter: _Scatter, size: int) -> Array:
+    def _sigmas(self, group: str, scatter: _PassScatter, size: int) -> Array:
         degrees = self.agreement(group, scatter)[1]
         return sigmas(self.normalised(group, scatter, size), degrees, getattr(scatter, _GROUPS[group][0]) > 0.0)
 
 
-def _estimate(launch: _Launch, values: Array, derivative: Array, increments: tuple[Array, ...]) -> Estimate:
+def _estimate(launch: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...]) -> Estimate:
     """The estimate of values (m,) with their derivative (m, d) with respect to the data."""
     turned = launch.turned(values)
-    u = np.sqrt(np.diag(derivative @ launch.covariance(_Scatter()) @ derivative.T))
+    u = np.sqrt(np.diag(derivative @ launch.covariance(_PassScatter()) @ derivative.T))
     limit, converged = _limit(launch, values, turned, u)
     direct, by_values = launch.derivatives(launch.residuals, limit, turned)
     residual = launch.residuals(launch.data, limit, turned)
-    left = _Left(launch=launch, residual=residual, direct=direct, total=direct + by_values @ derivative)
+    left = _PassResiduals(launch=launch, residual=residual, direct=direct, total=direct + by_values @ derivative)
     scatter = left.found_scatter()
     noise = derivative @ launch.covariance(scatter) @ derivative.T
     accel, *gyro = launch.blocks
@@ -353,7 +353,7 @@ def _estimate(launch: _Launch, values: Array, derivative: Array, increments: tup
     )
 
 
-def _limit(launch: _Launch, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:
+def _limit(launch: _SessionData, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:
     """Where the passes lead from values (m,) of uncertainty u, with the turns to first order, and whether they get
     there."""
     negligible = NEGLIGIBLE * np.maximum(u, launch.steps[len(launch.data) :])

@@ -17,7 +17,7 @@ import numpy as np
 from tumble.errors import ProgrammeError
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.paper.compensation import triad_model
-from tumble.estimation.methods.paper.four_stages import Method
+from tumble.estimation.methods.paper.four_stages import PaperMethod
 from tumble.estimation.methods.paper.iterations import iterated
 from tumble.estimation.methods.paper.levelling import vertical
 from tumble.reduction.observations import Observations
@@ -32,7 +32,7 @@ def scalar(observations: Observations, iterations: int = 2) -> Estimate:
     rests of the programme.
 
     Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
-    method = Method(name="scalar", accelerometers=accelerometers, check=check_positions)
+    method = PaperMethod(name="scalar", accelerometers=accelerometers, check=check_positions)
     return iterated(observations, method, iterations)
 
 

@@ -22,13 +22,11 @@ from tumble.estimation.estimate import (
     sigmas,
     spreads,
 )
+from tumble.estimation.gauss_newton import gauss_newton
 from tumble.reduction.observations import Observations
-from tumble.rotation import tangent_basis
+from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
-
-MAX_ITERATIONS = 30
-CONVERGED = 1e-3  # of the standard uncertainty
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -93,7 +91,7 @@ def _rest_rows(observations: Observations, values: Array, scatter: float) -> _Re
     model, derivative = block.model(values), block.jacobian(values)
     readings = observations.rests.accel
     force = model.apply(readings)
-    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    vertical = unit_vector(force)
     covariance = observations.rests.accel_covariance + scatter**2 * np.eye(block.size)
     lower = np.linalg.cholesky(covariance)
     turning = np.einsum("pk,ijk->ipj", model.matrix, tangent_basis(vertical)) * g
@@ -115,27 +113,10 @@ def _accelerometers_at(
     observations: Observations, values: Array, scatter: float
 ) -> tuple[Array, _RestRows, tuple[Array, ...]]:
     """Gauss–Newton at a given scatter."""
-    increments: list[Array] = []
-    for _ in range(MAX_ITERATIONS):
-        solution = _rest_rows(observations, values, scatter).solution()
-        step = bounded(solution.step, spreads(observations.accel_block))
-        values = values + step
-        increments.append(step)
-        if negligible(solution):
-            break
-    return values, _rest_rows(observations, values, scatter), tuple(increments)
-
-
-def bounded(step: Array, spread: Array) -> Array:
-    """The step, shortened so that no parameter moves by more than its spread: far from any solution the
-    linearisation says nothing."""
-    return np.asarray(step / max(1.0, float(np.max(np.abs(step) / spread))))
-
-
-def negligible(solution: Solution) -> bool:
-    """Whether a step is negligible against the uncertainty."""
-    u = np.sqrt(np.diag(solution.covariance))
-    return bool(np.all(np.abs(solution.step) <= CONVERGED * u + 1e-15))
+    values, increments = gauss_newton(
+        lambda at: _rest_rows(observations, at, scatter).solution(), values, spreads(observations.accel_block)
+    )
+    return values, _rest_rows(observations, values, scatter), increments
 
 
 def _chi_square(rows: _RestRows) -> float:
@@ -171,7 +152,7 @@ def _finished(
         null=solution.null * rows.spread,
         gain=np.einsum("mir,irp->mip", by_rest, rows.reading),
         by_gravity=by_gravity,
-        vertical=force / np.linalg.norm(force, axis=1, keepdims=True),
+        vertical=unit_vector(force),
         covariance=solution.covariance + site.gravity_u**2 * np.outer(by_gravity, by_gravity),
         fit=Fit(chi_square=_chi_square(rows), degrees=degrees, scatter=scatter, scatter_unit="m/s^2"),
         sigmas=sigmas(worst, degrees, scatter > 0.0),

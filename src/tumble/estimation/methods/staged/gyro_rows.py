@@ -24,13 +24,13 @@ import numpy as np
 from tumble.earth import EARTH_RATE
 from tumble.estimation.methods.staged.accelerometers import Accelerometers
 from tumble.reduction.observations import Observations, Turns
-from tumble.rotation import rotation_matrix, skew, tangent_basis
+from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Scatter:
+class GyroScatter:
     """Scatter between rests (rad/s) and of turns (rad) on top of the noise within rests."""
 
     rest: float = 0.0
@@ -38,7 +38,7 @@ class Scatter:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Rows:
+class GyroRows:
     """Residuals (r,) of rests (three each: along the vertical, then two horizontal) and turns (two each), their
     derivatives (r, m), their covariance (r, r) without scatter, what a unit variance of scatter adds to it, and
     the part shared with the accelerometer values (r, m_a)."""
@@ -50,12 +50,14 @@ class Rows:
     by_turn_scatter: Array
     with_accel: Array
 
-    def covariance(self, scatter: Scatter) -> Array:
+    def covariance(self, scatter: GyroScatter) -> Array:
         """Covariance (r, r) at a scatter."""
         return self.noise + scatter.rest**2 * self.by_rest_scatter + scatter.turn**2 * self.by_turn_scatter
 
 
-def gyro_rows(observations: Observations, accel: Accelerometers, turns: Turns, values: Array, scatter: Scatter) -> Rows:
+def gyro_rows(
+    observations: Observations, accel: Accelerometers, turns: Turns, values: Array, scatter: GyroScatter
+) -> GyroRows:
     """Residuals with their first-order dependence on everything uncertain; `turns` integrated about `values`."""
     state = _State.of(observations, accel, values, scatter)
     rests = len(observations.rests)
@@ -121,11 +123,11 @@ class _State:
     gravity_u: float
 
     @staticmethod
-    def of(observations: Observations, accel: Accelerometers, values: Array, scatter: Scatter) -> _State:
+    def of(observations: Observations, accel: Accelerometers, values: Array, scatter: GyroScatter) -> _State:
         block, rests, site = observations.gyro_block, observations.rests, observations.site
         assert block is not None
         model = block.model(values)
-        to_body = np.linalg.pinv(block.axes)
+        to_body = onto_body(block.axes)
         inverse = np.asarray(np.linalg.inv(to_body @ model.matrix), dtype=float) @ to_body
         rate = (rests.gyro - model.bias) @ inverse.T
         rate_covariance = inverse @ rests.gyro_covariance @ inverse.T
@@ -223,7 +225,7 @@ def _add_spare(design: _Design, state: _State, observations: Observations, value
         scatter[rows, rows] = np.eye(size)
 
 
-def _with_covariance(state: _State, design: _Design) -> Rows:
+def _with_covariance(state: _State, design: _Design) -> GyroRows:
     """The covariance of the rows from all that is uncertain, and what of it the accelerometer values share."""
     accel = state.accel
     by_values = np.einsum("rik,ikm->rm", design.by_vertical, state.vertical_by_values)
@@ -239,7 +241,7 @@ def _with_covariance(state: _State, design: _Design) -> Rows:
     ):
         covariance += np.einsum("rip,ipq,siq->rs", by, of, by, optimize=True)
     shared = np.einsum("rip,ipq,miq->rm", by_noise, state.accel_covariance, accel.gain, optimize=True)
-    return Rows(
+    return GyroRows(
         residual=design.residual,
         jacobian=design.jacobian,
         noise=covariance,

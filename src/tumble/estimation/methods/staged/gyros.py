@@ -20,8 +20,9 @@ from tumble.estimation.estimate import (
     sigmas,
     spreads,
 )
-from tumble.estimation.methods.staged.accelerometers import MAX_ITERATIONS, Accelerometers, bounded, negligible
-from tumble.estimation.methods.staged.gyro_rows import Rows, Scatter, gyro_rows
+from tumble.estimation.gauss_newton import gauss_newton
+from tumble.estimation.methods.staged.accelerometers import Accelerometers
+from tumble.estimation.methods.staged.gyro_rows import GyroRows, GyroScatter, gyro_rows
 from tumble.reduction.observations import Observations, Turns
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
@@ -47,7 +48,7 @@ def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
     """The gyros from rests and turns, with scatter of both where the residuals need it."""
     block = observations.gyro_block
     assert block is not None
-    values, scatter = observations.start_values(block), Scatter()
+    values, scatter = observations.start_values(block), GyroScatter()
     values[: block.size] = np.median(observations.rests.gyro, axis=0)
     start = values
     values, turns, increments = _gyros_at(observations, accel, values, scatter)
@@ -58,7 +59,7 @@ def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
     rows = gyro_rows(observations, accel, turns, values, scatter)
     covariance = rows.covariance(scatter)
     solution, residual, after = _solved(rows, covariance, spreads(block))
-    left = _Left(residual=residual, covariance=covariance, after=after)
+    left = _GyroResiduals(residual=residual, covariance=covariance, after=after)
     return Gyros(
         values=values,
         model=block.model(values),
@@ -73,27 +74,22 @@ def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
 
 
 def _gyros_at(
-    observations: Observations, accel: Accelerometers, values: Array, scatter: Scatter
+    observations: Observations, accel: Accelerometers, values: Array, scatter: GyroScatter
 ) -> tuple[Array, Turns, tuple[Array, ...]]:
     """Gauss–Newton at a given scatter; the turns are integrated again about every new estimate."""
     block = observations.gyro_block
     assert block is not None
     spread = spreads(block)
-    increments: list[Array] = []
-    turns = observations.turns_about(block.model(values))
-    for _ in range(MAX_ITERATIONS):
-        rows = gyro_rows(observations, accel, turns, values, scatter)
-        solution, _, _ = _solved(rows, rows.covariance(scatter), spread)
-        step = bounded(solution.step, spread)
-        values = values + step
-        increments.append(step)
-        turns = observations.turns_about(block.model(values))
-        if negligible(solution):
-            break
-    return values, turns, tuple(increments)
+
+    def solution_at(at: Array) -> Solution:
+        rows = gyro_rows(observations, accel, observations.turns_about(block.model(at)), at, scatter)
+        return _solved(rows, rows.covariance(scatter), spread)[0]
+
+    values, increments = gauss_newton(solution_at, values, spread)
+    return values, observations.turns_about(block.model(values)), increments
 
 
-def _solved(rows: Rows, covariance: Array, spread: Array) -> tuple[Solution, Array, Array]:
+def _solved(rows: GyroRows, covariance: Array, spread: Array) -> tuple[Solution, Array, Array]:
     """The step, the residuals left after it (r,) and their covariance (r, r)."""
     lower = np.linalg.cholesky(covariance)
     whitened = np.asarray(np.linalg.solve(lower, np.column_stack([rows.jacobian, rows.residual])), dtype=float)
@@ -113,7 +109,7 @@ def _groups(observations: Observations) -> dict[str, tuple[slice, int]]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Left:
+class _GyroResiduals:
     """Residuals (r,) after the fit, the covariance (r, r) of the rows, and that of what is left of them."""
 
     residual: Array
@@ -121,7 +117,7 @@ class _Left:
     after: Array
 
 
-def _agreement(left: _Left, group: slice) -> tuple[float, float]:
+def _agreement(left: _GyroResiduals, group: slice) -> tuple[float, float]:
     """Sum of the squared residuals of a group of rows in units of their variances, scaled so that it has the mean
     of a chi-square with the degrees of freedom that are also returned (matched in mean and variance)."""
     scale = np.sqrt(np.diag(left.covariance)[group])
@@ -133,38 +129,38 @@ def _agreement(left: _Left, group: slice) -> tuple[float, float]:
 
 
 def _found_scatter(
-    observations: Observations, accel: Accelerometers, turns: Turns, values: Array, scatter: Scatter
-) -> Scatter:
+    observations: Observations, accel: Accelerometers, turns: Turns, values: Array, scatter: GyroScatter
+) -> GyroScatter:
     """The scatter that explains the residuals of the rests, then that of the turns, where they need one."""
     assert observations.gyro_block is not None
     spread = spreads(observations.gyro_block)
     groups = _groups(observations)
     rows = gyro_rows(observations, accel, turns, values, scatter)
 
-    def agreement(trial: Scatter, group: slice) -> tuple[float, float]:
+    def agreement(trial: GyroScatter, group: slice) -> tuple[float, float]:
         covariance = rows.covariance(trial)
         _, residual, after = _solved(rows, covariance, spread)
-        return _agreement(_Left(residual=residual, covariance=covariance, after=after), group)
+        return _agreement(_GyroResiduals(residual=residual, covariance=covariance, after=after), group)
 
-    def needed(name: str, trial: Scatter) -> bool:
+    def needed(name: str, trial: GyroScatter) -> bool:
         statistic, degrees = agreement(trial, groups[name][0])
         return degrees > 0.5 and chance_of(statistic, degrees) < SCATTER_PROBABILITY
 
-    def excess(name: str, trial: Scatter) -> float:
+    def excess(name: str, trial: GyroScatter) -> float:
         statistic, degrees = agreement(trial, groups[name][0])
         return statistic - degrees
 
     rest, turn = scatter.rest, scatter.turn
     noise = float(np.sqrt(np.trace(observations.rests.gyro_covariance, axis1=1, axis2=2).mean()))
-    if rest > 0.0 or needed("rests", Scatter(rest=0.0, turn=turn)):
-        rest = scatter_of(lambda s: excess("rests", Scatter(rest=s, turn=turn)), noise)
-    if turn > 0.0 or needed("turns", Scatter(rest=rest, turn=0.0)):
+    if rest > 0.0 or needed("rests", GyroScatter(rest=0.0, turn=turn)):
+        rest = scatter_of(lambda s: excess("rests", GyroScatter(rest=s, turn=turn)), noise)
+    if turn > 0.0 or needed("turns", GyroScatter(rest=rest, turn=0.0)):
         angle = float(np.sqrt(np.trace(turns.covariance, axis1=1, axis2=2).mean()))
-        turn = scatter_of(lambda s: excess("turns", Scatter(rest=rest, turn=s)), angle)
-    return Scatter(rest=rest, turn=turn)
+        turn = scatter_of(lambda s: excess("turns", GyroScatter(rest=rest, turn=s)), angle)
+    return GyroScatter(rest=rest, turn=turn)
 
 
-def _fits(observations: Observations, left: _Left, scatter: Scatter) -> dict[str, Fit]:
+def _fits(observations: Observations, left: _GyroResiduals, scatter: GyroScatter) -> dict[str, Fit]:
     out = {}
     for name, (group, _) in _groups(observations).items():
         statistic, degrees = _agreement(left, group)
@@ -173,7 +169,7 @@ def _fits(observations: Observations, left: _Left, scatter: Scatter) -> dict[str
     return out
 
 
-def _group_sigmas(observations: Observations, left: _Left, name: str, scaled: bool) -> Array:
+def _group_sigmas(observations: Observations, left: _GyroResiduals, name: str, scaled: bool) -> Array:
     """How far each rest or turn is from the fit, in sigmas."""
     group, size = _groups(observations)[name]
     scale = np.diag(left.covariance)[group].reshape(-1, size)

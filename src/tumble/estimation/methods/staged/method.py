@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.methods.staged.accelerometers import Accelerometers, estimate_accelerometers, negligible
+from tumble.estimation.gauss_newton import negligible
+from tumble.estimation.methods.staged.accelerometers import Accelerometers, estimate_accelerometers
 from tumble.estimation.methods.staged.gyros import Gyros, estimate_gyros
 from tumble.reduction.observations import Observations
 from tumble.units import Array

@@ -1,0 +1,143 @@
+"""What is known of a calibration before it is made: the one description from which budgets, bounds, plans,
+requirements, simulated sessions and the cells of campaigns are made.
+
+    setup = Setup.of(grade="mems", programme="nine", rest=20.0)      in the words of the command line
+    setup = replace(setup, table_error=0.1 * DEGREE)                 in SI
+
+What is usual stands in `tumble.usual_setup` alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Literal
+
+from tumble.earth import normal_gravity
+from tumble.errors import InputError
+from tumble.programme.positions import Programme
+from tumble.programme.positions import programme as built_in
+from tumble.sensors.grades import GRADES, NoiseModel, Spread
+from tumble.sensors.grades import grade as grade_named
+from tumble.units import DEGREE
+from tumble.usual_setup import (
+    BY_HAND,
+    GRADE,
+    GRAVITY_U,
+    HEIGHT,
+    LATITUDE_DEG,
+    MOUNTING_ERROR_DEG,
+    ON_TABLE,
+    PROGRAMME,
+    SAMPLE_RATE,
+    TABLE_ERROR_DEG,
+)
+
+_programme = cache(built_in)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Setup:
+    """An instrument, a programme on a table, or so many rests `by_hand` in any attitude instead of it, and
+    a site.
+
+    `table_error`, `mounting_error`: every position, and the whole launch, off by up to so much, rad, uniform within ±
+    about each axis; they do not apply by hand. `rest`: duration of a rest, s, the first of which lasts `first_rest` at
+    least; `turn_rate`, rad/s, reached and left in `ramp`, s; `sample_rate`, Hz. `noise`, and the spreads `accel` and
+    `gyro` of the parameters before calibration, are those of a `tumble.sensors.grades.Grade`; `instrument` is what
+    the instrument is called, and the start of a simulated one's serial number.
+    `latitude`, rad; `height`, m; `gravity`, m/s², with its standard uncertainty `gravity_u`
+    (`earth.NORMAL_GRAVITY_U` if it is not measured)."""
+
+    programme: Programme = field(default_factory=lambda: _programme(PROGRAMME))
+    by_hand: int | None = None
+    table_error: float = TABLE_ERROR_DEG * DEGREE
+    mounting_error: float = MOUNTING_ERROR_DEG * DEGREE
+    first_rest: float = ON_TABLE.first_rest
+    rest: float = ON_TABLE.rest
+    turn_rate: float = ON_TABLE.rate_deg_s * DEGREE
+    ramp: float = ON_TABLE.ramp
+    sample_rate: float = SAMPLE_RATE
+    instrument: str = GRADE
+    noise: NoiseModel = GRADES[GRADE].noise
+    accel: Spread = GRADES[GRADE].accel
+    gyro: Spread = GRADES[GRADE].gyro
+    latitude: float
+    height: float = HEIGHT
+    gravity: float
+    gravity_u: float = GRAVITY_U
+
+    @staticmethod
+    def of(
+        *,
+        grade: str = GRADE,
+        programme: str = PROGRAMME,
+        positions: int | None = None,
+        rest: float | None = None,
+        rate_deg_s: float | None = None,
+        sample_rate: float | None = None,
+        table_error_deg: float = TABLE_ERROR_DEG,
+        mounting_error_deg: float = MOUNTING_ERROR_DEG,
+        latitude_deg: float = LATITUDE_DEG,
+        gravity: float | None = None,
+        gravity_u: float = GRAVITY_U,
+        noise_factor: float = 1.0,
+    ) -> Setup:
+        """The set-up of a built-in programme or, if `positions` is given, of so many positions by hand, with an
+        instrument of a grade whose noise is multiplied by `noise_factor`, in the words and units of the command line.
+        What is None is usual on a table or by hand; gravity then is normal gravity.
+
+        Raises InputError, one line, for a grade or programme that does not exist, and for no latitude.
+
+        >>> Setup.of(grade="mems", positions=30).rest
+        5.0
+        """
+        if not abs(latitude_deg) <= 90.0:
+            raise InputError(f"latitude: expected -90 to 90 degrees, found {latitude_deg:g}")
+        kind, usual = grade_named(grade), ON_TABLE if positions is None else BY_HAND
+        latitude = latitude_deg * DEGREE
+        return Setup(
+            programme=_programme(programme),
+            by_hand=positions,
+            table_error=table_error_deg * DEGREE,
+            mounting_error=mounting_error_deg * DEGREE,
+            first_rest=usual.first_rest,
+            rest=usual.rest if rest is None else rest,
+            turn_rate=(usual.rate_deg_s if rate_deg_s is None else rate_deg_s) * DEGREE,
+            ramp=usual.ramp,
+            sample_rate=SAMPLE_RATE if sample_rate is None else sample_rate,
+            instrument=grade,
+            noise=kind.noise.scaled(noise_factor),
+            accel=kind.accel,
+            gyro=kind.gyro,
+            latitude=latitude,
+            gravity=normal_gravity(latitude, HEIGHT) if gravity is None else gravity,
+            gravity_u=gravity_u,
+        )
+
+
+def check_setup(setup: Setup, iterations: int) -> None:
+    """Raise InputError for values that make no sense, and for a set-up that is not on a table."""
+    if iterations < 1:
+        raise InputError(f"iterations: expected at least 1, found {iterations}")
+    if setup.by_hand is not None:
+        raise InputError(f"programme: expected one on a table, found {setup.by_hand} positions by hand")
+    if not abs(setup.latitude) < 0.5 * math.pi - DEGREE:
+        found = setup.latitude / DEGREE
+        raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
+    for name in ("rest", "turn_rate", "gravity"):
+        expect(name, getattr(setup, name), least="more than 0")
+    for name in ("table_error", "mounting_error", "gravity_u"):
+        expect(name, getattr(setup, name), least="0 or more")
+    for noise in fields(setup.noise):
+        expect(f"noise.{noise.name}", getattr(setup.noise, noise.name), least="0 or more")
+    for kind in ("accel", "gyro"):
+        for what in ("bias", "scale", "axis"):
+            expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
+
+
+def expect(name: str, value: float, *, least: Literal["more than 0", "0 or more"]) -> None:
+    """Raise InputError unless a value is finite and as large as that."""
+    if not (0.0 < value < math.inf or (value == 0.0 and least == "0 or more")):
+        raise InputError(f"{name}: expected {least}, in SI, found {value:g}")
