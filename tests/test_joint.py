@@ -133,9 +133,10 @@ def unscattered(session: Observations) -> Array:
     problem = Problem.of(session)
     found = joint(session)
     at, _ = method._started(problem)
-    about = None if found.gyro is None else TurnsAbout.of(session, found.gyro)
+    turned = found.gyro is not None and session.turns is not None
+    about = TurnsAbout.of(session, problem.instrument, found.values) if turned else None
     rows = linearise(problem, replace(at.point, values=found.values), about)
-    return solve(problem, rows, weights(problem, Scatter())).covariance[1:, 1:]
+    return solve(problem, rows, weights(problem, rows, Scatter())).covariance[1:, 1:]
 
 
 # -------------------- with noise --------------------
@@ -258,11 +259,11 @@ def with_turn_off(session: Observations, turn: int, by: float) -> Observations:
     assert session.turn_samples is not None
     stored = session.turn_samples.samples
     start, stop = int(session.turn_samples.start[turn]), int(session.turn_samples.stop[turn])
-    rates, dt = stored._chunks[0]
+    rates, forces, dt = stored.read(0, stored.count)
     changed = rates.copy()
     changed[start:stop] += by * np.array([0.6, -0.48, 0.64]) / dt[start:stop].sum()
     other = type(stored)()
-    other.append(changed, dt)
+    other.append(changed, forces, dt)
     return replace(session, turn_samples=replace(session.turn_samples, samples=other, _only_batch=[]))
 
 

@@ -18,7 +18,7 @@ from tumble.earth import earth_rate
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
-from tumble.reduction import blocks as reduction
+from tumble.reduction import motion_samples as reduction
 from tumble.reduction import observations as observing
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.matching import Match
@@ -162,17 +162,18 @@ def test_turns_cut_into_pieces_are_the_same(
 @pytest.mark.parametrize("sizes", [(10_000,), (37,), (1,)])
 def test_samples_on_disk_are_those_in_memory(sizes: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(53)
-    rates, dt = rng.standard_normal((2000, 3)), rng.uniform(0.009, 0.011, 2000)
-    in_memory, on_disk = reduction.GyroSamples(), reduction.GyroSamples()
+    rates, forces, dt = *rng.standard_normal((2, 2000, 3)), rng.uniform(0.009, 0.011, 2000)
+    in_memory, on_disk = reduction.MotionSamples(), reduction.MotionSamples()
     edges = np.minimum(np.arange(0, 2000 + sizes[0], sizes[0]), 2000)
     for samples, limit in ((in_memory, 10**9), (on_disk, 10_000)):
         monkeypatch.setattr(reduction, "IN_MEMORY_BYTES", limit)
         for a, b in pairwise(edges.tolist()):
-            samples.append(rates[a:b], dt[a:b])
+            samples.append(rates[a:b], forces[a:b], dt[a:b])
     for start, stop in ((0, 2000), (1, 2), (300, 1700), (1999, 2000)):
         for one, other in zip(in_memory.read(start, stop), on_disk.read(start, stop), strict=True):
             np.testing.assert_array_equal(one, other)
-        np.testing.assert_array_equal(in_memory.read(start, stop)[0], rates[start:stop] * dt[start:stop, None])
+        for one, other in zip(in_memory.read(start, stop), (rates, forces, dt), strict=True):
+            np.testing.assert_array_equal(one, other[start:stop])
 
 
 def test_observations_do_not_depend_on_where_the_samples_are(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,6 @@ from formula_setup import device_setup
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
-from tumble.estimation.estimate import spreads_of
 from tumble.planning.best_positions import (
     Aim,
     candidates,
@@ -27,6 +26,7 @@ from tumble.planning.reachable_attitudes import Places, TurnTable
 from tumble.programme.positions import Programme, from_attitudes, programme
 from tumble.rotation import rotation_vector
 from tumble.sensors.grades import GRADES, NoiseModel
+from tumble.sensors.parameters import limits_of
 from tumble.units import DEGREE
 
 SETUP = device_setup(latitude=56.84 * DEGREE, gravity=9.8157883)
@@ -37,7 +37,7 @@ HELD = TurnTable.of("N,U", 45.0)
 
 def value(found: Bound, letter: str) -> float:
     """The criterion by its definition."""
-    scaled = found.covariance / np.outer(spreads_of(found.names), spreads_of(found.names))
+    scaled = found.covariance / np.outer(limits_of(found.names), limits_of(found.names))
     if letter == "A":
         return float(np.sqrt(np.trace(scaled) / len(scaled)))
     return float(np.exp(0.5 * np.linalg.slogdet(scaled)[1] / len(scaled)))

@@ -342,5 +342,7 @@ def test_two_files_are_two_logs_with_one_set_of_thresholds() -> None:
     later = later[later[:, 1] > 3.0].clip(min=0.0)
     np.testing.assert_allclose(times(in_two), later, atol=MOST_LOST)
     assert reduction.samples is not None
-    increments, intervals = reduction.samples.read(len(one.time), len(one.time) + 100)
-    np.testing.assert_allclose(increments, two.gyro[:100] * intervals[:, None], rtol=1e-15)
+    rates, forces, intervals = reduction.samples.read(len(one.time), len(one.time) + 100)
+    np.testing.assert_array_equal(rates, two.gyro[:100])
+    np.testing.assert_array_equal(forces, two.accel[:100])
+    np.testing.assert_array_equal(intervals, np.full(100, two.time[0]))

@@ -31,8 +31,9 @@ from tumble.estimation.methods.paper.sequential import sequential
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
 from tumble.recording.session import Site, read_session
-from tumble.reduction.blocks import GyroSamples, reduce_log
+from tumble.reduction.blocks import reduce_log
 from tumble.reduction.matching import match_rests
+from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations, Rests, TurnSamples, observe
 from tumble.reduction.segmentation import find_rests
 from tumble.rotation import axes_matrix
@@ -59,12 +60,12 @@ def observations(
     `noise`, in the covariances times `stated`."""
     found = launches(values[None], rough_attitudes(1, rng, mounting_deg=degrees, position_deg=degrees))
     n, dt = len(PROGRAMME.positions), TURN_SECONDS / STEPS
-    samples = GyroSamples()
+    samples = MotionSamples()
     increments = found.increments[0]
     for k in range(len(increments)):
         white = noise * TURN_NOISE / np.sqrt(STEPS) * rng.standard_normal((STEPS, 3))
         measured = np.vstack([increments[k, :1], increments[k] + white])
-        samples.append(measured / dt, np.full(STEPS + 1, dt))
+        samples.append(measured / dt, np.zeros((STEPS + 1, 3)), np.full(STEPS + 1, dt))
     start = np.arange(len(increments)) * (STEPS + 1) + 1
     turns = found.turns(triad_model(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 6))))
     no = np.zeros((n, 3))
@@ -223,12 +224,12 @@ def shifted(seen: Observations, what: str, index: int, σ: float) -> Observation
         return replace(seen, site=replace(seen.site, gravity=seen.site.gravity + σ))
     if what == "turns":
         assert seen.turn_samples is not None
-        old, new = seen.turn_samples.samples, GyroSamples()
-        increments, dt = old.read(0, old.count)
-        increments = increments.copy()
+        old, new = seen.turn_samples.samples, MotionSamples()
+        rates, forces, dt = old.read(0, old.count)
+        rates = rates.copy()
         first = int(seen.turn_samples.start[index])
-        increments[[first - 1, first], 1] += σ
-        new.append(increments / dt[:, None], dt)
+        rates[[first - 1, first], 1] += σ / dt[first]
+        new.append(rates, forces, dt)
         start, stop = seen.turn_samples.start, seen.turn_samples.stop
         return replace(seen, turn_samples=TurnSamples(samples=new, start=start, stop=stop))
     change = np.zeros_like(seen.rests.accel)
@@ -425,10 +426,11 @@ def _with_pause(seen: Observations, rests: Rests, position: IntArray) -> Observa
     assert seen.turns is not None
     assert seen.turn_samples is not None
     dt = TURN_SECONDS / STEPS
-    increments, intervals = seen.turn_samples.samples.read(0, seen.turn_samples.samples.count)
-    samples = GyroSamples()
-    samples.append(increments / dt, intervals)
-    samples.append(np.tile(seen.rests.gyro[1], (STEPS + 1, 1)), np.full(STEPS + 1, dt))
+    rates, forces, intervals = seen.turn_samples.samples.read(0, seen.turn_samples.samples.count)
+    samples = MotionSamples()
+    samples.append(rates, forces, intervals)
+    rate, force = (np.tile(mean, (STEPS + 1, 1)) for mean in (seen.rests.gyro[1], seen.rests.accel[1]))
+    samples.append(rate, force, np.full(STEPS + 1, dt))
     later = (seen.turns.first >= 1).astype(np.int64)
     end = len(intervals) + 1
     turns = replace(

@@ -11,11 +11,11 @@ from formula_setup import device_setup
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.programme.positions import programme
-from tumble.reduction.observations import Observations
+from tumble.reduction.observations import AHEAD, Observations
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block, SensorModel
-from tumble.simulation.observations import simulate_observations
+from tumble.simulation.observations import SAMPLES, _mean_verticals, simulate_observations
 from tumble.simulation.scenario import HandHeld, OnTable, Scenario, Vibration, itinerary, scenario_of
 from tumble.units import DEGREE, Array
 
@@ -159,3 +159,39 @@ def test_vibration_is_refused() -> None:
     shaken = replace(quiet(), vibration=Vibration(amplitude=0.1, frequency=20.0))
     with pytest.raises(InputError, match="vibration: expected none"):
         simulate_observations(shaken, np.random.default_rng(1))
+
+
+def test_the_forces_of_a_turn_are_the_means_of_gravity_in_the_turning_body() -> None:
+    """The exact mean over each sample against 20 Gauss nodes; a turn of hours, in which the Earth turns too, and none
+    at all are among the turns."""
+    rng = np.random.default_rng(71)
+    start, vector = rotation_matrix(rng.standard_normal((4, 3))), 2.0 * rng.standard_normal((4, 3))
+    vector[3], T = 0.0, np.array([3.0, 300.0, 20_000.0, 5.0])
+    made = quiet(71)
+    found = _mean_verticals(made, start, vector, T)
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    earth = np.array(earth_rate(made.latitude))
+    for k in range(4):
+        for j in (0, 1, 17, 64):
+            t = (j - AHEAD + 0.5 + 0.5 * nodes[:, None]) * T[k] / SAMPLES
+            up = rotation_matrix(-vector[k] * t / T[k]) @ start[k].T @ rotation_matrix(earth * t)[:, :, 1, None]
+            np.testing.assert_allclose(found[k, j], 0.5 * weights @ up[:, :, 0], atol=1e-14)
+
+
+def test_the_forces_that_are_kept_go_through_the_accelerometers() -> None:
+    """Without noise, compensated forces have the size of gravity where a sample turns little, and the first
+    samples of a turn read what the rest before it does."""
+    made = quiet(72)
+    seen = simulate_observations(made, np.random.default_rng(73))
+    assert seen.turn_samples is not None
+    assert seen.turns is not None
+    model = made.accel.model(np.array([made.truth[name] for name in made.accel.names]))
+    angles = np.linalg.norm(rotation_vector(seen.turns.C), axis=1)
+    for pieces in seen.turn_samples.pieces():
+        forces = pieces.forces
+        for k, a, b in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
+            true = model.apply(forces[a:b])
+            size = np.linalg.norm(true, axis=1) / made.site.gravity  # a mean of directions on an arc is shorter
+            assert np.all(size < 1.0 + 1e-12)
+            assert np.all(size > 1.0 - (angles[k] / SAMPLES) ** 2 / 24 - 1e-6)
+            np.testing.assert_allclose(0.5 * (forces[a - 1] + forces[a]), seen.rests.accel[k], atol=0.01)

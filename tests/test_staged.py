@@ -25,7 +25,7 @@ from tumble.estimation.methods.staged.method import staged
 from tumble.programme.positions import attitude, programme
 from tumble.recording.session import Site
 from tumble.reduction import observations as observing
-from tumble.reduction.blocks import GyroSamples
+from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations, Rests, TurnReadings, Turns, TurnSamples
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
@@ -167,7 +167,7 @@ def observations(
         gyro_noise=np.full((N, ng), noise.gyro),
         temperature=None,
     )
-    stored, integrals = GyroSamples(), []
+    stored, integrals = MotionSamples(), []
     to_body = np.linalg.pinv(device.gyro.axes)
     for move, T in zip(way.moves, way.durations, strict=True):
         dt = T / samples
@@ -177,7 +177,7 @@ def observations(
             turned *= 1.0 - 2.0 * np.pi / np.linalg.norm(turned)
         readings = np.tile(gyro.predict(turned / T), (samples + 1, 1))
         readings[1:] += noise.gyro / np.sqrt(dt) * rng.standard_normal((samples, ng))
-        stored.append(readings @ to_body.T, np.full(samples + 1, dt))
+        stored.append(readings @ to_body.T, np.zeros((samples + 1, 3)), np.full(samples + 1, dt))
         integrals.append(readings[1:].sum(axis=0) * dt)
     start = 1 + (samples + 1) * np.arange(len(way.moves))
     kept = TurnSamples(samples=stored, start=start, stop=start + samples)

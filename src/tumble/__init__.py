@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from tumble.calibration.new_session import new_session as new_session
     from tumble.calibration.observed import Observed as Observed
     from tumble.calibration.observed import inspect_session as inspect_session
-    from tumble.calibration.quiet_samples import Noise as Noise
+    from tumble.calibration.quiet_samples import RecordedNoise as RecordedNoise
     from tumble.calibration.quiet_samples import noise as noise
     from tumble.calibration.results import Launch as Launch
     from tumble.calibration.results import Parameter as Parameter
@@ -145,7 +145,7 @@ _PUBLIC = {
     "verify_calibration": "calibration.verify",
     "apply_to_session": "calibration.apply",
     "rest_residuals": "calibration.apply",
-    "Noise": "calibration.quiet_samples",
+    "RecordedNoise": "calibration.quiet_samples",
     "noise": "calibration.quiet_samples",
     "new_session": "calibration.new_session",
     "Draft": "calibration.new_session",

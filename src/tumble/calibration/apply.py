@@ -29,8 +29,8 @@ from tumble.recording.arrays import SI
 from tumble.recording.description import description_of
 from tumble.recording.formats.columns import unit_of_name
 from tumble.recording.log import open_log
-from tumble.recording.readers import LogSource, rows_of_numbers, source_of
-from tumble.recording.session import Channels, Magnetometer, Session, session_from
+from tumble.recording.readers import LogSource, rows_of_numbers, source_of, times_of
+from tumble.recording.session import Channels, LogSpec, Magnetometer, Session, session_from
 from tumble.recording.writer import write_tables
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, Unit
@@ -115,8 +115,8 @@ def apply_to_session(calibration: Calibration | FilePath, session: Session | Fil
 def _described(session: Session, parts: tuple[_Correction, ...], out: Path) -> dict[str, Any]:
     """The description of the corrected log."""
     channels = {part.kind: part.written for part in parts}
-    spec = replace(session.log, files=(out.resolve(),), accel=channels["accel"], gyro=channels.get("gyro"))
-    return description_of(replace(session, log=spec))
+    spec = replace(session.log, files=(out.resolve(),), dialect=None)
+    return description_of(replace(session, log=replace(spec, accel=channels["accel"], gyro=channels.get("gyro"))))
 
 
 def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
@@ -171,9 +171,9 @@ def _tables(session: Session, parts: tuple[_Correction, ...], interval: float) -
     """The corrected rows of all files."""
     names: list[str] | None = None
     for file in session.log.files:
-        source = source_of(file)
+        source = source_of(file, session.log.dialect)
         clock = _Clock(path=source.path, session=session, interval=interval)
-        for table in _rows(source, parts):
+        for table in _rows(source, parts, session.log):
             names = table.columns if names is None else names
             if table.columns != names:
                 raise LogError(
@@ -196,10 +196,10 @@ class _Clock:
     def intervals(self, table: pl.DataFrame) -> Array:
         """What each increment is the integral over, s."""
         spec = self.session.log
-        if spec.time is None:
+        if spec.time is None or spec.regular:
             return np.full(table.height, self.interval)
         with rows_of_numbers(self.path):
-            time = table[spec.time].cast(pl.Float64).to_numpy() * spec.time_factor
+            time = times_of(table[spec.time], spec)
         before = time[0] - self.interval if self.last is None else self.last
         self.last = float(time[-1])
         steps = np.diff(time, prepend=before)
@@ -211,11 +211,15 @@ class _Clock:
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
 
 
-def _rows(source: LogSource, parts: tuple[_Correction, ...]) -> Iterator[pl.DataFrame]:
-    """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are."""
+def _rows(source: LogSource, parts: tuple[_Correction, ...], spec: LogSpec) -> Iterator[pl.DataFrame]:
+    """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are; where these
+    have decimal commas, all that the session names as numbers."""
     for added in (column for part in parts for column in part.added if column in source.names):
         raise InputError(f"{source.path}: expected no column '{added}', the block's vector gets it; rename it")
-    yield from source.whole([column for part in parts for column in part.channels.columns])
+    numbers = [column for part in parts for column in part.channels.columns]
+    if spec.dialect is not None and spec.dialect.decimal == ",":
+        numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
+    yield from source.whole(numbers)
 
 
 # -------------------- was it worth it --------------------

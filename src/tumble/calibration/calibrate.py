@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, overload
@@ -168,9 +168,39 @@ def _provenance(log_sha256: str) -> dict[str, str]:
     }
 
 
-def _bridged(gaps: Iterable[Gap]) -> tuple[str, ...]:
-    """What was bridged in the log, as notes."""
-    return tuple(f"bridged: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what}" for g in gaps)
+_GAPS_SHOWN = 5
+
+
+def _bridged(found: Sequence[Gap]) -> tuple[str, ...]:
+    """What was bridged or left out in the log, as notes: the first of each kind, and how many more."""
+    kinds = {
+        "bridged": [g for g in found if g.samples and g.integrable],
+        "left out": [g for g in found if not g.samples],
+        "gap": [g for g in found if not g.integrable],
+    }
+    notes = []
+    for kind, gaps in kinds.items():
+        for g in gaps[:_GAPS_SHOWN]:
+            lost = f" ({g.samples} samples)" if g.samples > 1 else ""
+            notes.append(
+                f"{kind}: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what.removesuffix(': left out')}{lost}"
+            )
+        if len(gaps) > _GAPS_SHOWN:
+            lost = f", {sum(g.samples for g in gaps)} samples in all" if gaps[0].samples else ""
+            notes.append(f"{kind}: {len(gaps) - _GAPS_SHOWN} more such places{lost}")
+    return tuple(notes)
+
+
+def _torn(observations: Observations) -> tuple[str, ...]:
+    """The turns that were not recorded as a whole, as notes."""
+    if observations.turns is None:
+        return ()
+    file, known = observations.rests.file, set(observations.turns.first.tolist())
+    return tuple(
+        f"turn from rest {i + 1} to rest {i + 2} is left out: samples are lost in it"
+        for i in range(len(file) - 1)
+        if file[i] == file[i + 1] and i not in known
+    )
 
 
 def _unchecked(estimate: Estimate) -> tuple[str, ...]:
@@ -321,7 +351,7 @@ def _result(
         site=observations.site,
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
-        notes=_bridged(observed.gaps) + _unchecked(estimate) + _aligned(case),
+        notes=_bridged(observed.gaps) + _torn(observations) + _unchecked(estimate) + _aligned(case),
         provenance=provenance,
     )
 

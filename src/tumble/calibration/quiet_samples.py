@@ -39,7 +39,7 @@ class QuietRecord:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Noise:
+class RecordedNoise:
     """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, and where
     they are from in words."""
 
@@ -48,7 +48,7 @@ class Noise:
     source: str
 
 
-def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None) -> Noise:
+def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
     """The noise of every sensor from the longest rest of a session, a `Session` or the path of its folder; with
     `layout`, the table [log] of session.toml less the file, from all of a log at rest.
 
@@ -66,7 +66,7 @@ def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None
         raise InputError(f"{recording}: expected --accel with the columns of the accelerometers, found none")
     else:
         record = whole_log(Path(recording), layout)
-    return Noise(panels=noise_panels(record), rate=record.rate, source=record.source)
+    return RecordedNoise(panels=noise_panels(record), rate=record.rate, source=record.source)
 
 
 def _is_session(path: Path) -> bool:

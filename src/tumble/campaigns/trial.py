@@ -23,7 +23,7 @@ from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
 from tumble.estimation.diagnosis import verdict
-from tumble.estimation.estimate import DETERMINED, spreads
+from tumble.estimation.estimate import DETERMINED
 from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
 from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.planning.setup import Setup
@@ -32,6 +32,7 @@ from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import Spread
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import limits_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, itinerary, scenario_of
 from tumble.simulation.session import session_in_memory
@@ -150,7 +151,9 @@ def statics_rows(seed: int, number: int, cell: Cell) -> list[Row]:
     variance *= sigma**2
     with np.errstate(invalid="ignore"):
         u = np.sqrt(variance)
-        good = ((np.abs(step) <= NEGLIGIBLE * u + 1e-15) & (u < spreads(scenario.accel) / DETERMINED)).all(axis=1)
+        good = ((np.abs(step) <= NEGLIGIBLE * u + 1e-15) & (u < limits_of(scenario.accel.names) / DETERMINED)).all(
+            axis=1
+        )
     error, variance = (values - truth)[good], variance[good]
     row: dict[str, Any] = {"method": "rests alone", "triads": BLOCK, "failed": int(BLOCK - good.sum())}
     if good.any():

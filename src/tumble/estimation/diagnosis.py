@@ -12,7 +12,7 @@ from itertools import permutations, product
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.estimation.estimate import FIT_SIGMAS, SEEN, SPREAD, Estimate, Outcome, spreads, spreads_of
+from tumble.estimation.estimate import FIT_SIGMAS, SEEN, Estimate, Outcome
 from tumble.estimation.observability import faces_and_edges, most_telling, standing
 from tumble.programme.positions import from_attitudes, programme
 from tumble.recording.session import Channels, Session
@@ -21,6 +21,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.segmentation import Segmentation
 from tumble.rotation import onto_body, skew, tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import group_of, limits_of
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TIME_UNITS, Array, Unit
 
 UNIT_TOLERANCE = 0.25
@@ -482,10 +483,10 @@ def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]
     the worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty
     of scale factors and angles is not small against what the data resolve: u does not hold then, for effects of second
     order count."""
-    spread = spreads_of(estimate.names)
+    spread = limits_of(estimate.names)
     variance, vectors = np.linalg.eigh(estimate.covariance / np.outer(spread, spread))
     angles = np.array([".bias." not in name for name in estimate.names])  # biases are linear
-    squared = variance * (vectors[angles] ** 2).sum(axis=0) * SPREAD["accel.axis"] ** 2
+    squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
     poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
     return vectors[:, poor].T, np.sqrt(variance[poor])
 
@@ -521,7 +522,7 @@ def _remedy(estimate: Estimate, observations: Observations) -> str:
     combinations, known = _weak(estimate, observations)
     site = observations.site
     scales = np.array([name.startswith("accel.scale.") for name in estimate.names])
-    by_gravity = combinations @ (scales / spreads_of(estimate.names)) * site.gravity_u / site.gravity
+    by_gravity = combinations @ (scales / limits_of(estimate.names)) * site.gravity_u / site.gravity
     if np.all(by_gravity**2 > 0.5 * known**2):
         return f"gravity is known to {site.gravity_u:g} m/s^2 only: give latitude_deg or gravity in [site]"
     return _most_helpful(estimate, observations)
@@ -557,7 +558,7 @@ def _rest_rows(observations: Observations, vertical: Array) -> Array:
     derivative = block.jacobian(np.zeros(len(block.names)))
     basis, _ = np.linalg.qr(block.axes @ tangent_basis(vertical).T, mode="complete")
     rows = np.einsum("pr,pqm,q->rm", basis[:, 2:], derivative, np.append(g * vertical, 1.0))
-    return np.asarray(rows * spreads(block))
+    return np.asarray(rows * limits_of(block.names))
 
 
 def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
@@ -569,7 +570,7 @@ def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
     derivative = np.einsum("ap,pqm->aqm", onto_body(block.axes), block.jacobian(np.zeros(len(block.names))))
     path = np.pi * np.outer(n, n) + 2.0 * skew(n)  # ∫ C dθ of a turn by π, Eq. (6.2)
     rows = tangent_basis(np.eye(3)[up]) @ skew(np.eye(3)[up]) @ path @ np.einsum("aqm,q->am", derivative[:, :3], n)
-    return np.asarray(rows * spreads(block))
+    return np.asarray(rows * limits_of(block.names))
 
 
 def no_rests(segmentation: Segmentation) -> Outcome:

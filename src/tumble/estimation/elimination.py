@@ -1,16 +1,20 @@
-"""Compiled loops that eliminate the attitudes from the rows of a chain of rests linked by turns, and put them back.
+"""Compiled loops that eliminate what belongs to single rests from the rows of a chain of rests linked by turns, and put
+it back.
 
-Rows are whitened and in the form [coefficients | right-hand side]; unknowns are the three angles of every rest and p
-parameters common to all. With δᵢ the angles of rest i, the rows of rest i and of the turn that follows it are
+Rows are whitened and in the form [coefficients | right-hand side]; unknowns are d numbers of every rest (the three
+angles of its attitude first, then the states of its sensors) and p parameters common to all. With δᵢ the unknowns of
+rest i, the rows of rest i and of the turn that follows it are
 
-    [ δᵢ (3) | parameters (p) | right-hand side ]             rest, (N, r, 3 + p + 1)
-    [ δᵢ (3) | δᵢ₊₁ (3) | parameters (p) | right-hand side ]   turn, (K, t, 6 + p + 1)
+    [ δᵢ (d) | parameters (p) | right-hand side ]             rest, (N, r, d + p + 1)
+    [ δᵢ (d) | δᵢ₊₁ (d) | parameters (p) | right-hand side ]   turn, (K, t, 2d + p + 1)
 
-and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. The elimination is orthogonal (a
-square-root information filter): Householder reflections of what involves δᵢ leave three rows that give δᵢ once the
-rest is known, three rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one triangle. Nothing is
-squared, and the cost is linear in the number of rests. A column of which nothing but rounding is left is no
-information: its angle, a heading that nothing shows, stays where it is.
+and `link[i]` is the turn from rest i to rest i + 1, −1 where nothing links them. Rows of a turn may contain those of
+the rest before it, with which they may be correlated: `counts` (N,) says whether a rest's own rows count. The
+elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
+rows that give δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one
+triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
+is left is no information: its unknown, a heading that nothing shows, stays where it is. Rows stand in memory column
+by column, so that the loops over them are vector instructions.
 
 Nothing is compiled when this module is imported; see `tumble.reduction.kernels`, whose rules hold here.
 """
@@ -20,94 +24,109 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.reduction.kernels import IntArray, _compiled
-from tumble.units import Array
+from tumble.units import Array, BoolArray
 
 ROUNDING = 1e-10
 """A column that an elimination leaves with less than this part of its length has nothing left in it."""
 
+BUFFER = 96
+"""Rows on the parameters that are folded into the triangle together."""
 
-@_compiled(error_model="numpy")
-def eliminate(rest: Array, turn: Array, link: IntArray, factor: Array, triangle: Array) -> None:
-    """Eliminate the angles of all rests: `factor` (N, 3, 6 + p + 1) gets the rows that give them, and the rows on the
-    parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
-    N, r, width = rest.shape
-    t, p = turn.shape[1], width - 4
-    work = np.empty((3 + r + t, 7 + p))
-    carried = np.zeros((3, 7 + p))
-    length = np.zeros(6)  # squares of the columns before anything was taken off them
+
+@_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
+    """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
+    the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
+    N, r = rest.shape[:2]
+    t, d, p = turn.shape[1], factor.shape[1], len(triangle) - 1
+    rows_most, columns = d + r + t, 2 * d + p + 1
+    work = np.zeros((columns, rows_most))
+    carried = np.zeros((columns, d))
+    kept = np.zeros((p + 1, BUFFER + rows_most))
+    count = 0
+    length = np.zeros(2 * d)  # squares of the columns before anything was taken off them
     for i in range(N):
         k = link[i]
-        rows = 3 + r + (t if k >= 0 else 0)
-        _gather(work, carried, rest[i], turn, k)
-        for c in range(6):
-            length[c] = length[c + 3] if c < 3 else 0.0
-            for row in range(3, rows):
-                length[c] += work[row, c] ** 2
+        rows = _gather(work, carried, rest[i, : r if counts[i] else 0], turn, k)
+        for c in range(2 * d):
+            length[c] = length[c + d] if c < d else 0.0
+            for row in range(d, rows):
+                length[c] += work[c, row] ** 2
         top = 0
-        for c in range(3):
+        for c in range(d):
             if _reflect(work, top, c, rows, ROUNDING**2 * length[c]):
-                factor[i, c] = work[top]
+                factor[i, c] = work[:, top]
                 top += 1
             else:
                 factor[i, c] = 0.0
         carried[:] = 0.0
-        for c in range(3, 6):
+        for c in range(d, 2 * d):
             if _reflect(work, top, c, rows, ROUNDING**2 * length[c]):
-                carried[c - 3, :3] = work[top, 3:6]
-                carried[c - 3, 6:] = work[top, 6:]
+                carried[:d, c - d] = work[d : 2 * d, top]
+                carried[2 * d :, c - d] = work[2 * d :, top]
                 top += 1
-        _fold(work[top:rows, 6:], triangle)
+        kept[:, count : count + rows - top] = work[2 * d :, top:rows]
+        count += rows - top
+        if count > BUFFER:
+            _fold(kept, count, triangle)
+            count = 0
+    _fold(kept, count, triangle)
 
 
 @_compiled(error_model="numpy")
-def _gather(work: Array, carried: Array, rest: Array, turn: Array, k: int) -> None:
-    """Put what involves the angles of a rest together: carried rows, its own, and those of turn k."""
-    r = len(rest)
-    work[:3] = carried
-    work[3 : 3 + r, :3] = rest[:, :3]
-    work[3 : 3 + r, 3:6] = 0.0
-    work[3 : 3 + r, 6:] = rest[:, 3:]
-    if k >= 0:
-        work[3 + r :] = turn[k]
+def _gather(work: Array, carried: Array, rest: Array, turn: Array, k: int) -> int:
+    """Put what involves the unknowns of a rest together: carried rows, its own, and those of turn k; how many."""
+    d, r = carried.shape[1], len(rest)
+    work[:, :d] = carried
+    work[:d, d : d + r] = rest[:, :d].T
+    work[d : 2 * d, d : d + r] = 0.0
+    work[2 * d :, d : d + r] = rest[:, d:].T
+    if k < 0:
+        return d + r
+    t = turn.shape[1]
+    work[:, d + r : d + r + t] = turn[k].T
+    return d + r + t
 
 
-@_compiled(error_model="numpy")
+@_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
 def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> bool:
     """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
     has nothing in it."""
     square = 0.0
     for row in range(top, rows):
-        square += work[row, column] ** 2
+        square += work[column, row] ** 2
     if square <= least:
         for row in range(top, rows):
-            work[row, column] = 0.0
+            work[column, row] = 0.0
         return False
-    head = work[top, column]
+    head = work[column, top]
     diagonal = -np.sqrt(square) if head > 0.0 else np.sqrt(square)
-    work[top, column] = head - diagonal
+    work[column, top] = head - diagonal
     scale = 1.0 / (diagonal * (diagonal - head))
-    for other in range(column + 1, work.shape[1]):
+    for other in range(column + 1, work.shape[0]):
         product = 0.0
         for row in range(top, rows):
-            product += work[row, column] * work[row, other]
+            product += work[column, row] * work[other, row]
+        if product == 0.0:
+            continue
         product *= scale
         for row in range(top, rows):
-            work[row, other] -= product * work[row, column]
-    work[top, column] = diagonal
+            work[other, row] -= product * work[column, row]
+    work[column, top] = diagonal
     for row in range(top + 1, rows):
-        work[row, column] = 0.0
+        work[column, row] = 0.0
     return True
 
 
-@_compiled(error_model="numpy")
-def _fold(rows: Array, triangle: Array) -> None:
-    """Fold rows (r, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections of
-    the rows together with one row of the triangle at a time."""
-    r, size = rows.shape
+@_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+def _fold(kept: Array, count: int, triangle: Array) -> None:
+    """Fold rows (p + 1, count), column by column in memory and overwritten, into an upper triangle (p + 1, p + 1):
+    Householder reflections of the rows together with one row of the triangle at a time."""
+    size = len(triangle)
     for c in range(size):
         square = 0.0
-        for row in range(r):
-            square += rows[row, c] ** 2
+        for row in range(count):
+            square += kept[c, row] ** 2
         if square == 0.0:
             continue
         head = triangle[c, c]
@@ -118,90 +137,60 @@ def _fold(rows: Array, triangle: Array) -> None:
         triangle[c, c] = diagonal
         for other in range(c + 1, size):
             product = top * triangle[c, other]
-            for row in range(r):
-                product += rows[row, c] * rows[row, other]
+            for row in range(count):
+                product += kept[c, row] * kept[other, row]
             product *= scale
             triangle[c, other] -= product * top
-            for row in range(r):
-                rows[row, other] -= product * rows[row, c]
+            for row in range(count):
+                kept[other, row] -= product * kept[c, row]
 
 
 @_compiled(error_model="numpy")
-def put_back(factor: Array, link: IntArray, parameters: Array, covariance: Array, angles: Array) -> tuple[Array, Array]:
-    """The angles (N, 3) of the rests for parameters (p,), written to `angles`, and their covariances from the
-    covariance (p, p) of the parameters: with themselves and those of the next rest (N, 3, 6), and with the parameters
-    (N, 3, p). An angle that nothing shows is zero, and without variance."""
-    N, p = len(factor), len(parameters)
-    own, shared = np.zeros((N, 3, 6)), np.zeros((N, 3, p))
+def put_back(
+    factor: Array, link: IntArray, parameters: Array, covariance: Array, unknowns: Array
+) -> tuple[Array, Array]:
+    """The unknowns (N, d) of the rests for parameters (p,), written to `unknowns`, and their covariances from the
+    covariance (p, p) of the parameters: with themselves and those of the next rest (N, d, 2d), and with the parameters
+    (N, d, p). An unknown that nothing shows is zero, and without variance."""
+    N, d, p = factor.shape[0], factor.shape[1], len(parameters)
+    own, shared = np.zeros((N, d, 2 * d)), np.zeros((N, d, p))
+    inverse = np.zeros((d, d))
     for i in range(N - 1, -1, -1):
         linked = link[i] >= 0
-        for a in range(2, -1, -1):
-            pivot = factor[i, a, a]
-            angles[i, a] = 0.0
-            if pivot == 0.0:
-                continue
-            value = factor[i, a, 6 + p]
-            for c in range(p):
-                value -= factor[i, a, 6 + c] * parameters[c]
-            for b in range(a + 1, 3):
-                value -= factor[i, a, b] * angles[i, b]
-            if linked:
-                for b in range(3):
-                    value -= factor[i, a, 3 + b] * angles[i + 1, b]
-            angles[i, a] = value / pivot
-        _covariances(factor[i], linked, covariance, own, shared, i)
+        _inverse(factor[i], inverse)
+        by_parameter = -np.dot(inverse, np.ascontiguousarray(factor[i, :, 2 * d : 2 * d + p]))
+        value = np.dot(inverse, np.ascontiguousarray(factor[i, :, 2 * d + p])) + np.dot(by_parameter, parameters)
+        shared[i] = np.dot(by_parameter, covariance)
+        covariance_i = np.dot(inverse, inverse.T.copy())
+        if linked:
+            by_next = -np.dot(inverse, np.ascontiguousarray(factor[i, :, d : 2 * d]))
+            value += np.dot(by_next, unknowns[i + 1])
+            shared[i] += np.dot(by_next, shared[i + 1])
+            with_next = np.dot(by_parameter, shared[i + 1].T.copy())
+            with_next += np.dot(by_next, np.ascontiguousarray(own[i + 1, :, :d]))
+            own[i, :, d:] = with_next
+            covariance_i += np.dot(with_next, by_next.T.copy())
+        covariance_i += np.dot(shared[i], by_parameter.T.copy())
+        own[i, :, :d] = covariance_i
+        unknowns[i] = value
     return own, shared
 
 
 @_compiled(error_model="numpy")
-def _covariances(factor: Array, linked: bool, covariance: Array, own: Array, shared: Array, i: int) -> None:
-    """Covariances of the angles of rest i, those of rest i + 1 being known: δᵢ = R⁻¹ (ε − R' δᵢ₊₁ − R'' parameters)."""
-    p = len(covariance)
-    inverse = np.zeros((3, 3))
-    for a in range(2, -1, -1):
+def _inverse(factor: Array, inverse: Array) -> None:
+    """Inverse of the triangle in the first columns of a rest's factor; rows and columns of unknowns that nothing shows
+    are zero."""
+    d = len(factor)
+    inverse[:] = 0.0
+    for a in range(d - 1, -1, -1):
         if factor[a, a] == 0.0:
             continue
         inverse[a, a] = 1.0 / factor[a, a]
-        for b in range(a + 1, 3):
+        for b in range(a + 1, d):
+            total = 0.0
             for c in range(a + 1, b + 1):
-                inverse[a, b] -= factor[a, c] * inverse[c, b]
-            inverse[a, b] /= factor[a, a]
-    by_next, by_parameter = np.zeros((3, 3)), np.zeros((3, p))
-    for a in range(3):
-        for b in range(a, 3):
-            for c in range(p):
-                by_parameter[a, c] -= inverse[a, b] * factor[b, 6 + c]
-            if linked:
-                for c in range(3):
-                    by_next[a, c] -= inverse[a, b] * factor[b, 3 + c]
-    for a in range(3):
-        for d in range(p):
-            total = 0.0
-            for c in range(p):
-                total += by_parameter[a, c] * covariance[c, d]
-            if linked:
-                for c in range(3):
-                    total += by_next[a, c] * shared[i + 1, c, d]
-            shared[i, a, d] = total
-        if linked:
-            for b in range(3):
-                total = 0.0
-                for c in range(p):
-                    total += by_parameter[a, c] * shared[i + 1, b, c]
-                for c in range(3):
-                    total += by_next[a, c] * own[i + 1, c, b]
-                own[i, a, 3 + b] = total
-    for a in range(3):
-        for b in range(3):
-            total = 0.0
-            for c in range(3):
-                total += inverse[a, c] * inverse[b, c]
-            for c in range(p):
-                total += by_parameter[b, c] * shared[i, a, c]
-            if linked:
-                for c in range(3):
-                    total += by_next[b, c] * own[i, a, 3 + c]
-            own[i, a, b] = total
+                total -= factor[a, c] * inverse[c, b]
+            inverse[a, b] = total / factor[a, a]
 
 
 @_compiled(error_model="numpy")
@@ -209,54 +198,43 @@ def left_over(
     rest: Array,
     turn: Array,
     link: IntArray,
-    angles: Array,
+    counts: BoolArray,
+    unknowns: Array,
     parameters: Array,
     covariances: tuple[Array, Array, Array],
 ) -> tuple[Array, Array, Array, Array]:
     """Residuals that the rows leave, and their covariances where the noise of the rows is 1: (N, r) and (N, r, r) of
-    the rests, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and what `put_back` returns."""
+    the rests, zero where they do not count, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and
+    what `put_back` returns."""
     N, r = rest.shape[:2]
     K, t = turn.shape[:2]
     covariance, own, shared = covariances
-    p = len(parameters)
-    rest_left, rest_covariance = np.empty((N, r)), np.empty((N, r, r))
+    p, d = len(covariance), unknowns.shape[1]
+    rest_left, rest_covariance = np.zeros((N, r)), np.zeros((N, r, r))
     turn_left, turn_covariance = np.empty((K, t)), np.empty((K, t, t))
-    unknown, joint = np.empty(6 + p), np.zeros((6 + p, 6 + p))
-    unknown[6:], joint[6:, 6:] = parameters, covariance
+    joint = np.zeros((2 * d + p, 2 * d + p))
+    joint[2 * d :, 2 * d :] = covariance
+    unknown = np.empty(2 * d + p)
+    unknown[2 * d :] = parameters
+    wide = np.zeros((r, 2 * d + p))
     for i in range(N):
-        unknown[:3] = angles[i]
-        joint[:3, :3], joint[:3, 6:], joint[6:, :3] = own[i, :, :3], shared[i], shared[i].T
-        _left(rest[i], 3, unknown, joint, rest_left[i], rest_covariance[i])
+        unknown[:d] = unknowns[i]
+        joint[:d, :d], joint[:d, 2 * d :], joint[2 * d :, :d] = own[i, :, :d], shared[i], shared[i].T
         k = link[i]
+        if counts[i]:
+            wide[:, :d], wide[:, 2 * d :] = rest[i, :, :d], rest[i, :, d : d + p]
+            unknown[d : 2 * d] = 0.0
+            rest_left[i] = rest[i, :, d + p] - np.dot(wide, unknown)
+            rest_covariance[i] = np.eye(r) - np.dot(np.dot(wide, joint), wide.T.copy())
         if k >= 0:
-            unknown[3:6] = angles[i + 1]
-            joint[3:6, 3:6], joint[3:6, 6:], joint[6:, 3:6] = own[i + 1, :, :3], shared[i + 1], shared[i + 1].T
-            joint[:3, 3:6], joint[3:6, :3] = own[i, :, 3:], own[i, :, 3:].T
-            _left(turn[k], 6, unknown, joint, turn_left[k], turn_covariance[k])
+            unknown[d : 2 * d] = unknowns[i + 1]
+            joint[d : 2 * d, d : 2 * d] = own[i + 1, :, :d]
+            joint[d : 2 * d, 2 * d :], joint[2 * d :, d : 2 * d] = shared[i + 1], shared[i + 1].T
+            joint[:d, d : 2 * d], joint[d : 2 * d, :d] = own[i, :, d:], own[i, :, d:].T
+            rows = np.ascontiguousarray(turn[k, :, : 2 * d + p])
+            turn_left[k] = turn[k, :, 2 * d + p] - np.dot(rows, unknown)
+            turn_covariance[k] = np.eye(t) - np.dot(np.dot(rows, joint), rows.T.copy())
     return rest_left, rest_covariance, turn_left, turn_covariance
-
-
-@_compiled(error_model="numpy")
-def _left(rows: Array, first: int, unknown: Array, joint: Array, residual: Array, covariance: Array) -> None:
-    """What rows on `first` angles and the parameters leave: with `unknown` and its covariance `joint`, six angles and
-    the parameters; of three angles the others are passed over."""
-    count, columns = len(rows), rows.shape[1] - 1
-    skipped = 6 - first
-    by = np.empty(columns)
-    for a in range(count):
-        residual[a] = rows[a, columns]
-        for c in range(columns):
-            place = c if c < first else c + skipped
-            residual[a] -= rows[a, c] * unknown[place]
-            total = 0.0
-            for d in range(columns):
-                total += joint[place, d if d < first else d + skipped] * rows[a, d]
-            by[c] = total
-        for b in range(count):
-            total = 1.0 if a == b else 0.0
-            for c in range(columns):
-                total -= rows[b, c] * by[c]
-            covariance[a, b] = total
 
 
 @_compiled(error_model="numpy")

@@ -6,24 +6,15 @@ names it; when they do not fit, the outcome says which rest or turn, and by how 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray
-
-SPREAD = {
-    "accel.bias": 1.0,
-    "accel.scale": 0.1,
-    "accel.axis": 0.1,
-    "gyro.bias": 0.1,
-    "gyro.scale": 0.1,
-    "gyro.axis": 0.1,
-}
-"""How far a parameter may reasonably be from nominal (SI)."""
 
 DETERMINED = 10.0
 """How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
@@ -78,6 +69,19 @@ class Fit:
         return chance_of(self.chi_square, self.degrees)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupFinding:
+    """A group of parameters beyond the linear model: whether the session says anything of it (`kept`), the standard
+    deviation of its prior, SI, how many times that had to be `widened`, and the `learned` fraction 1 − u²/s² of each
+    parameter, s being the widened prior."""
+
+    name: str
+    kept: bool
+    prior: float
+    widened: float
+    learned: tuple[float, ...]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Estimate:
     """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
@@ -103,6 +107,11 @@ class Estimate:
     converged: bool
     reasons: tuple[str, ...] = ()
     """What the method itself has against the result."""
+    instrument: Instrument | None = None
+    """The instrument whose parameters these are, where it has groups beyond the linear model."""
+    groups: tuple[GroupFinding, ...] = ()
+    degrees: Array | None = None
+    """Degrees of freedom (m,) behind the u of the parameters, where the method knows them."""
 
     @property
     def unobservable(self) -> tuple[str, ...]:
@@ -130,16 +139,6 @@ class Solution:
     def observable(self) -> BoolArray:
         """Which parameters the data determine."""
         return np.asarray(np.sqrt((self.null**2).sum(axis=0)) < SEEN)
-
-
-def spreads(block: Block) -> Array:
-    """The spread of each parameter of a block, SI."""
-    return spreads_of(block.names)
-
-
-def spreads_of(names: Sequence[str]) -> Array:
-    """The spread of parameters of these names, SI."""
-    return np.array([SPREAD[".".join(name.split(".")[:2])] for name in names])
 
 
 def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:

@@ -26,12 +26,13 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
-from tumble.estimation.estimate import DETERMINED, spreads
+from tumble.estimation.estimate import DETERMINED
 from tumble.planning.bounds import Bound, blocks_of, bound, course_of, view
 from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways, ways_through
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
 from tumble.programme.positions import programme as built_in
+from tumble.sensors.parameters import limits_of
 from tumble.units import Array, IntArray
 
 Letter = Literal["A", "D"]
@@ -77,7 +78,7 @@ class Criterion:
     def of(aim: Aim, setup: Setup) -> Criterion:
         """The criterion of an aim. Raises InputError if it is for no parameter."""
         blocks = blocks_of(aim.gyros)
-        prior = np.concatenate([spreads(block) for block in blocks])
+        prior = np.concatenate([limits_of(block.names) for block in blocks])
         groups = [name.rpartition(".")[0] for block in blocks for name in block.names]
         weight = np.array([aim.wanted.get(group, np.inf) for group in groups]) if aim.wanted else prior
         if not np.any(np.isfinite(weight)):

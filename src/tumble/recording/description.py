@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tumble.recording.dialect import Dialect
 from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site
+from tumble.recording.session_keys import CLOCK
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 
 
@@ -49,12 +52,13 @@ def _site(site: Site) -> dict[str, Any]:
 
 def _log(spec: LogSpec) -> dict[str, Any]:
     files = [str(file.resolve()) for file in spec.files if isinstance(file, Path)]
-    unit = next(name for name, factor in TIME_UNITS.items() if factor == spec.time_factor)
+    unit = CLOCK if spec.clock else next(name for name, factor in TIME_UNITS.items() if factor == spec.time_factor)
     magnetometer = spec.magnetometer
     values = {
         "file": files[0] if len(files) == 1 else files or None,
         "time": spec.time,
         "time_unit": None if spec.time is None or unit == "s" else unit,
+        "regular": spec.regular or None,
         "rate_hz": spec.rate,
         "accel": _channels(spec.accel, ACCEL_UNITS),
         "gyro": None if spec.gyro is None else _channels(spec.gyro, GYRO_UNITS),
@@ -63,7 +67,11 @@ def _log(spec: LogSpec) -> dict[str, Any]:
         if magnetometer is None
         else {"columns": list(magnetometer.columns), "unit": magnetometer.unit},
     }
-    return _given(values)
+    return _given(values | _dialect(spec.dialect))
+
+
+def _dialect(dialect: Dialect | None) -> dict[str, Any]:
+    return {} if dialect is None else asdict(dialect)
 
 
 def _channels(channels: Channels, units: Mapping[str, Unit]) -> dict[str, Any]:

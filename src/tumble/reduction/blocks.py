@@ -1,4 +1,4 @@
-"""A log reduced to blocks: the means of 0.1 s or less, the state of each channel, and the gyro samples for the turns.
+"""A log reduced to blocks: the means of 0.1 s or less, the state of each channel, and the samples for the turns.
 
 The log is fed chunk by chunk to a `Reducer`. A block is defined by the sample number in its file, so chunks of any size
 give the same blocks.
@@ -6,24 +6,24 @@ give the same blocks.
 
 from __future__ import annotations
 
-import os
-import tempfile
-import weakref
-from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import IO
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log
 from tumble.reduction import kernels as _kernels
+from tumble.reduction.motion_samples import MotionSamples
 from tumble.sensors.model import Block
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 BLOCK_SECONDS = 0.1
-IN_MEMORY_BYTES = 16 * 2**20
+UNRECORDED = 2.0
+"""Samples: what is left between two samples beyond their interval is a gap, not jitter."""
+HELD_SHARE = 0.2
+"""Share of a log in which its channels are taken to repeat by chance, that at rest."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,8 +84,11 @@ class FileBlocks:
     temperature: Array | None
     accel_tail: Tail
     gyro_tail: Tail | None
-    magnetometer: Array | None = None
-    magnetometer_tail: Tail | None = None
+    accel_end: Array
+    gyro_end: Array | None
+    """The last sample of each block, (K, n): what shows the resolution of the channels."""
+    magnetometer: Array | None
+    magnetometer_tail: Tail | None
 
     def accel_mean(self, first: int, last: int) -> Array:
         """Mean accelerometer reading (n,) over blocks first … last − 1, and over the tail where they end the file."""
@@ -104,66 +107,59 @@ class FileBlocks:
         return self.magnetometer_tail.mean(self.magnetometer, first, last)
 
 
-class GyroSamples:
-    """The gyro samples of a log, kept for the turns: body rates (rad/s) from nominal sensors and the interval (s) of
-    each sample, as the log gave them while they are few, in a temporary file beyond IN_MEMORY_BYTES."""
-
-    _BYTES = 4 * 8  # a sample
-
-    def __init__(self) -> None:
-        self._chunks: list[tuple[Array, Array]] = []
-        self._starts: list[int] = []
-        self._files: tuple[IO[bytes], IO[bytes]] | None = None
-        self.count = 0
-
-    def append(self, rates: Array, dt: Array) -> None:
-        """Add samples: mean body rates (m, 3) rad/s over intervals dt (m,) s."""
-        self._chunks.append((rates, dt))
-        self._starts.append(self.count)
-        self.count += len(dt)
-        if self._files is not None or self.count * self._BYTES > IN_MEMORY_BYTES:
-            self._spill()
-
-    def _spill(self) -> None:
-        """Move what is in memory to the files."""
-        if self._files is None:
-            self._files = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115
-            for opened in self._files:
-                weakref.finalize(self, opened.close)
-        for rates, dt in self._chunks:
-            for file, values in zip(self._files, (rates, dt), strict=True):
-                file.seek(0, os.SEEK_END)
-                file.write(np.ascontiguousarray(values).data)
-        self._chunks, self._starts = [], []
-
-    def read(self, start: int, stop: int) -> tuple[Array, Array]:
-        """Increments (m, 3), rad, and intervals (m,), s, of samples start … stop − 1."""
-        if self._files is not None:
-            rates, dt = (_values_at(file, width, start, stop) for file, width in zip(self._files, (3, 1), strict=True))
-            return rates.reshape(-1, 3) * dt[:, None], dt
-        first, last = bisect_right(self._starts, start) - 1, bisect_left(self._starts, stop)
-        rates = np.concatenate([rates for rates, _ in self._chunks[first:last]])
-        dt = np.concatenate([dt for _, dt in self._chunks[first:last]])
-        part = slice(start - self._starts[first], stop - self._starts[first])
-        return rates[part] * dt[part, None], dt[part]
-
-
-def _values_at(file: IO[bytes], width: int, start: int, stop: int) -> Array:
-    """Rows start … stop − 1, `width` numbers each, of a file of numbers."""
-    file.seek(8 * width * start)
-    return np.frombuffer(file.read(8 * width * (stop - start)))
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reduction:
-    """A log reduced to blocks."""
+    """A log, or what there is of it so far, reduced to blocks."""
 
     rate: float
     files: tuple[FileBlocks, ...]
     accel_channels: tuple[ChannelState, ...]
     gyro_channels: tuple[ChannelState, ...]
-    samples: GyroSamples | None
-    magnetometer_channels: tuple[ChannelState, ...] = ()
+    samples: MotionSamples | None
+    magnetometer_channels: tuple[ChannelState, ...]
+    lost: int
+    """Samples that long intervals leave room for; those that were bridged when the log was read are not among them."""
+    repeated_rows: int
+    """Rows whose accelerometers and gyros all read what they read in the row before."""
+    gaps: tuple[Gap, ...] = ()
+    """Lost samples of the log, as it was read."""
+
+    @property
+    def held(self) -> int:
+        """Samples that are copies of the one before: the repeated rows, where they are more than chance makes of
+        channels of coarse resolution, else 0.
+
+        They are if hardly any channel repeats without all the others, or if channels that repeat independently in a
+        HELD_SHARE of the log would seldom do so together."""
+        channels = self.accel_channels + self.gyro_channels
+        samples, fewest = channels[0].samples, min(channel.repeats for channel in channels)
+        share = HELD_SHARE * samples
+        chance = share * float(np.prod([min(1.0, channel.repeats / max(share, 1.0)) for channel in channels]))
+        together = self.repeated_rows >= 0.8 * fewest and fewest <= 0.7 * samples
+        return self.repeated_rows if together or self.repeated_rows > 3.0 * chance + 3.0 else 0
+
+
+class _Growing:
+    """Rows that are added to an array; the views that were given out stay as they are."""
+
+    def __init__(self, width: int) -> None:
+        self._values = np.empty((256, width))
+        self._count = 0
+
+    def add(self, rows: Array) -> None:
+        """Add rows (m, width)."""
+        stop = self._count + len(rows)
+        if stop > len(self._values):
+            larger = np.empty((max(stop, 2 * len(self._values)), self._values.shape[1]))
+            larger[: self._count] = self._values[: self._count]
+            self._values = larger
+        self._values[self._count : stop] = rows
+        self._count = stop
+
+    @property
+    def rows(self) -> Array:
+        """All rows so far."""
+        return self._values[: self._count]
 
 
 class _Channels:
@@ -173,25 +169,29 @@ class _Channels:
     def __init__(self, sensors: int, size: int, increments: bool) -> None:
         self.size = size
         self.increments = increments
-        self.sums = np.zeros(sensors)
-        self.filled = np.zeros(1, dtype=np.int64)
         self.state = _kernels.new_channel_state(sensors)
-        self.blocks: list[Array] = []
+        self.begin_file()
 
-    def feed(self, values: Array, time: Array, dt: Array) -> None:
+    def begin_file(self) -> None:
+        """Blocks begin with the next sample."""
+        self.sums = np.zeros(len(self.state))
+        self.filled = np.zeros(1, dtype=np.int64)
+        self.means = _Growing(len(self.state))
+        self.ends = _Growing(len(self.state))
+
+    def feed(self, values: Array, time: Array, dt: Array, ends: IntArray, seconds: Array) -> None:
+        """Add samples, of which `ends` (k,) are the last of their blocks, which take `seconds` (k,)."""
         weight = dt if self.increments else np.ones(len(dt))
-        out = np.empty(((len(values) + self.size) // self.size, len(self.sums)))
-        count = _kernels.block_sums(values, time, weight, self.size, self.sums, self.filled, self.state, out)
-        self.blocks.append(out[:count])
+        out = np.empty((len(ends), len(self.sums)))
+        _kernels.block_sums(values, time, weight, self.size, self.sums, self.filled, self.state, out)
+        self.means.add(out / (seconds[:, None] if self.increments else float(self.size)))
+        self.ends.add(values[ends])
 
-    def end_file(self, edges: Array) -> tuple[Array, Tail]:
-        """Means of the blocks of the file, and what was left; `edges` (K + 2,) of the blocks and the file's end."""
-        count = len(edges) - 2
-        weight = np.diff(edges) if self.increments else np.append(np.full(count, float(self.size)), self.filled)
-        means = np.concatenate(self.blocks) / weight[:count, None]
-        tail = Tail(total=self.sums, weight=weight)
-        self.blocks, self.filled[0], self.sums = [], 0, np.zeros_like(self.sums)
-        return means, tail
+    def tail(self, covered: Array) -> Tail:
+        """What is left after the last block; `covered` (K + 1,): the time, s, that the samples of each block and of
+        what is left cover."""
+        counted = np.append(np.full(len(covered) - 1, float(self.size)), self.filled)
+        return Tail(total=self.sums.copy(), weight=covered if self.increments else counted)
 
     def states(self) -> tuple[ChannelState, ...]:
         return tuple(_channel_state(row) for row in self.state)
@@ -215,7 +215,8 @@ def _channel_state(row: Array) -> ChannelState:
 
 
 class Reducer:
-    """Takes a log chunk by chunk and keeps what segmentation and reduction need."""
+    """Takes a log chunk by chunk and keeps what segmentation and reduction need. It can be asked at any moment what it
+    has (`now`), and goes on as if nobody had asked."""
 
     def __init__(
         self,
@@ -229,77 +230,133 @@ class Reducer:
         """`increments`: whether accelerometers and gyros came as increments per sample; `magnetometer`: whether there
         is one."""
         self.rate = rate
+        self.accel, self.gyro = accel, gyro
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
         self._accel = _Channels(accel.size, self.size, increments[0])
         self._gyro = _Channels(gyro.size, self.size, increments[1]) if gyro else None
         self._magnetometer = _Channels(3, self.size, increments=False) if magnetometer else None
-        self._to_body = np.linalg.pinv(gyro.axes).T if gyro else np.eye(3)
-        self._along_body = np.array_equal(self._to_body, np.eye(3))
-        self._temperature: list[Array] = []
-        self._times: list[Array] = []
+        self._to_body = [None if block is None else _to_body(block) for block in (accel, gyro)]
         self._files: list[FileBlocks] = []
         self._file = -1
         self._first = 0
         self._count = 0
-        self._start = self._stop = 0.0
-        self._stored = GyroSamples() if gyro else None
+        self._stop = 0.0
+        self._edges, self._temperature = _Growing(1), _Growing(1)
+        self._unrecorded: dict[int, float] = {}
+        self._stored = MotionSamples() if gyro else None
+        self._lost = self._repeated = 0
+        self._last: tuple[Array, ...] = ()
 
     def feed(self, chunk: Chunk) -> None:
         """Add the next samples of the log."""
         if chunk.file != self._file:
-            self._end_file()
-            self._file, self._start = chunk.file, float(chunk.time[0] - chunk.dt[0])
-            self._first, self._count = self._first + self._count, 0
-        self._accel.feed(chunk.accel, chunk.time, chunk.dt)
-        if self._gyro and self._stored is not None and chunk.gyro is not None:
-            self._gyro.feed(chunk.gyro, chunk.time, chunk.dt)
-            body = chunk.gyro if self._along_body else chunk.gyro @ self._to_body
-            self._stored.append(body, chunk.dt)
-        if self._magnetometer and chunk.magnetometer is not None:
-            self._magnetometer.feed(chunk.magnetometer, chunk.time, chunk.dt)
+            self._begin_file(chunk)
+        self._note_unrecorded(chunk)
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
-        self._times.append(chunk.time[ends])
+        before = len(self._edges.rows)
+        self._edges.add(chunk.time[ends, None])
+        seconds = self._covered(before - 1, self._edges.rows[before - 1 :, 0])
+        self._accel.feed(chunk.accel, chunk.time, chunk.dt, ends, seconds)
+        if self._gyro and self._stored is not None and chunk.gyro is not None:
+            self._gyro.feed(chunk.gyro, chunk.time, chunk.dt, ends, seconds)
+            rates, forces = (_body(v, to) for v, to in zip((chunk.gyro, chunk.accel), self._to_body[::-1], strict=True))
+            self._stored.append(rates, forces, chunk.dt)
+        if self._magnetometer and chunk.magnetometer is not None:
+            self._magnetometer.feed(chunk.magnetometer, chunk.time, chunk.dt, ends, seconds)
         if chunk.temperature is not None:
-            self._temperature.append(chunk.temperature[ends])
+            self._temperature.add(chunk.temperature[ends, None])
+        self._count_repeated(chunk)
+        late = chunk.dt[chunk.dt > 1.5 / self.rate]
+        self._lost += int(np.round(late * self.rate).sum()) - len(late)
         self._count += len(chunk.time)
         self._stop = float(chunk.time[-1])
 
-    def _end_file(self) -> None:
-        if self._file < 0:
-            return
-        edges = np.concatenate([[self._start], *self._times, [self._stop]])
-        accel, accel_tail = self._accel.end_file(edges)
-        gyro, gyro_tail = self._gyro.end_file(edges) if self._gyro else (None, None)
-        field, field_tail = self._magnetometer.end_file(edges) if self._magnetometer else (None, None)
-        self._files.append(
-            FileBlocks(
-                file=self._file,
-                first_sample=self._first,
-                size=self.size,
-                edges=edges[:-1],
-                accel=accel,
-                gyro=gyro,
-                temperature=np.concatenate(self._temperature) if self._temperature else None,
-                accel_tail=accel_tail,
-                gyro_tail=gyro_tail,
-                magnetometer=field,
-                magnetometer_tail=field_tail,
-            )
-        )
-        self._times, self._temperature = [], []
+    def _note_unrecorded(self, chunk: Chunk) -> None:
+        """Keep the blocks in which time passed between two samples that no sample covers, and how much, s."""
+        before = self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
+        left = chunk.time - chunk.dt - np.concatenate([[before], chunk.time[:-1]])
+        for i in np.flatnonzero(left > UNRECORDED / self.rate).tolist():
+            block = (self._count + i) // self.size
+            self._unrecorded[block] = self._unrecorded.get(block, 0.0) + float(left[i])
 
-    def finish(self) -> Reduction:
-        """The reduction of all that was fed."""
-        self._end_file()
-        self._file = -1
+    def _covered(self, first: int, edges: Array) -> Array:
+        """The time (k,), s, that the samples of blocks with these edges (k + 1,) cover, from block `first` on."""
+        seconds = np.diff(edges)
+        for block, left in self._unrecorded.items():
+            if first <= block < first + len(seconds):
+                seconds[block - first] -= left
+        return seconds
+
+    def _count_repeated(self, chunk: Chunk) -> None:
+        """Add up the rows that are equal to the ones before; the first of a file has none before it."""
+        readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
+        if self._last:
+            self._repeated += all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))
+        rows = np.flatnonzero(chunk.accel[1:, 0] == chunk.accel[:-1, 0])
+        for values in readings:
+            rows = rows[(values[rows + 1] == values[rows]).all(axis=1)]
+        self._repeated += len(rows)
+        self._last = tuple(values[-1].copy() for values in readings)
+
+    def _begin_file(self, chunk: Chunk) -> None:
+        if self._file >= 0:
+            self._files.append(self._blocks())
+        for channels in (self._accel, self._gyro, self._magnetometer):
+            if channels:
+                channels.begin_file()
+        self._file, self._first, self._count = chunk.file, self._first + self._count, 0
+        self._edges, self._temperature, self._last = _Growing(1), _Growing(1), ()
+        self._unrecorded = {}
+        self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
+
+    def _blocks(self) -> FileBlocks:
+        """The blocks of the present file so far."""
+        edges = self._edges.rows[:, 0]
+        accel, gyro, field = self._accel, self._gyro, self._magnetometer
+        covered = self._covered(0, np.append(edges, self._stop))
+        return FileBlocks(
+            file=self._file,
+            first_sample=self._first,
+            size=self.size,
+            edges=edges,
+            accel=accel.means.rows,
+            gyro=gyro.means.rows if gyro else None,
+            temperature=self._temperature.rows[:, 0] if len(self._temperature.rows) else None,
+            accel_end=accel.ends.rows,
+            gyro_end=gyro.ends.rows if gyro else None,
+            accel_tail=accel.tail(covered),
+            gyro_tail=gyro.tail(covered) if gyro else None,
+            magnetometer=field.means.rows if field else None,
+            magnetometer_tail=field.tail(covered) if field else None,
+        )
+
+    def now(self) -> Reduction:
+        """The reduction of what was fed so far, to the bit that of a log which ends here. Only weights are copied, the
+        blocks are not; more may be fed afterwards."""
         return Reduction(
             rate=self.rate,
-            files=tuple(self._files),
+            files=(*self._files, self._blocks()) if self._file >= 0 else (),
             accel_channels=self._accel.states(),
             gyro_channels=self._gyro.states() if self._gyro else (),
             samples=self._stored,
             magnetometer_channels=self._magnetometer.states() if self._magnetometer else (),
+            lost=self._lost,
+            repeated_rows=self._repeated,
         )
+
+    def finish(self) -> Reduction:
+        """The reduction of the whole log."""
+        return self.now()
+
+
+def _to_body(block: Block) -> Array | None:
+    """(n, 3), which takes readings to the body; None where they are in it."""
+    matrix = np.asarray(np.linalg.pinv(block.axes).T, dtype=float)
+    return None if np.array_equal(matrix, np.eye(3)) else matrix
+
+
+def _body(values: Array, to_body: Array | None) -> Array:
+    return values if to_body is None else values @ to_body
 
 
 def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None) -> Reduction:
@@ -315,7 +372,7 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
     )
     for chunk in _one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
-    return reducer.finish()
+    return replace(reducer.finish(), gaps=log.gaps)
 
 
 def _one_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:

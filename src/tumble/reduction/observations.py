@@ -17,26 +17,41 @@ Forster et al. 2017) with body-frame sensors and the two-sample coning term.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from itertools import accumulate
+from dataclasses import dataclass, field, replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 
 from tumble.programme.positions import Programme
+from tumble.recording.gaps import Gap
 from tumble.recording.session import Site
-from tumble.reduction import kernels as _kernels
-from tumble.reduction.blocks import ChannelState, FileBlocks, GyroSamples, Reduction
+from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.matching import Match
+from tumble.reduction.moments import (
+    NO_OWN_AXES,
+    BlockCompensation,
+    Compensation,
+    Moments,
+    OwnAxes,
+    Pieces,
+    integrate,
+    moments_of,
+)
+from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.segmentation import RestSpan
 from tumble.rotation import tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
 BATCH_SAMPLES = 2**20
+AHEAD = 2
+"""Samples kept ahead of every piece of a turn, which the first step wants."""
 ACCEL_FLOOR = 1e-9  # m/s²
 GYRO_FLOOR = 1e-11  # rad/s
 PATH_STEPS = 32
+VELOCITY_FLOOR = 1e-8  # m/s
+VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: what the integration errs by
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
@@ -69,8 +84,10 @@ class Rests:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Turns:
     """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
-    M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²,
-    resolved in the body at the start of the turn."""
+    M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
+    velocity increment (K, 3), m/s, its covariance (K, 3, 3) from accelerometer noise, and `jumps` (K,), m²/s², the sum
+    of the squares of what the force jumps by from sample to sample times the interval (A3). All are resolved in the
+    non-rotating frame that is the body at the start of the turn."""
 
     first: IntArray
     last: IntArray
@@ -79,27 +96,25 @@ class Turns:
     M: Array
     B: Array
     covariance: Array
+    velocity: Array
+    velocity_covariance: Array
+    jumps: Array
 
     def __len__(self) -> int:
         return len(self.duration)
-
-
-Batch = tuple[Array, Array, IntArray, IntArray, IntArray]
-"""Increments, intervals, the turn of each piece, and the range of each piece among them; the sample before every
-piece is kept ahead of it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnSamples:
     """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`."""
 
-    samples: GyroSamples
+    samples: MotionSamples
     start: IntArray
     stop: IntArray
-    _only_batch: list[Batch] = field(default_factory=list, repr=False)
+    _only_batch: list[Pieces] = field(default_factory=list, repr=False)
 
-    def pieces(self) -> Iterator[Batch]:
-        """Batches of whole or cut turns. Turns that fill one batch at most are gathered once."""
+    def pieces(self) -> Iterator[Pieces]:
+        """Batches of whole or cut turns, of no turn two pieces. Turns that fill one batch at most are gathered once."""
         if self._only_batch:
             return iter(self._only_batch)
         if int(np.sum(self.stop - self.start)) < BATCH_SAMPLES:
@@ -107,29 +122,27 @@ class TurnSamples:
             return iter(self._only_batch)
         return self._gathered()
 
-    def _gathered(self) -> Iterator[Batch]:
-        increments: list[Array] = []
-        intervals: list[Array] = []
+    def _gathered(self) -> Iterator[Pieces]:
+        parts: list[tuple[Array, Array, Array]] = []
         pieces: list[tuple[int, int, int]] = []
         count = 0
         for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True)):
             for at in range(int(start), int(stop), BATCH_SAMPLES):
-                end = min(at + BATCH_SAMPLES, int(stop))
-                increment, interval = self.samples.read(at - 1, end)
-                increments.append(increment)
-                intervals.append(interval)
-                pieces.append((turn, count + 1, count + 1 + end - at))
-                count += len(interval)
+                end, ahead = min(at + BATCH_SAMPLES, int(stop)), min(AHEAD, at)
+                parts.append(self.samples.read(at - ahead, end))
+                pieces.append((turn, count + ahead, count + ahead + end - at))
+                count += end - at + ahead
                 if count >= BATCH_SAMPLES:
-                    yield _batch(increments, intervals, pieces)
-                    increments, intervals, pieces, count = [], [], [], 0
+                    yield _pieces(parts, pieces)
+                    parts, pieces, count = [], [], 0
         if pieces:
-            yield _batch(increments, intervals, pieces)
+            yield _pieces(parts, pieces)
 
 
-def _batch(increments: list[Array], intervals: list[Array], pieces: list[tuple[int, int, int]]) -> Batch:
+def _pieces(parts: list[tuple[Array, Array, Array]], pieces: list[tuple[int, int, int]]) -> Pieces:
+    rates, forces, intervals = (np.concatenate(part) for part in zip(*parts, strict=True))
     turn, start, stop = np.array(pieces).T
-    return np.concatenate(increments), np.concatenate(intervals), turn, start, stop
+    return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turn, start=start, stop=stop)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -158,47 +171,44 @@ class Observations:
     """Parameter values to start from, by name; zero where there is none."""
     turn_readings: TurnReadings | None = None
     """Only where there are more than three gyros."""
+    usual: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
 
     def start_values(self, block: Block) -> Array:
         """Start values of a block's parameters, in their order."""
         return np.array([self.start.get(name, 0.0) for name in block.names])
 
+    def moments_about(self, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
+        """The moments of the turns with samples compensated in this way."""
+        if self.turns is None or self.turn_samples is None:
+            raise ValueError("moments_about: expected observations of a log with gyros and turns, found none")
+        return integrate(self.turn_samples.pieces(), len(self.turns), compensation, own)
+
     def turns_about(self, gyro: SensorModel) -> Turns:
         """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the
         sensitivities at this model."""
-        if self.turns is None or self.turn_samples is None or self.gyro_block is None:
+        if self.turns is None or self.gyro_block is None:
             raise ValueError("turns_about: expected observations of a log with gyros and turns, found none")
-        transform, offset = _compensation(self.gyro_block, gyro)
-        C, M, B = _integrate(self.turn_samples, len(self.turns), transform, offset)
-        return Turns(
-            first=self.turns.first,
-            last=self.turns.last,
-            duration=self.turns.duration,
-            C=C,
-            M=M,
-            B=B,
-            covariance=self.turns.covariance,
+        accel = self.accel_block
+        moments = self.moments_about(_linear(self.gyro_block, gyro, accel, accel.nominal()))
+        return replace(
+            self.turns,
+            C=moments.C,
+            M=moments.Phi[..., 1:4],
+            B=moments.Phi[..., 0],
+            velocity=moments.V,
+            jumps=moments.jumps,
         )
 
 
-def _compensation(block: Block, gyro: SensorModel) -> tuple[Array, Array]:
-    """A and c of ω = A y + c, where y are body rates from nominal sensors."""
-    to_body = np.linalg.pinv(block.axes)
-    transform = np.asarray(np.linalg.inv(to_body @ gyro.matrix), dtype=float)
-    return transform, -transform @ (to_body @ gyro.bias)
-
-
-def _integrate(samples: TurnSamples, turns: int, transform: Array, offset: Array) -> tuple[Array, Array, Array]:
-    """C, M and B of every turn; pieces of long turns are joined exactly."""
-    C = np.broadcast_to(np.eye(3), (turns, 3, 3)).copy()
-    M, B = np.zeros((turns, 3, 3, 3)), np.zeros((turns, 3, 3))
-    for increments, intervals, turn, start, stop in samples.pieces():
-        pieces = _kernels.preintegrate(increments, intervals, start, stop, transform, offset)
-        piece_C, piece_M, piece_B = pieces  # no turn has two pieces in a batch
-        M[turn] += (C[turn] @ piece_M.reshape(-1, 3, 9)).reshape(-1, 3, 3, 3)
-        B[turn] += C[turn] @ piece_B
-        C[turn] = C[turn] @ piece_C
-    return C, M, B
+def _linear(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: SensorModel) -> Compensation:
+    """Compensation by the linear models."""
+    return Compensation(
+        gyro=BlockCompensation.of(gyro.axes, gyro_model),
+        accel=BlockCompensation.of(accel.axes, accel_model),
+        g_sensitivity=np.zeros((3, 3)),
+        delay=0.0,
+    )
 
 
 def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None, site: Site) -> Observations:
@@ -237,7 +247,10 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
     )
     turns, samples, readings = None, None, None
     if gyro is not None and gyro_fit is not None and reduction.samples is not None:
-        turns, samples = _turns(reduction.samples, by_file, spans, gyro, gyro_fit, block_seconds)
+        accel_fit = fit_coloured_noise(accel_series)
+        whole = _recorded_turns(spans, reduction.gaps)
+        noises = (accel, accel_fit), (gyro, gyro_fit)
+        turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
         readings = _turn_readings(by_file, spans, turns, gyro_fit, block_seconds) if gyro.size > 3 else None
     return Observations(
         accel_block=accel,
@@ -334,29 +347,69 @@ def _drift(series: list[Array]) -> Array:
     return np.array(out)
 
 
+def _recorded_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> list[tuple[int, int]]:
+    """The rests before and after each turn that was recorded as a whole, in one file."""
+    broken = [gap for gap in gaps if not gap.integrable]
+    return [
+        (i, i + 1)
+        for i, (before, after) in enumerate(pairwise(spans))
+        if before.file == after.file
+        and not any(g.file == before.file and g.time < after.start and g.stop > before.stop for g in broken)
+    ]
+
+
 def _turns(
-    stored: GyroSamples,
+    stored: MotionSamples,
     by_file: dict[int, FileBlocks],
     spans: tuple[RestSpan, ...],
-    gyro: Block,
-    noise: ColouredNoise,
+    pairs: list[tuple[int, int]],
+    accel_noise: tuple[Block, ColouredNoise],
+    gyro_noise: tuple[Block, ColouredNoise],
     block_seconds: float,
 ) -> tuple[Turns, TurnSamples]:
-    """The turns between consecutive rests of a file, integrated with nominal gyros."""
-    pairs = [(i, i + 1) for i in range(len(spans) - 1) if spans[i].file == spans[i + 1].file]
+    """The turns between consecutive rests `pairs` of a file, integrated with nominal gyros."""
     first, last = np.array(pairs, dtype=int).reshape(-1, 2).T
     sample = {f: (by_file[f].first_sample, by_file[f].size) for f in by_file}
     start = np.array([sample[spans[i].file][0] + sample[spans[i].file][1] * spans[i].last for i in first], dtype=int)
     stop = np.array([sample[spans[j].file][0] + sample[spans[j].file][1] * spans[j].first for j in last], dtype=int)
     duration = np.array([spans[j].start - spans[i].stop for i, j in pairs])
     samples = TurnSamples(samples=stored, start=start, stop=stop)
-    C, M, B = _integrate(samples, len(pairs), *_compensation(gyro, gyro.nominal()))
-    to_body = np.linalg.pinv(gyro.axes)
+    (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
+    linear = _linear(gyro, gyro.nominal(), accel, accel.nominal())
+    moments = integrate(samples.pieces(), len(pairs), linear)
     long = np.maximum(duration, block_seconds)
-    density = [T * to_body @ noise.covariance_of_mean(T / block_seconds) @ to_body.T for T in long]
-    covariance = _carried(samples, np.array(density).reshape(-1, 3, 3)) + TURN_FLOOR**2 * np.eye(3)
-    turns = Turns(first=first, last=last, duration=duration, C=C, M=M, B=B, covariance=covariance)
+    density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
+    velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
+    turns = Turns(
+        first=first,
+        last=last,
+        duration=duration,
+        C=moments.C,
+        M=moments.Phi[..., 1:4],
+        B=moments.Phi[..., 0],
+        covariance=_carried(samples, density) + TURN_FLOOR**2 * np.eye(3),
+        velocity=moments.V,
+        velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
+        jumps=moments.jumps,
+    )
     return turns, samples
+
+
+_BODY = Block(kind="gyro", axes=np.eye(3))
+
+
+def velocity_floor(moments: Moments, samples: IntArray) -> Array:
+    """Standard deviation (K,), m/s, of the velocities of turns of so many samples (K,) from rounding and from the error
+    of the integration, which is of third order in the angle of a step (A1)."""
+    mean_square = (moments.body_rates[:, [0, 3, 5]]).sum(axis=1) * moments.T
+    step = np.sqrt(mean_square) / np.maximum(samples, 1)
+    return np.asarray(VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * step**3)
+
+
+def _of_mean(block: Block, noise: ColouredNoise, blocks: float) -> Array:
+    """Covariance (3, 3) of a mean over so many blocks, in the body."""
+    to_body = np.linalg.pinv(block.axes)
+    return np.asarray(to_body @ noise.covariance_of_mean(blocks) @ to_body.T)
 
 
 def _turn_readings(
@@ -381,12 +434,21 @@ def _carried(samples: TurnSamples, density: Array) -> Array:
     trapezoidal rule over PATH_STEPS steps a piece."""
     C = np.broadcast_to(np.eye(3), density.shape).copy()
     out = np.zeros_like(density)
-    for increments, intervals, turn, start, stop in samples.pieces():
-        passed = np.concatenate([[0.0], np.cumsum(intervals)])
-        for k, a, b in zip(turn, start, stop, strict=True):
-            edges = np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))
-            steps, _, _ = _kernels.preintegrate(increments, intervals, edges[:-1], edges[1:], np.eye(3), np.zeros(3))
-            path = np.array(list(accumulate(steps, np.matmul, initial=C[k])))
+    nominal = _linear(_BODY, _BODY.nominal(), _BODY, _BODY.nominal())
+    for pieces in samples.pieces():
+        passed = np.concatenate([[0.0], np.cumsum(pieces.intervals)])
+        cuts = [
+            np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))
+            for a, b in zip(pieces.start, pieces.stop, strict=True)
+        ]
+        steps = moments_of(
+            replace(pieces, start=np.concatenate([c[:-1] for c in cuts]), stop=np.concatenate([c[1:] for c in cuts])),
+            nominal,
+        ).C
+        at = 0
+        for k, edges in zip(pieces.turn, cuts, strict=True):
+            path = np.array(list(accumulate(steps[at : at + len(edges) - 1], np.matmul, initial=C[k])))
+            at += len(edges) - 1
             rotated = path @ density[k] @ np.swapaxes(path, 1, 2)
             out[k] += 0.5 * np.tensordot(np.diff(passed[edges]), rotated[1:] + rotated[:-1], axes=1)
             C[k] = path[-1]

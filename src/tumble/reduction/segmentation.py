@@ -210,16 +210,36 @@ def _extended(signals: list[tuple[Array, float]], first: int, last: int, window:
     """A stretch of blocks with its ends set where single blocks leave EDGE_SIGMAS of its own scatter: the moving
     window has blurred them by half its length."""
     tenth = (last - first) // 10
-    inside = np.ones(len(signals[0][0]), dtype=bool)
-    for values, rounding in signals:
-        core = values[first + tenth : last - tenth]
-        mean, sigma = core.mean(axis=0), np.sqrt(core.var(axis=0).sum())
-        inside &= np.linalg.norm(values - mean, axis=1) <= EDGE_SIGMAS * sigma + rounding
-    half = min(window, last - first) // 2
-    before, after = inside[: first + half][::-1], inside[last - half :]
-    start = first + half - (len(before) if before.all() else int(np.argmin(before)))
-    stop = last - half + (len(after) if after.all() else int(np.argmin(after)))
+    cores = [values[first + tenth : last - tenth] for values, _ in signals]
+    means, sigmas = [core.mean(axis=0) for core in cores], [np.sqrt(core.var(axis=0).sum()) for core in cores]
+
+    def inside(rows: slice) -> BoolArray:
+        each = [
+            np.linalg.norm(values[rows] - mean, axis=1) <= EDGE_SIGMAS * sigma + rounding
+            for (values, rounding), mean, sigma in zip(signals, means, sigmas, strict=True)
+        ]
+        return np.asarray(np.logical_and.reduce(each))
+
+    half, blocks = min(window, last - first) // 2, len(signals[0][0])
+    start, stop = first + half, last - half
+    while start > 0 and (added := _run_at_end(inside(slice(max(0, start - _STRIDE), start)))):
+        start -= added
+        if added < _STRIDE:
+            break
+    while stop < blocks and (added := _run_at_end(inside(slice(stop, stop + _STRIDE))[::-1])):
+        stop += added
+        if added < _STRIDE:
+            break
     return start, stop
+
+
+_STRIDE = 256
+"""Blocks that are looked at together where a stretch is extended."""
+
+
+def _run_at_end(flags: BoolArray) -> int:
+    """How many of the last flags in a row are true."""
+    return len(flags) if flags.all() else int(np.argmin(flags[::-1]))
 
 
 def _tilt(force: Array, window: int) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -107,3 +108,15 @@ def grade(name: str) -> Grade:
         advice = f"; did you mean {near[0]!r}?" if near else ""
         raise InputError(f"grade: expected one of {', '.join(GRADES)}, found {name!r}{advice}")
     return GRADES[name]
+
+
+def guessed_grade(accel_white: float, gyro_white: float | None) -> str:
+    """The grade whose white noise, m/s²/√Hz and rad/s/√Hz (None without gyros), is nearest to what a recording shows,
+    by ratios. Accelerometers say less: those of one grade differ more than their gyros."""
+
+    def distance(name: str) -> float:
+        noise = GRADES[name].noise
+        by_accel = 0.3 * abs(math.log(max(accel_white, 1e-12) / noise.accel_white))
+        return by_accel if gyro_white is None else by_accel + abs(math.log(max(gyro_white, 1e-15) / noise.gyro_white))
+
+    return min(GRADES, key=distance)

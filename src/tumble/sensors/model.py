@@ -75,6 +75,21 @@ class Block:
         return _names(self.kind, self.size, self.triad)
 
     @property
+    def sensors(self) -> tuple[str, ...]:
+        """What the sensors are called in the names of parameters: x, y, z of a triad, else 0, 1, …"""
+        return ("x", "y", "z") if self.triad else tuple(str(p) for p in range(self.size))
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """What the axis angles are called in the names of parameters."""
+        return _angles(self.kind, self.size, self.triad)
+
+    @property
+    def channels(self) -> IntArray:
+        """The channel (n,) of each sensor in the order of `sensors`."""
+        return self._channel_of_axis() if self.triad else np.arange(self.size)
+
+    @property
     def units(self) -> tuple[str, ...]:
         """SI units of the parameters, in the order of `names`."""
         n = self.size
@@ -194,12 +209,14 @@ def _along_body_axes(axes: bytes) -> bool:
 def _names(kind: SensorKind, size: int, triad: bool) -> tuple[str, ...]:
     """Parameter names of a block of so many sensors."""
     sensors = ["x", "y", "z"] if triad else [str(p) for p in range(size)]
-    kinds = [f"{what}.{s}" for what in ("bias", "scale") for s in sensors]
-    if triad:
-        kinds += [f"axis.{pair}" for pair in _FREE_PAIRS[kind]]
-    else:
-        kinds += [f"axis.{p}.{1 + j}" for p, j in _free_angles(kind, size)]
-    return tuple(f"{kind}.{name}" for name in kinds)
+    parts = [f"{what}.{s}" for what in ("bias", "scale") for s in sensors]
+    return tuple(f"{kind}.{part}" for part in (*parts, *(f"axis.{angle}" for angle in _angles(kind, size, triad))))
+
+
+@lru_cache(maxsize=64)
+def _angles(kind: SensorKind, size: int, triad: bool) -> tuple[str, ...]:
+    """What the axis angles of a block of so many sensors are called."""
+    return _FREE_PAIRS[kind] if triad else tuple(f"{p}.{1 + j}" for p, j in _free_angles(kind, size))
 
 
 def _free_angles(kind: SensorKind, size: int) -> list[tuple[int, int]]:

@@ -9,9 +9,11 @@ What is exact. A rest is its true mean reading plus noise of the covariance that
 is what it is in a log. A turn is a rotation at constant inertial rate about an axis fixed in the body, from one true
 attitude to the next; every reading of it is then constant, so that a few samples integrate to the rotation about any
 gyro model without an error of discretisation. These samples (SAMPLES a turn, with white noise) are kept, so that
-`Observations.turns_about` works as it does for a log; the sensitivities M and B are midpoint sums over them, right to
-about 1e-4. A log made by `simulate` differs in that its turns have ramps and geographic axes, which moves M and B by
-some 1e-3, and in that the noise has to be estimated from it; here the covariances are the true ones.
+`Observations.turns_about` works as it does for a log, and with them readings of the accelerometers: the exact mean of
+gravity over each interval through their model, with bias and white noise. The sensitivities M and B are midpoint sums
+over the samples, right to about 1e-4. A log made by `simulate` differs in that its turns have ramps and geographic
+axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are
+the true ones.
 
 What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than a bias that is
 drawn anew at every rest and held through the move that follows (`NoiseModel`), of which the covariances know nothing.
@@ -23,27 +25,32 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.planning.inertial_turns import inertial_turns
-from tumble.reduction.blocks import GyroSamples
+from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import (
     ACCEL_FLOOR,
+    AHEAD,
     GYRO_FLOOR,
     TURN_FLOOR,
+    VELOCITY_FLOOR,
+    VELOCITY_STEP,
     Observations,
     Rests,
     TurnReadings,
     Turns,
     TurnSamples,
 )
-from tumble.rotation import onto_body, rotation_matrix
+from tumble.rotation import onto_body, rotation_matrix, skew
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.units import Array, IntArray
 
-SAMPLES = 64
+ComplexArray = npt.NDArray[np.complex128]
+SAMPLES = 256
 """Samples of a turn."""
 
 
@@ -65,7 +72,7 @@ def simulate_observations(
     gyro = _NoisyBlock.of(scenario.gyro, scenario, len(way.rests), noise)
     rests = _rests(scenario, way, accel, gyro, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
-    turns, samples, readings = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), gyro, noise)
+    turns, samples, readings = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), accel, gyro, noise)
     site = scenario.site
     observations = Observations(
         accel_block=scenario.accel,
@@ -138,10 +145,10 @@ def _rests(
 
 
 def _turns(
-    scenario: Scenario, way: Itinerary, first: IntArray, gyro: _NoisyBlock, rng: np.random.Generator
+    scenario: Scenario, way: Itinerary, first: IntArray, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
-    """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn one more is kept
-    ahead of it, which the coning term wants."""
+    """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
+    kept ahead of it, which its first step wants, as if it turned already."""
     block = scenario.gyro
     K, n, to_body = len(first), block.size, onto_body(block.axes)
     T = way.rests[first + 1, 0] - way.rests[first, 1]
@@ -149,11 +156,22 @@ def _turns(
     vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
     readings = (vector / T[:, None]) @ gyro.model.matrix.T + gyro.bias[first]
     dt = T / SAMPLES
-    sampled = np.repeat(readings[:, None, :], SAMPLES + 1, axis=1)
-    sampled[:, 1:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
-    stored = GyroSamples()
-    stored.append((sampled @ to_body.T).reshape(-1, 3), np.repeat(dt, SAMPLES + 1))
-    start = 1 + (SAMPLES + 1) * np.arange(K)
+    sampled = np.repeat(readings[:, None, :], SAMPLES + AHEAD, axis=1)
+    sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
+    force = scenario.site.gravity * _mean_verticals(scenario, way.attitudes[first], vector, T)
+    felt = force @ accel.model.matrix.T + accel.bias[first][:, None]
+    felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
+    stored = MotionSamples()
+    stored.append(
+        (sampled @ to_body.T).reshape(-1, 3),
+        (felt @ np.linalg.pinv(scenario.accel.axes).T).reshape(-1, 3),
+        np.repeat(dt, SAMPLES + AHEAD),
+    )
+    start = AHEAD + (SAMPLES + AHEAD) * np.arange(K)
+    to_force = np.linalg.pinv(scenario.accel.axes)
+    spread = np.trace(to_force @ to_force.T) / 3.0
+    step = np.linalg.norm(vector, axis=1) / SAMPLES
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
     turns = Turns(
         first=first,
         last=first + 1,
@@ -162,12 +180,50 @@ def _turns(
         M=np.zeros((K, 3, 3, 3)),
         B=np.zeros((K, 3, 3)),
         covariance=gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3),
+        velocity=np.zeros((K, 3)),
+        velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
+        jumps=np.zeros(K),
     )
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(
-        integral=sampled[:, 1:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
+        integral=sampled[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
     )
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
+
+
+def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -> Array:
+    """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample of turns from attitudes `start`
+    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before, as if it turned
+    already.
+
+    With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
+
+        exp(−[n×] ωt) L₀ᵀ exp([m×] Ωt) e_U,   exp([n×] θ) = Σ_p P_p(n) e^{ipθ},   p = −1, 0, 1
+
+    is a sum of products whose mean over an interval is that of e^{iλt}: its value in the middle times sinc."""
+    earth = np.array(earth_rate(scenario.latitude))
+    angle, earth_norm = np.linalg.norm(vector, axis=1), float(np.linalg.norm(earth))
+    P = _spectral(vector / np.where(angle > 0.0, angle, 1.0)[:, None])
+    Q = [start.swapaxes(1, 2) @ part[0, :, 1] for part in _spectral(earth[None] / earth_norm)]
+    dt = T / SAMPLES
+    middle = (np.arange(SAMPLES + AHEAD) - AHEAD + 0.5) * dt[:, None]
+    turned, earth_turned = np.exp(-1j * (angle / T)[:, None] * middle), np.exp(1j * earth_norm * middle)
+    waves = {(0, 0): 1.0, (0, 1): earth_turned, (1, -1): turned * earth_turned.conj()}
+    waves |= {(1, 0): turned, (1, 1): turned * earth_turned}  # the other four are the conjugates of these
+    out = np.zeros((len(T), SAMPLES + AHEAD, 3))
+    for (p, q), wave in waves.items():
+        part = (P[p + 1] @ Q[q + 1][:, :, None]).swapaxes(1, 2)
+        sinc = np.sinc(0.5 / np.pi * (q * earth_norm - p * angle / T) * dt)
+        mean = wave * (sinc if p == q == 0 else 2.0 * sinc)[:, None]
+        out += (mean[:, :, None] * part).real
+    return out
+
+
+def _spectral(axis: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """P₋₁, P₀ and P₁ (K, 3, 3) of the rotations about unit vectors (K, 3): exp([n×] θ) = Σ P_p e^{ipθ}."""
+    along = axis[:, :, None] * axis[:, None, :]
+    across, turned = 0.5 * (np.eye(3) - along), 0.5j * skew(axis)
+    return across + turned, np.asarray(along, dtype=complex), across - turned
 
 
 def _carried(vector: Array, density: Array) -> Array:

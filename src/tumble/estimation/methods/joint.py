@@ -1,98 +1,120 @@
 """Joint method: maximum likelihood over everything a session contains.
 
-All sensor parameters, the attitudes of all rests and local gravity are found at once from the rest means of both
-blocks, the turns, the Earth's rate and the measured gravity (`tumble.estimation.likelihood`), by Gauss–Newton. The
-table's angles are not used. The estimate reaches the Cramér–Rao bound.
+All parameters of the instrument, the attitudes of all rests and local gravity are found at once from the rest means of
+both blocks, the rotations and velocities of the turns, the Earth's rate and the measured gravity
+(`tumble.estimation.likelihood`), by Gauss–Newton. The table's angles are not used. The estimate reaches the Cramér–Rao
+bound.
 
 Start, in closed form: verticals from nominal accelerometers; gyro parameters by one linear least-squares pass over the
 rests and over the verticals that the turns carry (the indirect method); headings carried along each chain of turns, and
 turned together by what the gyros see of the horizontal Earth's rate. A chain whose heading they hardly see (no better
 than UNSEEN) keeps it where it is: it is still an unknown of every step, so that it takes nothing from the parameters.
 
-Turns are integrated again about the current gyros wherever the second-order effect of the change since exceeds 1e-7 rad
-or a hundredth of the turn's noise.
+Turns are integrated again about the current parameters wherever the second-order effect of the change since counts
+(`TurnsAbout.good_for`).
 
-Scatter on top of the noise within rests: of the accelerometers and the gyros from rest to rest, and of the turns, each
-where the residuals of its group are larger than expected (SCATTER_PROBABILITY); then it is what makes the
-two equal. What is expected of a squared residual is its variance less what the fit takes, the leverage. A scatter of
-the gyros lasts through the turn that follows.
+Groups beyond the linear model are all kept, each with a prior of its usual size (dynamics method, A4). A prior that the
+data exceed is widened, never narrowed:
 
-What is seen: a parameter counts as determined when it is known DETERMINED times better than its spread, which is its
-prior; so does a combination of parameters.
+    λ² ← max(1, mean of (ĉ² + Var ĉ)/s²),   s ← λ s   until it settles                                            (A4)
 
-What fits: a rest or turn is judged by how much chi-square falls without it, rᵀ M⁻¹ r with M the covariance of its
-residuals r after the fit, as Gaussian sigmas of the same probability (F where the scale is estimated too). One bad rest
-of few hides behind the scatter it makes. So where a group scatters and one of it stands out before the scatter is
-allowed for, everything is estimated again without it, and so on; then these are judged by what the others predict.
+Scatter on top of the noise within rests is estimated by restricted maximum likelihood (A3): with D = ∂Σ/∂σ², P the
+projector onto residuals, score ½(rᵀPDPr − tr PD), information ½ tr PDPD of which the part within a rest and its turn is
+taken. A component counts where chance alone would exceed its score less often than SCATTER_PROBABILITY.
+
+How many degrees of freedom stand behind a u is by Welch–Satterthwaite: ν = 2 u⁴ / Var(u²), with the variance from that
+of the components of scatter.
+
+What is seen: a parameter of the linear model counts as determined when it is known DETERMINED times better than its
+limit; so does a combination of them.
+
+What fits: a rest or turn is judged by how much chi-square falls without it, as Gaussian sigmas of the same
+probability (F where the scale is estimated too). One bad rest of few hides behind the scatter it makes. So where a
+group scatters and one of it stands out before the scatter is allowed for, everything is estimated again without it,
+and so on; then these are judged by what the others predict.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
 from tumble.earth import EARTH_RATE
 from tumble.estimation.elimination import carry
-from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, chance_of
+from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, GroupFinding
 from tumble.estimation.likelihood import (
+    COMPONENTS,
     NO_PRIOR,
     Left,
+    Noise,
     Point,
     Prior,
     Problem,
     Rows,
     Scatter,
     Step,
-    TurnsAbout,
     Weights,
     left,
     linearise,
+    noise_of,
     solve,
-    weights,
+    variables_of,
 )
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
+from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 30
 CONVERGED = 1e-3  # of the standard uncertainty
 SQUARED = 10.0  # error after a step, in units of the spreads, over the square of the step
-SECOND_ORDER = 1e-7  # rad
-SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
 UNSEEN = 0.2  # rad: a heading that the gyros know to no better
 SCATTER_PROBABILITY = 0.25
-"""Scatter is estimated where chance alone would exceed the chi-square of a group less often than this. There are three
-groups: a limit at the median, as of the staged method, would find scatter in four of five sessions that have none, and
-give intervals that cover too much; a strict one would miss scatter that is there."""
-SCATTER_ROUNDS = 3
-SCATTER_STEPS = 30
-SCATTER_CONVERGED = 1e-2  # of the expected sum of squares
-LEFT_OUT = 1e4  # times its noise: what a rest or turn that is left out has
+"""A component of scatter is estimated where chance alone would exceed its score less often than this. A limit at the
+median would find scatter in most sessions that have none, and give intervals that cover too much; a strict one would
+miss scatter that is there."""
+ROUNDS = 6
+SCATTER_STEPS = 40
+SCATTER_CONVERGED = 0.02  # of the standard deviation of a component of variance
+WIDENING_STEPS = 50
+WIDENED = 1.01  # λ of a step that counts as settled
+KEPT = 1e-3  # learned fraction of a group that the session says anything of
+LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
 FREE = 0.01  # of the variance of the noise: directions in which residuals have less say nothing
+ROUNDED = 1e-9  # of the largest: directions of a projector below it are rounding
 STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 without a bad one, 1 % have such a one
 MOST_LEFT_OUT = 6
 LEAST_CHANCE = 1e-300
 ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
 ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
+MOST_DEGREES = 1e6
 
-GROUPS = ("accelerometers", "gyro rests", "gyro turns")
+GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")
+SCATTER_OF = ("accel", "gyro", "turn", "velocity")
+SCATTER_UNITS = ("m/s^2", "rad/s", "rad", "m/s")
 TOTAL = "noise within rests"
 """The name of the fit of everything before any scatter."""
 
 
-def joint(observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool = False) -> Estimate:
-    """All parameters of a session by maximum likelihood, with covariance and outcome. With `robust`, the estimate is
-    that without the rests and turns that do not fit; their sigmas say which they are."""
-    problem = Problem.of(observations, prior)
+def joint(
+    observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool = False, instrument: Instrument | None = None
+) -> Estimate:
+    """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which; where None,
+    the groups whose usual size the observations know. With `robust`, the estimate is that without the rests and turns that do not fit;
+    their sigmas say which they are."""
+    accel, gyro = observations.accel_block, observations.gyro_block
+    instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables_of(observations))
+    problem = Problem.of(observations, prior, instrument=instrument, usual=observations.usual)
     at, first = _started(problem)
     everything = _fitted(problem, at, _Out.nothing(problem))
-    fitting = _fitting(problem, everything)
+    fitting = _fitting(everything)
     shown = fitting if robust else everything
-    return _estimate(problem, shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
+    return _estimate(shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
 
 
 # Which rests and turns count
@@ -112,13 +134,26 @@ class _Out:
             rest=np.zeros(len(problem.link), dtype=bool), turn=np.zeros(0 if turns is None else len(turns), dtype=bool)
         )
 
-    def weights(self, problem: Problem, scatter: Scatter) -> Weights:
-        """The weights of what is not left out."""
-        all_of_them = weights(problem, scatter)
+    def noise(self, problem: Problem, rows: Rows) -> Noise:
+        """The noise of the rows, large where they are left out."""
+        noise = noise_of(problem, rows)
         if not (self.rest.any() or self.turn.any()):
-            return all_of_them
-        rest, turn = (np.where(out, 1.0 / LEFT_OUT, 1.0)[:, None, None] for out in (self.rest, self.turn))
-        return Weights(rest=rest * all_of_them.rest, turn=turn * all_of_them.turn)
+            return noise
+        rest, merged, r = noise.rest.copy(), noise.merged.copy(), noise.rest.shape[1]
+        rest[self.rest] += LEFT_OUT * _diagonals(rest[self.rest])
+        if len(merged):
+            turns = problem.observations.turns
+            assert turns is not None
+            more = LEFT_OUT * _diagonals(merged)
+            more[:, :r] *= self.rest[turns.first][:, None, None]
+            more[:, r:] *= self.turn[:, None, None]
+            merged += more
+        return replace(noise, rest=rest, merged=merged)
+
+
+def _diagonals(matrices: Array) -> Array:
+    """The diagonals of matrices (N, n, n), as matrices."""
+    return np.asarray(matrices * np.eye(matrices.shape[1]))
 
 
 # The start
@@ -126,54 +161,52 @@ class _Out:
 
 def _started(problem: Problem) -> tuple[_At, tuple[Array, ...]]:
     """A point near the solution, in closed form, and the step there from zero."""
-    observations = problem.observations
-    block, gyro_block = observations.accel_block, observations.gyro_block
-    accel = observations.start_values(block)
-    force = block.model(accel).apply(observations.rests.accel)
+    observations, instrument = problem.observations, problem.instrument
+    values = problem.measured[0][1:].copy()
+    force = problem.accel_model(values).apply(observations.rests.accel)
     vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
-    if gyro_block is None:
-        about, gyro = None, np.empty(0)
-    else:
-        about, gyro = _started_gyros(problem, vertical)
-    values = np.append(accel, gyro)
+    about = None
+    if instrument.gyro is not None:
+        about, values[instrument.own(instrument.gyro)] = _started_gyros(problem, values, vertical)
     attitudes = _headings(problem, vertical, values, about)
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
     return _At.of(problem, point, about), (values,)
 
 
-def _started_gyros(problem: Problem, vertical: Array) -> tuple[TurnsAbout | None, Array]:
+def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[TurnsAbout | None, Array]:
     """Gyro parameters from the means of the rests and the verticals that the turns carry, linearised once, and the
     turns integrated about them."""
-    observations, up = problem.observations, problem.earth[1]
-    block = observations.gyro_block
+    observations, up, instrument = problem.observations, problem.earth[1], problem.instrument
+    block = instrument.gyro
     assert block is not None
-    values = observations.start_values(block)
-    model = block.model(values)
+    own = instrument.own(block)
+    model = block.model(values[own])
     median = np.median(observations.rests.gyro, axis=0)
-    values = block.parameters(SensorModel(matrix=model.matrix, bias=median))
-    if observations.turns is None:
-        return None, values
-    about = TurnsAbout.of(observations, block.model(values))
-    turns = about.turns
-    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(values))
-    by_rate = np.einsum("kipq,pqm->kim", turns.M, derivative[:, :3]) + turns.B @ derivative[:, 3]
-    back = np.einsum("kij,kj->ki", turns.C, vertical[turns.last])
-    rate = (observations.rests.gyro - about.model.bias) @ about.to_rate.T
+    started = values.copy()
+    started[own] = block.parameters(SensorModel(matrix=model.matrix, bias=median))
+    turns = observations.turns
+    if turns is None:
+        return None, started[own]
+    about = TurnsAbout.of(observations, instrument, started)
+    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(started[own]))
+    by_turn = about.columns(instrument, started)[0][:, :, own]
+    back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
+    rate = (observations.rests.gyro - median) @ about.to_rate.T
     by_rest = np.einsum("aqm,iq->iam", derivative[:, :3], up * vertical) + derivative[:, 3]
-    spread = problem.spread[problem.accel_count :]
+    count = by_turn.shape[2]
     jacobian = np.concatenate([
-        (skew(back) @ by_rate).reshape(-1, len(values)) / ROUGH_TURN,
-        by_rest.reshape(-1, len(values)) / EARTH_RATE,
-        np.diag(1.0 / spread),
+        (skew(back) @ by_turn).reshape(-1, count) / ROUGH_TURN,
+        by_rest.reshape(-1, count) / EARTH_RATE,
+        np.diag(1.0 / problem.spread[own]),
     ])  # fmt: skip
     residual = np.concatenate([
         (vertical[turns.first] - back).ravel() / ROUGH_TURN,
         (rate - up * vertical).ravel() / EARTH_RATE,
-        np.zeros(len(values)),
+        np.zeros(count),
     ])  # fmt: skip
-    values = values + np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
-    now = block.model(values)
-    return (about if np.all(_second_order(about, now) < ROUGH_EFFECT) else TurnsAbout.of(observations, now)), values
+    started[own] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+    near = bool(np.all(about.second_order(instrument, started)[0] < ROUGH_EFFECT))
+    return (about if near else TurnsAbout.of(observations, instrument, started)), started[own]
 
 
 def _headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
@@ -181,13 +214,13 @@ def _headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbou
     rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a and s of each chain."""
     observations, link = problem.observations, problem.link
     attitudes = np.empty((len(vertical), 3, 3))
-    block = observations.gyro_block
-    if about is None:
+    turns = observations.turns
+    if about is None or turns is None:
         C, turned = np.empty((0, 3, 3)), np.empty(0)
     else:
-        C, turned = about.turns.C, about.turns.duration * problem.earth[1]
+        C, turned = about.C, turns.duration * problem.earth[1]
     carry(np.ascontiguousarray(vertical), np.ascontiguousarray(C), link, turned, attitudes)
-    if block is None or problem.earth[0] == 0.0:
+    if observations.gyro_block is None or problem.earth[0] == 0.0:
         return attitudes
     rate = problem.gyro_model(values).apply(observations.rests.gyro) - problem.earth[1] * vertical
     chain = problem.chain
@@ -211,9 +244,9 @@ def _sums(values: Array, chain: IntArray) -> Array:
 # Gauss–Newton
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _At:
-    """A point, the turns about gyros near it, and the rows linearised there."""
+    """A point, the turns about parameters near it, and the rows linearised there."""
 
     point: Point
     about: TurnsAbout | None
@@ -236,13 +269,17 @@ class _Solved:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Fitted:
-    """The solution with its scatter, what it leaves of the residuals with it and what without, the fits of the groups,
-    and what was left out."""
+    """The solution of a problem, whose priors are as wide as the data ask for: with its scatter and what was left out,
+    what it leaves of the residuals with scatter and what without, the weights of both, and the covariance of the
+    variances of the scatter."""
 
+    problem: Problem
     solved: _Solved
     left: Left
-    without: Left
+    weights: Weights
+    without: tuple[Left, Weights]
     scatter: Scatter
+    components: Array
     out: _Out
     fits: Mapping[str, Fit]
     increments: tuple[Array, ...]
@@ -251,33 +288,46 @@ class _Fitted:
 def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
     """The solution with the scatter that it shows."""
     scatter = Scatter()
-    solved = _iterated(problem, start, out.weights(problem, scatter))
-    without = after = left(problem, solved.step)
-    increments = solved.increments
-    for _ in range(SCATTER_ROUNDS):
-        found = _scattered(problem, solved.last.rows, after, scatter, out)
-        if found == scatter:
+    solved, increments, wide = start, (), problem
+    first = _iterated(problem, start, out, scatter)
+    solved, increments = first, first.increments
+    without = _left(problem, solved, out, scatter)
+    for _ in range(ROUNDS):
+        found, components = _scattered(wide, solved.last.rows, out, scatter)
+        wider = _widened(wide, solved.last, out, found)
+        if found == scatter and wider is wide:
             break
-        scatter = found
-        solved = _iterated(problem, solved.last, out.weights(problem, scatter))  # the last step again, with scatter
-        after = left(problem, solved.step)
+        wide, scatter = wider, found
+        at = _At(
+            point=solved.last.point, about=solved.last.about, rows=linearise(wide, solved.last.point, solved.last.about)
+        )
+        solved = _iterated(wide, at, out, scatter)  # the last step again, with scatter
         increments = increments[:-1] + solved.increments
+    after = _left(wide, solved, out, scatter)
     return _Fitted(
+        problem=wide,
         solved=solved,
-        left=after,
+        left=after[0],
+        weights=after[1],
         without=without,
         scatter=scatter,
+        components=components,
         out=out,
-        fits=_fits(problem, after, scatter, without),
+        fits=_fits(wide, after[0], scatter, without[0]),
         increments=increments,
     )
 
 
-def _iterated(problem: Problem, at: _At, weight: Weights) -> _Solved:
-    """Gauss–Newton with these weights."""
+def _left(problem: Problem, solved: _Solved, out: _Out, scatter: Scatter) -> tuple[Left, Weights]:
+    """What a solution leaves of the residuals, and the weights it was made with."""
+    return left(problem, solved.step), out.noise(problem, solved.last.rows).weights(scatter)
+
+
+def _iterated(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> _Solved:
+    """Gauss–Newton with this scatter."""
     increments: list[Array] = []
     while True:
-        step = solve(problem, at.rows, weight)
+        step = solve(problem, at.rows, out.noise(problem, at.rows).weights(scatter))
         point, moved = _moved(problem, at.point, step)
         increments.append(moved)
         about = _integrated(problem, point, at.about)
@@ -298,145 +348,255 @@ def _moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     parameters. Chains whose heading is hardly seen keep it."""
     share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
     angles = share * step.angles
-    n = problem.observations.accel_block.size
-    seen = np.bincount(problem.chain, (step.whitened[0][:, n:, 2] ** 2).sum(axis=1))
+    seen = np.bincount(problem.chain, _heading_information(problem, step))
     mean = np.bincount(problem.chain, angles[:, 2]) / np.bincount(problem.chain)
     angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[problem.chain]
     return point.moved(share * step.parameters, angles), share * step.parameters[1:]
 
 
+def _heading_information(problem: Problem, step: Step) -> Array:
+    """What the gyros of each rest (N,) say of its heading, rad⁻²."""
+    rest, merged = step.whitened
+    n, r = problem.observations.accel_block.size, rest.shape[1]
+    own = (rest[:, n:, 2] ** 2).sum(axis=1)
+    linked = problem.link >= 0
+    own[linked] = (merged[problem.link[linked], n:r, 2] ** 2).sum(axis=1)
+    return np.asarray(own)
+
+
 def _integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
-    """The turns, integrated again if the gyros have moved too far since."""
-    if about is None:
+    """The turns, integrated again if the parameters have moved too far since."""
+    turns = problem.observations.turns
+    if about is None or turns is None:
         return None
-    now = problem.gyro_model(point.values)
-    noise = np.sqrt(np.trace(about.turns.covariance, axis1=1, axis2=2) / 3.0)
-    if np.all(_second_order(about, now) <= np.minimum(SECOND_ORDER, SECOND_ORDER_SHARE * noise)):
+    noise = np.sqrt(np.trace(turns.covariance, axis1=1, axis2=2) / 3.0)
+    velocity = np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
+    if not problem.instrument.in_velocities:
+        velocity = np.full_like(velocity, np.inf)
+    if about.good_for(problem.instrument, point.values, (noise, velocity)):
         return about
-    return TurnsAbout.of(problem.observations, now)
-
-
-def _second_order(about: TurnsAbout, now: SensorModel) -> Array:
-    """About how much (K,), rad, the rotations about another model err, being of first order in the change."""
-    E, offset = about.change(now)
-    path = np.sqrt((about.turns.M**2).sum(axis=(1, 2, 3)))  # about the angle of the turn
-    return np.asarray(0.5 * (np.linalg.norm(E) * path + np.linalg.norm(offset) * about.turns.duration) ** 2)
+    return TurnsAbout.of(problem.observations, problem.instrument, point.values)
 
 
 # Scatter
 
 
-def _parts(after: Left) -> tuple[tuple[Array, Array], ...]:
-    """Residuals and their covariances of the groups, in the order of GROUPS."""
-    return after.accel, after.gyro, after.turn
-
-
-def _scattered(problem: Problem, rows: Rows, after: Left, start: Scatter, out: _Out) -> Scatter:
-    """The scatter that makes the squares of each group that has one what they are expected to be: steps of Fisher
-    scoring, at one linearisation. `after` is what the solution with the scatter `start` leaves."""
-    variance = np.array([start.accel, start.gyro, start.turn]) ** 2
-    scatter, active = start, variance > 0.0
+def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter) -> tuple[Scatter, Array]:
+    """The components of scatter by restricted maximum likelihood at one linearisation, from a start, and the covariance
+    (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls."""
+    noise = out.noise(problem, rows)
+    variance = start.variances
+    active = variance > 0.0
+    deviance, score, information = _scored(problem, rows, noise, variance)
     if not active.any():
-        active = np.array([_chance(part) < SCATTER_PROBABILITY for part in _parts(after)])
-    weight = out.weights(problem, start)
+        size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
+        active = score / size > -special.ndtri(SCATTER_PROBABILITY)
     for _ in range(SCATTER_STEPS):
-        squares, expected = np.array([_squares(part) for part in _parts(after)]).T
-        off = active & (np.abs(squares - expected) > SCATTER_CONVERGED * expected)
-        if not np.any(off & ((variance > 0.0) | (squares > expected))):
+        active &= (variance > 0.0) | (score > 0.0)
+        if not active.any():
             break
-        gains = _inverse_variances(problem, weight)
-        gain = np.array([(_variances(part) * g).sum() for part, g in zip(_parts(after), gains, strict=True)])
-        change = (squares - expected) / np.where(gain > 0.0, gain, np.inf)
-        variance = np.where(active, np.maximum(variance + change, 0.0), 0.0)
-        accel, gyro, turn = np.sqrt(variance).tolist()
-        scatter = Scatter(accel=accel, gyro=gyro, turn=turn)
-        weight = out.weights(problem, scatter)
-        after = left(problem, solve(problem, rows, weight))
-    return scatter
+        index = np.ix_(active, active)
+        change = np.zeros_like(variance)
+        change[active] = np.linalg.solve(information[index], score[active])
+        deviation = np.where(active, 1.0 / np.sqrt(np.where(active, np.diag(information), 1.0)), np.inf)
+        wanted, before = np.maximum(variance + change, 0.0), variance
+        for _ in range(5):
+            variance = wanted
+            found = _scored(problem, rows, noise, variance)
+            if found[0] <= deviance + 1e-6:
+                break
+            wanted = 0.5 * (wanted + before)
+        deviance, score, information = found
+        if np.all(np.abs(variance - before) <= SCATTER_CONVERGED * deviation):
+            break
+    active = variance > 0.0
+    components = np.zeros((len(COMPONENTS), len(COMPONENTS)))
+    if active.any():
+        components[np.ix_(active, active)] = np.linalg.inv(information[np.ix_(active, active)])
+    return Scatter.of_variances(variance), components
 
 
-def _squares(part: tuple[Array, Array]) -> tuple[float, float]:
-    """Sum of the squares of a group, and what is expected of it."""
-    return float((part[0] ** 2).sum()), float(_variances(part).sum())
+def _scored(problem: Problem, rows: Rows, noise: Noise, variance: Array) -> tuple[float, Array, Array]:
+    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances."""
+    weight = noise.weights(Scatter.of_variances(variance))
+    step = solve(problem, rows, weight)
+    after = left(problem, step)
+    last = problem.link < 0
+    score, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
+    for W, (residual, covariance), directions in (
+        (weight.rest[last], (after.rest[0][last], after.rest[1][last]), [Z[last] for Z in noise.rest_directions]),
+        (weight.merged, after.merged, noise.merged_directions),
+    ):
+        back = np.swapaxes(W, 1, 2)
+        u, Q = np.einsum("kab,kb->ka", back, residual), back @ covariance @ W
+        QZ = [Q @ Z for Z in directions]
+        for a, Z in enumerate(directions):
+            along = np.einsum("kaq,ka->kq", Z, u)
+            score[a] += 0.5 * ((along**2).sum() - np.einsum("kaq,kaq->", Z, QZ[a]))
+            for b in range(a, len(directions)):
+                information[a, b] += 0.5 * (np.einsum("kaq,kap->kqp", Z, QZ[b]) ** 2).sum()
+    return step.deviance, score, information + np.triu(information, 1).T
 
 
-def _variances(part: tuple[Array, Array]) -> Array:
-    """Variances of the residuals of a group."""
-    return np.diagonal(part[1], axis1=1, axis2=2)
+# Priors
 
 
-def _chance(part: tuple[Array, Array]) -> float:
-    """Probability that chance alone exceeds the chi-square of a group; 1 where nothing is left to judge by."""
-    squares, expected = _squares(part)
-    return chance_of(squares, expected) if expected > 0.5 else 1.0
+def _widened(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> Problem:
+    """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where
+    none is."""
+    members = problem.instrument.members
+    if not members:
+        return problem
+    weight = out.noise(problem, at.rows).weights(scatter)
+    expected, u = problem.measured
+    now = u.copy()
+    for _ in range(WIDENING_STEPS):
+        rows = replace(at.rows, prior=_with_prior(at.rows.prior, now, expected, at.point))
+        step = solve(problem, rows, weight)
+        values, variance = at.point.values + step.parameters[1:], np.diag(step.covariance)[1:]
+        most = 1.0
+        for own in members.values():
+            widened = float(np.sqrt(np.mean(((values - expected[1:])[own] ** 2 + variance[own]) / now[1:][own] ** 2)))
+            if widened > 1.0:
+                now[1:][own] *= widened
+                most = max(most, widened)
+        if most < WIDENED:
+            break
+    if np.all(now <= u * WIDENED):
+        return problem
+    return replace(problem, measured=(expected, now))
 
 
-def _inverse_variances(problem: Problem, weight: Weights) -> Iterator[Array]:
-    """Inverse variances of the rows of each group."""
+def _with_prior(prior: Array, u: Array, expected: Array, point: Point) -> Array:
+    """The whitened prior with other standard deviations."""
+    out = prior.copy()
+    diagonal = np.arange(1, len(u))
+    out[diagonal, diagonal] = 1.0 / u[1:]
+    out[1:-1, -1] = (expected[1:] - point.values) / u[1:]
+    return out
+
+
+# Chi-square
+
+
+def _parts(problem: Problem, after: Left) -> Iterator[list[tuple[Array, Array]]]:
+    """Residuals and their covariances of the groups, in the order of GROUPS: of the rests that no turn follows, and of
+    the others."""
     n = problem.observations.accel_block.size
     stop = n + problem.observations.rests.gyro.shape[1]
-    rest, turn = (weight.rest**2).sum(axis=2), (weight.turn**2).sum(axis=2)
-    yield from (rest[:, :n], rest[:, n:stop], turn)
+    r = after.rest[0].shape[1]
+    last = problem.link < 0
+    for part in (slice(0, n), slice(n, stop)):
+        yield [
+            (residual[:, part], covariance[:, part, part])
+            for residual, covariance in ((after.rest[0][last], after.rest[1][last]), after.merged)
+        ]
+    v = r + 6 if problem.instrument.in_velocities else r + 3
+    for rows in (np.r_[r : r + 3, v : after.merged[0].shape[1]], np.arange(r + 3, v)):
+        yield [(after.merged[0][:, rows], after.merged[1][:, rows[:, None], rows])]
 
 
 def _fits(problem: Problem, after: Left, scatter: Scatter, without: Left) -> dict[str, Fit]:
     """Chi-square of every group there is, and of everything with the noise within rests alone."""
-    found = zip(
-        GROUPS, _parts(after), (scatter.accel, scatter.gyro, scatter.turn), ("m/s^2", "rad/s", "rad"), strict=True
-    )
-    out = {name: _fit([part], value, unit) for name, part, value, unit in found}
-    if problem.observations.gyro_block is None:
-        out = {GROUPS[0]: out[GROUPS[0]]}
-    return out | {TOTAL: _fit(list(_parts(without)), 0.0, "")}
+    found = [
+        (name, _fit(part, getattr(scatter, component), unit))
+        for name, component, unit, part in zip(GROUPS, SCATTER_OF, SCATTER_UNITS, _parts(problem, after), strict=True)
+    ]
+    there = 1 if problem.observations.gyro_block is None else 4 if problem.instrument.in_velocities else 3
+    out = dict(found[:there])
+    return out | {TOTAL: _fit([one for part in _parts(problem, without) for one in part], 0.0, "")}
 
 
 def _fit(parts: list[tuple[Array, Array]], scatter: float, unit: str) -> Fit:
-    squares, expected = np.sum([_squares(part) for part in parts], axis=0).tolist()
+    squares = float(sum((residual**2).sum() for residual, _ in parts))
+    expected = float(sum(np.trace(covariance, axis1=1, axis2=2).sum() for _, covariance in parts))
     return Fit(chi_square=squares, degrees=expected, scatter=scatter, scatter_unit=unit)
 
 
-# What fits
+# Which rests and turns fit
 
 
-def _drops(part: tuple[Array, Array], left_out: BoolArray) -> tuple[Array, Array]:
-    """By how much chi-square falls without each rest or turn of a group, and the number of directions in which it has
-    residuals; of those that are left out, the chi-square of their readings about what all others predict."""
-    residual, covariance = part
-    variance, directions = np.linalg.eigh(covariance)
-    seen = (variance > FREE) | left_out[:, None]
-    share = np.where(seen, variance, 1.0)
-    square = np.einsum("ia,iab->ib", residual, directions) ** 2
-    predicted = LEFT_OUT**2 / share**2 / (1.0 + LEFT_OUT**2 * np.maximum(1.0 / share - 1.0, 0.0))
-    drop = square * np.where(left_out[:, None], predicted, 1.0 / share)
-    return np.where(seen, drop, 0.0).sum(axis=1), seen.sum(axis=1)
+def _judged(fitted: _Fitted, after: Left, weight: Weights) -> Iterator[tuple[Array, Array]]:
+    """Of accelerometers and gyros at rest, by rest, and of the turns, by turn: by how much chi-square falls without
+    them, and in how many directions they have residuals."""
+    problem, out = fitted.problem, fitted.out
+    n = problem.observations.accel_block.size
+    stop = n + problem.observations.rests.gyro.shape[1]
+    r, linked = after.rest[0].shape[1], problem.link >= 0
+    noise = noise_of(problem, fitted.solved.last.rows)
+    at_rest, merged = (
+        _pulls(*found) for found in ((weight.rest, after.rest, noise.rest), (weight.merged, after.merged, noise.merged))
+    )
+    for part in (slice(0, n), slice(n, stop)):
+        rows = at_rest.part(part)
+        for own, of_turn in zip(rows, merged.part(part), strict=True):
+            own[linked] = of_turn[problem.link[linked]]
+        yield _falls(rows, out.rest)
+    yield _falls(merged.part(slice(r, None)), out.turn)
 
 
-def _groups(fitted: _Fitted) -> Iterator[tuple[tuple[Array, Array], tuple[Array, Array], BoolArray, float, float]]:
-    """Of every group: its residuals with and without scatter, what of it is left out, its scatter and its degrees of
-    freedom."""
-    out, scatter = fitted.out, fitted.scatter
-    for name, part, before, left_out, value in zip(
-        GROUPS,
-        _parts(fitted.left),
-        _parts(fitted.without),
-        (out.rest, out.rest, out.turn),
-        (scatter.accel, scatter.gyro, scatter.turn),
-        strict=True,
-    ):
-        yield part, before, left_out, value, fitted.fits[name].degrees if name in fitted.fits else 0.0
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Pulls:
+    """Of rows (N, r): the pull P r on them, the block of P, their covariance, and what is added to its diagonal where
+    they are left out."""
+
+    pull: Array
+    projector: Array
+    noise: Array
+    left_out: Array
+
+    def part(self, rows: slice) -> tuple[Array, Array, Array, Array]:
+        """The same of some of the rows."""
+        of = self.projector[:, rows, rows].copy(), self.noise[:, rows, rows].copy()
+        return self.pull[:, rows].copy(), *of, self.left_out[:, rows].copy()
+
+
+def _pulls(W: Array, left_of: tuple[Array, Array], noise: Array) -> _Pulls:
+    back = np.swapaxes(W, 1, 2)
+    return _Pulls(
+        pull=np.einsum("kab,kb->ka", back, left_of[0]),
+        projector=back @ left_of[1] @ W,
+        noise=np.linalg.inv(back @ W),
+        left_out=LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2),
+    )
+
+
+def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tuple[Array, Array]:
+    """Falls of chi-square (N,) without rows, see `_Pulls`, and directions (N,) in which they have residuals; of those
+    that are left out, the chi-square of their readings about what all others predict."""
+    pull, Q, noise, inflation = rows
+    if not pull.size:
+        return np.zeros(len(left_out)), np.zeros(len(left_out), dtype=np.int64)
+    size = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
+    variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
+    seen = variance > FREE
+    square = np.einsum("ia,iab->ib", pull * size, directions) ** 2
+    fall = np.where(seen, square / np.where(seen, variance, 1.0), 0.0).sum(axis=1)
+    count = seen.sum(axis=1)
+    for i in np.flatnonzero(left_out):
+        kept = variance[i] > ROUNDED * variance[i].max()
+        along = directions[i][:, kept]
+        spread = np.diag(1.0 / variance[i][kept])
+        own = spread - along.T @ np.diag(inflation[i] / size[i] ** 2) @ along
+        difference = spread @ along.T @ (pull[i] * size[i])
+        fall[i], count[i] = difference @ np.linalg.solve(own, difference), len(difference)
+    return fall, count
 
 
 def _sigmas(fitted: _Fitted, scatter: Scatter) -> tuple[Array, Array]:
     """How far each rest (N,) and turn (K,) is from the fit, in sigmas: a rest by the worse of its blocks. Groups that
     have a `scatter` when nothing is left out are judged by their own scale: that they have none without some of them
     may be by choice of these."""
-    found = []
-    scales = (scatter.accel, scatter.gyro, scatter.turn)
-    for (part, _, left_out, _, degrees), scale in zip(_groups(fitted), scales, strict=True):
-        drop, count = _drops(part, left_out)
+    out, found = fitted.out, []
+    judged = _judged(fitted, fitted.left, fitted.weights)
+    scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
+    for (fall, count), left_out, name, scale in zip(
+        judged, (out.rest, out.rest, out.turn), GROUPS[:3], scales, strict=True
+    ):
+        degrees = fitted.fits[name].degrees if name in fitted.fits else 0.0
         k = np.maximum(count, 1)
         others = np.maximum(degrees - k * max(1, left_out.sum()), 1.0)  # what was chosen has taken the largest with it
-        chance = special.fdtrc(k, others, drop / k) if scale > 0.0 else special.chdtrc(k, drop)
+        chance = special.fdtrc(k, others, fall / k) if scale > 0.0 else special.chdtrc(k, fall)
         found.append(-special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
     accel, gyro, turn = found
     return np.maximum(accel, gyro), turn
@@ -445,27 +605,28 @@ def _sigmas(fitted: _Fitted, scatter: Scatter) -> tuple[Array, Array]:
 def _suspect(fitted: _Fitted) -> _Out | None:
     """With the rest or turn left out too that stands out most among those of a group that scatters, before the scatter
     is allowed for; None where none does."""
-    most, found = STANDS_OUT, None
-    for group, (_, before, left_out, scatter, _) in enumerate(_groups(fitted)):
-        if scatter == 0.0:
+    most, found, out, scatter = STANDS_OUT, None, fitted.out, fitted.scatter
+    scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
+    judged = _judged(fitted, *fitted.without)
+    for group, ((fall, count), left_out, scale) in enumerate(
+        zip(judged, (out.rest, out.rest, out.turn), scales, strict=True)
+    ):
+        candidates = (count > 0) & ~left_out
+        if scale == 0.0 or candidates.sum() < 3:
             continue
-        drop, count = _drops(before, left_out)
-        judged = (count > 0) & ~left_out
-        if judged.sum() < 3:
-            continue
-        size = np.where(judged, drop / np.maximum(count, 1), 0.0)
-        ratio = size / np.median(size[judged])
+        size = np.where(candidates, fall / np.maximum(count, 1), 0.0)
+        ratio = size / np.median(size[candidates])
         worst = int(np.argmax(ratio))
         if ratio[worst] > most:
             most, found = float(ratio[worst]), (group, worst)
     if found is None:
         return None
-    rest, turn = fitted.out.rest.copy(), fitted.out.turn.copy()
+    rest, turn = out.rest.copy(), out.turn.copy()
     (turn if found[0] == 2 else rest)[found[1]] = True
     return _Out(rest=rest, turn=turn)
 
 
-def _fitting(problem: Problem, everything: _Fitted) -> _Fitted:
+def _fitting(everything: _Fitted) -> _Fitted:
     """The fit without what does not fit. Suspects are left out one after the other, for they hide each other; those
     that the others confirm stay out."""
     fitted = everything
@@ -473,7 +634,7 @@ def _fitting(problem: Problem, everything: _Fitted) -> _Fitted:
         suspect = _suspect(fitted)
         if suspect is None:
             break
-        fitted = _again(problem, fitted, suspect)
+        fitted = _again(everything.problem, fitted, suspect)
     if fitted is everything:
         return everything
     rest, turn = _sigmas(fitted, everything.scatter)
@@ -483,7 +644,7 @@ def _fitting(problem: Problem, everything: _Fitted) -> _Fitted:
         return everything
     if count == fitted.out.rest.sum() + fitted.out.turn.sum():
         return fitted
-    return _again(problem, fitted, confirmed)
+    return _again(everything.problem, fitted, confirmed)
 
 
 def _again(problem: Problem, fitted: _Fitted, out: _Out) -> _Fitted:
@@ -491,33 +652,78 @@ def _again(problem: Problem, fitted: _Fitted, out: _Out) -> _Fitted:
     return _fitted(problem, _At.of(problem, fitted.solved.point, fitted.solved.last.about), out)
 
 
-def _estimate(
-    problem: Problem,
-    fitted: _Fitted,
-    increments: tuple[Array, ...],
-    rest_sigmas: Array,
-    turn_sigmas: Array,
-) -> Estimate:
-    observations = problem.observations
-    blocks = [b for b in (observations.accel_block, observations.gyro_block) if b is not None]
+# The estimate
+
+
+def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array, turn_sigmas: Array) -> Estimate:
+    problem, instrument = fitted.problem, fitted.problem.instrument
+    observations, linear = problem.observations, instrument.linear_count
     values, covariance = fitted.solved.point.values, fitted.solved.step.covariance[1:, 1:]
-    variance, combinations = np.linalg.eigh(covariance / np.outer(problem.spread, problem.spread))
+    spread = problem.spread[:linear]
+    variance, combinations = np.linalg.eigh(covariance[:linear, :linear] / np.outer(spread, spread))
+    observable = np.ones(len(values), dtype=bool)
+    observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
+    findings = tuple(_findings(fitted, values, covariance))
+    for finding in findings:
+        observable[instrument.members[finding.name]] = finding.kept
     accel = problem.accel_model(values)
-    force = accel.apply(observations.rests.accel)
     return Estimate(
         method="joint",
-        names=tuple(name for block in blocks for name in block.names),
-        units=tuple(unit for block in blocks for unit in block.units),
+        names=instrument.names,
+        units=instrument.units,
         values=values,
         covariance=covariance,
-        observable=np.sqrt(np.diag(covariance)) < problem.spread / DETERMINED,
+        observable=observable,
         null=combinations[:, variance > DETERMINED**-2].T,
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
-        rest_residual=np.linalg.norm(force, axis=1) - observations.site.gravity,
+        rest_residual=np.linalg.norm(_force(problem, values), axis=1) - observations.site.gravity,
         rest_sigmas=rest_sigmas,
         turn_sigmas=turn_sigmas,
         increments=increments,
         fits=fitted.fits,
         converged=_negligible(problem, fitted.solved.step),
+        instrument=instrument,
+        groups=findings,
+        degrees=_degrees(fitted, covariance),
     )
+
+
+def _force(problem: Problem, values: Array) -> Array:
+    """Specific forces (N, 3) at rest by the whole model."""
+    from tumble.sensors.compensation import specific_force
+
+    return specific_force(problem.instrument, values, problem.observations.rests.accel)
+
+
+def _findings(fitted: _Fitted, values: Array, covariance: Array) -> Iterator[GroupFinding]:
+    """What the session says of each further group."""
+    instrument, widened = fitted.problem.instrument, fitted.problem.measured[1][1:]
+    usual = fitted.problem.observations.usual
+    for group in instrument.further:
+        own = instrument.members[group.name]
+        prior = usual.get(group.name, group.limit)
+        learned = np.clip(1.0 - np.diag(covariance)[own] / widened[own] ** 2, 0.0, 1.0)
+        yield GroupFinding(
+            name=group.name,
+            kept=bool(learned.max() > KEPT),
+            prior=prior,
+            widened=float(widened[own][0] / prior),
+            learned=tuple(learned.tolist()),
+        )
+
+
+def _degrees(fitted: _Fitted, covariance: Array) -> Array:
+    """Degrees of freedom (m,) behind the u of the parameters: ν = 2 u⁴ / Var(u²)."""
+    problem, rows, variance = fitted.problem, fitted.solved.last.rows, fitted.scatter.variances
+    active = np.flatnonzero(variance > 0.0)
+    degrees = np.full(len(covariance), MOST_DEGREES)
+    if not len(active):
+        return degrees
+    noise, slopes = fitted.out.noise(problem, rows), np.zeros((len(COMPONENTS), len(covariance)))
+    for a in active:
+        step = 0.1 * variance[a]
+        more = noise.weights(Scatter.of_variances(variance + step * np.eye(len(variance))[a]))
+        slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - np.diag(covariance)) / step
+    of_u = np.einsum("am,ab,bm->m", slopes, fitted.components, slopes)
+    return np.minimum(2.0 * np.diag(covariance) ** 2 / np.maximum(of_u, 1e-300), MOST_DEGREES)

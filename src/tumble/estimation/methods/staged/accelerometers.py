@@ -20,12 +20,12 @@ from tumble.estimation.estimate import (
     least_squares,
     scatter_of,
     sigmas,
-    spreads,
 )
 from tumble.estimation.gauss_newton import gauss_newton
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import limits_of
 from tumble.units import Array
 
 
@@ -105,7 +105,7 @@ def _rest_rows(observations: Observations, values: Array, scatter: float) -> _Re
         jacobian=np.einsum("irp,pqm,iq->irm", whiten, derivative, homogeneous),
         reading=whiten,
         gravity=np.einsum("irp,pk,ik->ir", whiten, model.matrix, vertical),
-        spread=spreads(block),
+        spread=limits_of(block.names),
     )
 
 
@@ -114,7 +114,7 @@ def _accelerometers_at(
 ) -> tuple[Array, _RestRows, tuple[Array, ...]]:
     """Gauss–Newton at a given scatter."""
     values, increments = gauss_newton(
-        lambda at: _rest_rows(observations, at, scatter).solution(), values, spreads(observations.accel_block)
+        lambda at: _rest_rows(observations, at, scatter).solution(), values, limits_of(observations.accel_block.names)
     )
     return values, _rest_rows(observations, values, scatter), increments
 

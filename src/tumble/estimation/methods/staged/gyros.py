@@ -18,13 +18,13 @@ from tumble.estimation.estimate import (
     least_squares,
     scatter_of,
     sigmas,
-    spreads,
 )
 from tumble.estimation.gauss_newton import gauss_newton
 from tumble.estimation.methods.staged.accelerometers import Accelerometers
 from tumble.estimation.methods.staged.gyro_rows import GyroRows, GyroScatter, gyro_rows
 from tumble.reduction.observations import Observations, Turns
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import limits_of
 from tumble.units import Array
 
 
@@ -58,7 +58,7 @@ def estimate_gyros(observations: Observations, accel: Accelerometers) -> Gyros:
         increments += more
     rows = gyro_rows(observations, accel, turns, values, scatter)
     covariance = rows.covariance(scatter)
-    solution, residual, after = _solved(rows, covariance, spreads(block))
+    solution, residual, after = _solved(rows, covariance, limits_of(block.names))
     left = _GyroResiduals(residual=residual, covariance=covariance, after=after)
     return Gyros(
         values=values,
@@ -79,7 +79,7 @@ def _gyros_at(
     """Gauss–Newton at a given scatter; the turns are integrated again about every new estimate."""
     block = observations.gyro_block
     assert block is not None
-    spread = spreads(block)
+    spread = limits_of(block.names)
 
     def solution_at(at: Array) -> Solution:
         rows = gyro_rows(observations, accel, observations.turns_about(block.model(at)), at, scatter)
@@ -133,7 +133,7 @@ def _found_scatter(
 ) -> GyroScatter:
     """The scatter that explains the residuals of the rests, then that of the turns, where they need one."""
     assert observations.gyro_block is not None
-    spread = spreads(observations.gyro_block)
+    spread = limits_of(observations.gyro_block.names)
     groups = _groups(observations)
     rows = gyro_rows(observations, accel, turns, values, scatter)
 

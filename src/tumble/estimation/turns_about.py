@@ -1,0 +1,214 @@
+"""The turns of a session about the parameters they were integrated with: how rotation and velocity change with others.
+
+With the moments of a turn (`tumble.reduction.moments`) and s_p the column of sensor p in the left inverse, a change
+ΔK of the coefficients of a reading turns C into exp([φ×]) C and adds to V,
+
+    φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers
+    (A6)
+
+for every function b of every sensor p. Lever arms and delays enter V alone, Eqs. (6) and (7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.reduction.moments import (
+    NO_AXES,
+    BlockCompensation,
+    Compensation,
+    Moments,
+    OwnAxes,
+    delay_column,
+    lever_columns,
+)
+from tumble.reduction.observations import Observations
+from tumble.rotation import rotation_vector
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE
+from tumble.units import G_STANDARD, Array
+
+SECOND_ORDER = 1e-7  # rad
+SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
+VELOCITY_SHARE = 0.1  # of the noise of its velocity
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TurnsAbout:
+    """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and
+    accelerometers and a `lateness` of these, s. Their moments, and by_phi (K, 3, n, 15) and by_V (K, 3, n, 15) of
+    the gyros and by_force (K, 3, n, 15) of the accelerometers, P and Q of the module's docstring; `levers` (K, 3,
+    3(n − 1)) and `delay` (K, 3) are −∂V of lever arms and of the delay."""
+
+    rate: Array
+    force: Array
+    lateness: float
+    moments: Moments
+    by_phi: Array
+    by_V: Array
+    by_force: Array
+    levers: Array
+    delay: Array
+    to_rate: Array
+
+    @staticmethod
+    def of(observations: Observations, instrument: Instrument, values: Array) -> TurnsAbout:
+        """The turns of a session, integrated about these values."""
+        accel, gyro = instrument.accel, instrument.gyro
+        assert gyro is not None
+        rate, force = instrument.coefficients(gyro, values), _compensable(accel, instrument.coefficients(accel, values))
+        rate[:, PRODUCTS], rate[:, OWN_CUBE] = 0.0, 0.0
+        of_gyro, of_accel = (_compensation(block, K) for block, K in ((gyro, rate), (accel, force)))
+        late = instrument.in_motion("delay")
+        compensation = Compensation(
+            gyro=of_gyro,
+            accel=of_accel,
+            g_sensitivity=of_gyro.to_body @ rate[:, FORCE],
+            delay=0.0 if late is None else float(values[late][0]),
+        )
+        moments = observations.moments_about(compensation, own_axes(instrument))
+        lefts = of_gyro.left_inverse, of_accel.left_inverse
+        return TurnsAbout.from_moments(moments, accel, (rate, force, compensation.delay), lefts)
+
+    @staticmethod
+    def from_moments(
+        moments: Moments, accel: Block, about: tuple[Array, Array, float], lefts: tuple[Array, Array]
+    ) -> TurnsAbout:
+        """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
+        accelerometers."""
+        to_rate, to_force = lefts
+        own_gyro = np.zeros((len(moments), 3, to_rate.shape[1])), np.zeros((len(moments), 3, to_rate.shape[1]))
+        if moments.Phi_gyro.shape[-1]:
+            own_gyro = _own(moments.Phi_gyro, to_rate), _own(moments.Psi_gyro, to_rate)
+        by_force = _paths(moments.Phi, to_force)
+        if moments.Phi_accel.shape[-1]:
+            by_force[..., OWN_SIZE] = _own(moments.Phi_accel[..., 0, :], to_force)
+            by_force[..., OWN_CUBE] = _own(moments.Phi_accel[..., 1, :], to_force)
+        by_phi, by_V = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
+        by_phi[..., OWN_SIZE], by_V[..., OWN_SIZE] = own_gyro
+        return TurnsAbout(
+            rate=about[0],
+            force=about[1],
+            lateness=about[2],
+            moments=moments,
+            by_phi=by_phi,
+            by_V=by_V,
+            by_force=by_force,
+            levers=-lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
+            delay=-delay_column(moments),
+            to_rate=to_rate,
+        )
+
+    @property
+    def C(self) -> Array:
+        """Rotations (K, 3, 3), body at the end → body at the start."""
+        return self.moments.C
+
+    def moved(self, instrument: Instrument, values: Array) -> tuple[Array, Array]:
+        """φ (K, 3) and the velocity (K, 3) for other values of the parameters, to first order in their change."""
+        gyro = instrument.gyro
+        assert gyro is not None
+        rate = instrument.coefficients(gyro, values) - self.rate
+        force = instrument.coefficients(instrument.accel, values) - self.force
+        phi = -np.einsum("kipb,pb->ki", self.by_phi, rate)
+        V = self.moments.V - np.einsum("kipb,pb->ki", self.by_V, rate) - np.einsum("kipb,pb->ki", self.by_force, force)
+        levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
+        if levers is not None:
+            V = V - self.levers @ values[levers]
+        if delay is not None:
+            V = V - self.delay * (values[delay] - self.lateness)
+        return phi, V
+
+    def columns(self, instrument: Instrument, values: Array) -> tuple[Array, Array]:
+        """−∂φ/∂θ and −∂V/∂θ (K, 3, m) at values of the parameters."""
+        gyro, accel = instrument.gyro, instrument.accel
+        assert gyro is not None
+        of_gyro, of_accel = instrument.derivative(gyro, values), instrument.derivative(accel, values)
+        phi = np.tensordot(self.by_phi, of_gyro, axes=2)
+        V = np.tensordot(self.by_V, of_gyro, axes=2) + np.tensordot(self.by_force, of_accel, axes=2)
+        levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
+        if levers is not None:
+            V[:, :, levers] = self.levers
+        if delay is not None:
+            V[:, :, delay] = self.delay[:, :, None]
+        return phi, V
+
+    def bias_columns(self) -> tuple[Array, Array]:
+        """−∂φ/∂b and −∂V/∂b (K, 3, n) of the biases of the accelerometers, then of the gyros."""
+        accel, gyro = self.by_force[..., CONSTANT], self.by_phi[..., CONSTANT]
+        phi = np.concatenate([np.zeros_like(accel), gyro], axis=2)
+        return phi, np.concatenate([accel, self.by_V[..., CONSTANT]], axis=2)
+
+    def second_order(self, instrument: Instrument, values: Array) -> tuple[Array, Array]:
+        """About how much (K,) rotation, rad, and velocity, m/s, about other values err, being of first order."""
+        gyro = instrument.gyro
+        assert gyro is not None
+        change = instrument.coefficients(gyro, values) - self.rate
+        sizes = np.sqrt((self.by_phi**2).sum(axis=1))  # (K, n, 15)
+        phi = np.einsum("kpb,pb->k", sizes, np.abs(change))
+        rotation = 0.5 * phi**2
+        return rotation, G_STANDARD * self.moments.T * rotation
+
+    def good_for(self, instrument: Instrument, values: Array, noise: tuple[Array, Array]) -> bool:
+        """Whether first order does for other values, beside the noise (K,), rad and m/s, of the turns."""
+        rotation, velocity = self.second_order(instrument, values)
+        few = np.minimum(SECOND_ORDER, SECOND_ORDER_SHARE * noise[0])
+        return bool(np.all(rotation <= few) and np.all(velocity <= VELOCITY_SHARE * noise[1]))
+
+
+def own_axes(instrument: Instrument) -> OwnAxes:
+    """The axes whose own sums an instrument needs."""
+    used, gyro = instrument.used, instrument.gyro
+    needed = {kind: bool(np.any(functions >= OWN_SIZE)) for kind, functions in used.items()}
+    return OwnAxes(
+        gyro=gyro.axes if gyro is not None and needed.get("gyro", False) else NO_AXES,
+        accel=instrument.accel.axes if needed["accel"] else NO_AXES,
+    )
+
+
+def angles(moments: Moments) -> Array:
+    """Angles (K,) of the turns, rad, 0 … π."""
+    return np.asarray(np.linalg.norm(rotation_vector(moments.C), axis=1))
+
+
+def _compensation(block: Block, K: Array) -> BlockCompensation:
+    """The compensation of a block with these coefficients."""
+    measured = FORCE if block.kind == "accel" else RATE
+    terms = np.column_stack([_square(block, K), K[:, OWN_CUBE], K[:, OWN_SIZE]])
+    return BlockCompensation.of(block.axes, SensorModel(matrix=K[:, measured], bias=K[:, CONSTANT]), terms)
+
+
+def _square(block: Block, K: Array) -> Array:
+    """The part (n,) along each axis of a quadratic form in f, aᵀ (…) a: K₂ where it is K₂ (aᵀf)²."""
+    by_pair = (block.axes[:, k] * block.axes[:, l] for k, l in PAIRS)
+    return np.asarray(sum(K[:, b] * each for b, each in enumerate(by_pair, start=PRODUCTS.start)))
+
+
+def _compensable(block: Block, K: Array) -> Array:
+    """The coefficients that samples of accelerometers are compensated with: of the products of forces, the square along
+    each axis."""
+    out, square = K.copy(), _square(block, K)
+    for b, (k, l) in enumerate(PAIRS, start=PRODUCTS.start):
+        out[:, b] = (1.0 if k == l else 2.0) * square * block.axes[:, k] * block.axes[:, l]
+    out[:, RATE] = 0.0
+    return out
+
+
+def _paths(moments: Array, left_inverse: Array) -> Array:
+    """Σ_j M_ijb s_jp (K, 3, n, 15) of moments (K, 3, 3, ·) of the first functions."""
+    out = np.zeros((len(moments), 3, left_inverse.shape[1], FUNCTIONS))
+    out[..., : moments.shape[-1]] = np.swapaxes(moments.swapaxes(2, 3) @ left_inverse, 2, 3)
+    return out
+
+
+def _own(moments: Array, left_inverse: Array) -> Array:
+    """Σ_j M_ijp s_jp (K, 3, n)."""
+    return np.einsum("kijp,jp->kip", moments, left_inverse)
+
+
+def _lever_order(block: Block) -> Array:
+    """Where the lever arms of all sensors but the last stand, in the order of their names, among those by channel."""
+    return (3 * block.channels[:-1, None] + np.arange(3)).ravel()

@@ -1,0 +1,636 @@
+"""Compiled loops over the samples of turns: the sums of which `tumble.reduction.moments` makes the moments of a turn.
+
+Pieces of turns are cut into stretches of at most STRETCH samples, of which LANES are integrated side by side. Of each
+lane TILE samples at a time go through a chain of short passes: `_fill` brings them into rows in which neighbouring
+lanes are neighbours in memory, and every pass that follows is a loop over lanes that the compiler turns into vector
+instructions. A pass that did everything at once would not be: beyond some fifty sums in one loop the compiler gives up.
+
+    _fill  readings of nominal sensors and dt          → rows y_g (3), y_a (3), dt
+    _compensate  sensor model, delay                   → rows ω (3), f (3), dt
+    _regress  products with dt                         → `right`: dt, ω, f, f f, ω ω and |a·ω|, |a·f|, (a·f)³, times dt
+    _turn  the step (A1) with the attitude C_m in its middle → `left`: C_m, and C_m × V by columns
+    _turn_about  C_m [ω×] dt                           → `swept`
+    _add_products  left ⊗ right                        → `sums`
+
+All moments are outer products of nine numbers of the attitude with regressors of a sample, Ψ included: by summation in
+parts, exact for the discrete sums too,
+
+    Ψ_jb = Σ (Φ + ½ΔΦ)_jb × ΔV = Φ_jb(T) × V(T) − Σ ΔΦ_jb × (V + ½ΔV),      ΔΦ_jb = C_m e_j β_b dt.
+
+A lane that ends before the others, or its tile, is filled up with zero readings over zero time, which change no sum.
+A row is ROW numbers long: constants, without which the compiler could not know that rows do not overlap, and no power
+of two, lest all rows fall on the same lines of the processor's cache. The rules of `tumble.reduction.kernels` hold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tumble.reduction.kernels import _compiled
+from tumble.units import Array, IntArray
+
+STRETCH = 500
+SHORTEST = 64
+LANES = 16
+TILE = 24
+GROUP = 8
+ROW = TILE * LANES
+COMMON = 19
+"""Regressors that do not depend on the axes of the sensors: 1, ω (3), f (3), f f (6), ω ω (6)."""
+LINEAR = 7
+
+# Rows of `state`: attitude quaternion (4, scalar first), V (3), and of the sample before: Δθ (3), Δv (3), the rate
+# that moved the force (3), dt, f (3); then the sum of Δt² |f − f'|².
+_V, _BEFORE, _RATE, _FORCE, _JUMPS, _STATE_ROWS = 4, 7, 13, 17, 20, 21
+
+Samples = tuple[Array, Array, Array]
+"""Rates (S, 3) rad/s, forces (S, 3) m/s², intervals (S,) s."""
+Stretches = tuple[IntArray, IntArray, IntArray]
+"""Piece, first sample and end."""
+Terms = tuple[Array, Array, Array, Array, Array]
+"""Matrix (3, 3) and offset (3,) of y, and of the sensors with nonlinear terms axes (n, 3), coefficients (n, 3) of u²,
+u³ and |u|, and effect (n, 3) on the vector."""
+Model = tuple[Terms, Terms, Array, float]
+"""Gyros, accelerometers, what the body's rate reads of its force (3, 3), or (0, 3) where it reads none, delay (s)."""
+Work = tuple[Array, Array, Array, Array, Array, Array]
+"""Tile, left, right, swept, state and total: memory for one group of lanes."""
+Sums = tuple[Array, Array, Array, Array, Array, Array, Array]
+"""Attitude (K, 4), V (K, 3), Σ C_m ⊗ regressors (K, R, 9), Σ (C_m × V) ⊗ regressors (K, Q, 9), Σ C_m [ω×] dt ⊗ f (K,
+3, 9), Σ regressors (K, R), Σ Δt² |f − f'|² (K,)."""
+Ends = tuple[IntArray, IntArray, Array, Array]
+"""End of the head and start of the tail of every piece, (Σ f dt, Σ dt) (K, 4) over head and tail."""
+
+
+def stretches_of(starts: IntArray, stops: IntArray) -> Stretches:
+    """Stretches of all pieces, those of a piece one after the other, pieces of like stretches side by side: each piece
+    cut evenly into as few as possible of at most STRETCH samples, or of less where that fills the lanes."""
+    length = stops - starts
+    longest = min(STRETCH, max(SHORTEST, -(-int(length.sum()) // LANES)))
+    count = -(-length // longest)
+    order = np.argsort(-(-length // np.maximum(count, 1)), kind="stable")[::-1]
+    piece = np.repeat(order, count[order])
+    position = np.arange(len(piece)) - np.repeat(np.cumsum(count[order]) - count[order], count[order])
+    first = starts[piece] + length[piece] * position // count[piece]
+    stop = starts[piece] + length[piece] * (position + 1) // count[piece]
+    return piece, first, stop
+
+
+def new_work(rows: int, linear: int) -> Work:
+    """Memory for so many regressors in all, and so many that go with C_m × V too. Each array begins on a line of the
+    processor's cache: vectors that straddle two take twice the time."""
+    sizes = (16 * ROW, 18 * ROW, rows * ROW, 9 * ROW, _STATE_ROWS * LANES, (rows * 10 + linear * 9 + 27) * LANES)
+    tile, left, right, swept, state, total = (_aligned(size) for size in sizes)
+    return tile, left, right, swept, state, total
+
+
+def _aligned(size: int) -> Array:
+    """So many numbers from an address that is a multiple of 64."""
+    memory = np.empty(size + 8)
+    begin = -memory.ctypes.data // 8 % 8
+    return memory[begin : begin + size]
+
+
+@_compiled(error_model="numpy")
+def integrate_stretches(
+    samples: Samples,
+    stretches: Stretches,
+    model: Model,
+    own_axes: tuple[Array, Array],
+    sums: Sums,
+    ends: Ends,
+    work: Work,
+    lanes: int,
+) -> None:
+    """Integrate stretches group by group and join them in order to `sums`, which begin at rest: attitude 1 and zeros;
+    `own_axes` are those of the gyros (n, 3) and accelerometers (m, 3) whose own-axis regressors are wanted. `lanes` is
+    LANES, which the compiler must not know: it would unroll the loops over lanes before it turned them into vectors."""
+    piece, first, stop = stretches
+    tile, left, right, swept, state, total = work
+    rows, linear = sums[2].shape[1], sums[3].shape[1]
+    for group in range(0, len(piece), LANES):
+        used = slice(group, min(group + LANES, len(piece)))
+        longest = _begin(samples, first[used], stop[used], model, lanes, tile, state, total)
+        for done in range(0, longest, TILE):
+            steps = min(TILE, (longest - done + GROUP - 1) // GROUP * GROUP)
+            _fill(samples, first[used], stop[used], done, steps, tile)
+            _compensate(tile, steps, model, lanes, state)
+            _add_ends(tile, steps, piece[used], first[used], stop[used], done, ends)
+            _regress(tile, steps, lanes, right, state)
+            _regress_own(tile, steps, own_axes, right)
+            _turn(right, steps, lanes, state, left)
+            _turn_about(left, right, steps, swept)
+            _add_all(left, right, swept, tile, steps, lanes, rows, linear, total)
+        _join(state, total, piece[used], sums)
+
+
+@_compiled(error_model="numpy")
+def _begin(
+    samples: Samples,
+    first: IntArray,
+    stop: IntArray,
+    model: Model,
+    lanes: int,
+    tile: Array,
+    state: Array,
+    total: Array,
+) -> int:
+    """State at the start of every lane: attitude 1, what is remembered of the sample before it, over no time where
+    there is none, and zero sums. Returns the length of the longest lane."""
+    state[:] = 0.0
+    total[:] = 0.0
+    before = int(np.int64(2))  # as a literal it would have both loops compiled a second time
+    _fill(samples, first, stop, -before, before, tile)
+    _compensate(tile, before, model, lanes, state)
+    for lane in range(LANES):
+        now = LANES + lane
+        dt = tile[6 * ROW + now]
+        state[lane] = 1.0
+        for k in range(3):
+            state[(_BEFORE + k) * LANES + lane] = tile[k * ROW + now] * dt
+            state[(_BEFORE + 3 + k) * LANES + lane] = tile[(3 + k) * ROW + now] * dt
+            state[(_FORCE + k) * LANES + lane] = tile[(3 + k) * ROW + now]
+    longest = 0
+    for lane in range(len(first)):
+        longest = max(longest, stop[lane] - first[lane])
+    return longest
+
+
+@_compiled(error_model="numpy")
+def _fill(samples: Samples, first: IntArray, stop: IntArray, done: int, steps: int, tile: Array) -> None:
+    """Copy `steps` samples of each lane after the first `done` to `tile`, with zeros behind the end of a lane and in
+    lanes that are not used. A sample before the first of all is the first, over no time."""
+    rates, forces, intervals = samples
+    for lane in range(LANES):
+        length = 0
+        if lane < len(first):
+            begin = first[lane] + done
+            length = max(0, min(steps, stop[lane] - begin))
+            for step in range(length):
+                sample, cell = max(begin + step, 0), LANES * step + lane
+                for k in range(3):
+                    tile[k * ROW + cell] = rates[sample, k]
+                    tile[(3 + k) * ROW + cell] = forces[sample, k]
+                tile[6 * ROW + cell] = intervals[sample] if begin + step >= 0 else 0.0
+        for step in range(length, steps):
+            for row in range(7):
+                tile[row * ROW + LANES * step + lane] = 0.0
+
+
+# Compensation ------------------------------------------------------------------------------------------------
+
+
+@_compiled(error_model="numpy")
+def _compensate(tile: Array, steps: int, model: Model, lanes: int, state: Array) -> None:
+    """Rates and specific forces of the body in place of the readings, in the order of Part II, A1: force; rate with
+    g-sensitivity to the late force; force moved by the delay with that rate; rate with g-sensitivity to the moved one.
+
+    A1 moves the force with a rate from which no G f was taken: at 0.01 °/s/(m/s²) and 4 ms that left 2·10⁻⁴ m/s in the
+    velocity of a turn of 6 s, this 10⁻⁵."""
+    gyro, accel, g_sensitivity, delay = model
+    many, linear, scratch = steps * LANES, tile[7 * ROW :], tile[10 * ROW :]
+    _transform(tile, many, gyro[0], gyro[1], accel[0], accel[1])
+    _subtract_terms(tile[3 * ROW :], many, accel, scratch)
+    if delay != 0.0:
+        _copy(tile, linear, many)
+        _subtract_force(tile, many, g_sensitivity)
+        _subtract_terms(tile, many, gyro, scratch)
+        _move(tile, steps, lanes, delay, state)
+        _copy(linear, tile, many)
+    _subtract_force(tile, many, g_sensitivity)
+    _subtract_terms(tile, many, gyro, scratch)
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _transform(tile: Array, many: int, A: Array, a: Array, B: Array, b: Array) -> None:
+    """ω = A y_g + a and f = B y_a + b, in place."""
+    a00, a01, a02 = A[0]
+    a10, a11, a12 = A[1]
+    a20, a21, a22 = A[2]
+    b00, b01, b02 = B[0]
+    b10, b11, b12 = B[1]
+    b20, b21, b22 = B[2]
+    a0, a1, a2 = a
+    b0, b1, b2 = b
+    for i in range(many):
+        x, y, z = tile[i], tile[ROW + i], tile[2 * ROW + i]
+        u, v, w = tile[3 * ROW + i], tile[4 * ROW + i], tile[5 * ROW + i]
+        tile[i] = a0 + a00 * x + a01 * y + a02 * z
+        tile[ROW + i] = a1 + a10 * x + a11 * y + a12 * z
+        tile[2 * ROW + i] = a2 + a20 * x + a21 * y + a22 * z
+        tile[3 * ROW + i] = b0 + b00 * u + b01 * v + b02 * w
+        tile[4 * ROW + i] = b1 + b10 * u + b11 * v + b12 * w
+        tile[5 * ROW + i] = b2 + b20 * u + b21 * v + b22 * w
+
+
+@_compiled(error_model="numpy")
+def _subtract_terms(vector: Array, many: int, terms: Terms, scratch: Array) -> None:
+    """Solve x + Σ_p effect_p (K₂ u² + K₃ u³ + κ |u|) = linear, u = a_p·x, by two fixed-point steps in place; at once
+    where no sensor has such a term."""
+    _, _, axes, coefficients, effect = terms
+    if len(axes) == 0:
+        return
+    before = scratch[3 * ROW :]
+    _copy(vector, scratch, many)
+    for _ in range(2):
+        _copy(vector, before, many)
+        _copy(scratch, vector, many)
+        for p in range(len(axes)):
+            _subtract_term(vector, before, many, axes[p], coefficients[p], effect[p])
+
+
+@_compiled(error_model="numpy")
+def _copy(source: Array, target: Array, many: int) -> None:
+    """Copy a vector."""
+    for i in range(many):
+        target[i] = source[i]
+        target[ROW + i] = source[ROW + i]
+        target[2 * ROW + i] = source[2 * ROW + i]
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _subtract_term(vector: Array, before: Array, many: int, axis: Array, coefficients: Array, effect: Array) -> None:
+    """Take off the nonlinear term of one sensor, at the vector `before`."""
+    a0, a1, a2 = axis
+    square, cube, asymmetry = coefficients
+    e0, e1, e2 = effect
+    for i in range(many):
+        u = a0 * before[i] + a1 * before[ROW + i] + a2 * before[2 * ROW + i]
+        term = u * u * (square + cube * u) + asymmetry * abs(u)
+        vector[i] -= e0 * term
+        vector[ROW + i] -= e1 * term
+        vector[2 * ROW + i] -= e2 * term
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _move(tile: Array, steps: int, lanes: int, delay: float, state: Array) -> None:
+    """f ← f − τ ω̄×f + ½τ² ω̄×(ω̄×f), with ω̄ = ω − ½τ ω̇ the rate in the middle of the delay and ω̇ from the sample
+    before. The number added to the time keeps 0/0 out of samples that take no time."""
+    for step in range(steps):
+        sample = LANES * step
+        for i in range(lanes):
+            o = sample + i
+            x, y, z, dt = tile[o], tile[ROW + o], tile[2 * ROW + o], tile[6 * ROW + o]
+            u, v, w = tile[3 * ROW + o], tile[4 * ROW + o], tile[5 * ROW + o]
+            part = delay / (dt + state[(_RATE + 3) * LANES + i] + 1e-300)
+            ax = delay * (x - part * (x - state[_RATE * LANES + i]))
+            ay = delay * (y - part * (y - state[(_RATE + 1) * LANES + i]))
+            az = delay * (z - part * (z - state[(_RATE + 2) * LANES + i]))
+            bx, by, bz = ay * w - az * v, az * u - ax * w, ax * v - ay * u
+            tile[3 * ROW + o] = u - bx + 0.5 * (ay * bz - az * by)
+            tile[4 * ROW + o] = v - by + 0.5 * (az * bx - ax * bz)
+            tile[5 * ROW + o] = w - bz + 0.5 * (ax * by - ay * bx)
+            state[_RATE * LANES + i], state[(_RATE + 1) * LANES + i] = x, y
+            state[(_RATE + 2) * LANES + i], state[(_RATE + 3) * LANES + i] = z, dt
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _subtract_force(tile: Array, many: int, G: Array) -> None:
+    """ω ← ω − G f; at once where there is no G."""
+    if len(G) == 0:
+        return
+    g00, g01, g02 = G[0]
+    g10, g11, g12 = G[1]
+    g20, g21, g22 = G[2]
+    for i in range(many):
+        u, v, w = tile[3 * ROW + i], tile[4 * ROW + i], tile[5 * ROW + i]
+        tile[i] -= g00 * u + g01 * v + g02 * w
+        tile[ROW + i] -= g10 * u + g11 * v + g12 * w
+        tile[2 * ROW + i] -= g20 * u + g21 * v + g22 * w
+
+
+@_compiled(error_model="numpy")
+def ends_of(intervals: Array, starts: IntArray, stops: IntArray, seconds: float) -> tuple[IntArray, IntArray]:
+    """End of the head and start of the tail (K,) of pieces: as many samples as take `seconds`, all where there are
+    fewer."""
+    head_stop, tail_start = starts.copy(), stops.copy()
+    for k in range(len(starts)):
+        left = seconds
+        while left > 0.0 and head_stop[k] < stops[k]:
+            left -= intervals[head_stop[k]]
+            head_stop[k] += 1
+        left = seconds
+        while left > 0.0 and tail_start[k] > starts[k]:
+            tail_start[k] -= 1
+            left -= intervals[tail_start[k]]
+    return head_stop, tail_start
+
+
+@_compiled(error_model="numpy")
+def _add_ends(tile: Array, steps: int, piece: IntArray, first: IntArray, stop: IntArray, done: int, ends: Ends) -> None:
+    """Add f dt and dt of the samples in the head and in the tail of their piece."""
+    head_stop, tail_start, head, tail = ends
+    for lane in range(len(piece)):
+        k, begin = piece[lane], first[lane] + done
+        last = min(stop[lane] - begin, steps)
+        for step in range(min(head_stop[k] - begin, last)):
+            _add_end(tile, LANES * step + lane, head[k])
+        for step in range(max(tail_start[k] - begin, 0), last):
+            _add_end(tile, LANES * step + lane, tail[k])
+
+
+@_compiled(error_model="numpy")
+def _add_end(tile: Array, cell: int, end: Array) -> None:
+    """Add (f dt, dt) of one sample."""
+    dt = tile[6 * ROW + cell]
+    for k in range(3):
+        end[k] += tile[(3 + k) * ROW + cell] * dt
+    end[3] += dt
+
+
+# Regressors --------------------------------------------------------------------------------------------------
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _regress(tile: Array, steps: int, lanes: int, right: Array, state: Array) -> None:
+    """1, ω, f, f_k f_l, ω_k ω_l (k ≤ l) times dt; and dt² |f − f'|² with f' of the sample before."""
+    for step in range(steps):
+        sample = LANES * step
+        for i in range(lanes):
+            o = sample + i
+            x, y, z, dt = tile[o], tile[ROW + o], tile[2 * ROW + o], tile[6 * ROW + o]
+            u, v, w = tile[3 * ROW + o], tile[4 * ROW + o], tile[5 * ROW + o]
+            du, dv, dw = u - state[_FORCE * LANES + i], v - state[18 * LANES + i], w - state[19 * LANES + i]
+            state[_FORCE * LANES + i], state[18 * LANES + i], state[19 * LANES + i] = u, v, w
+            state[_JUMPS * LANES + i] += dt * dt * (du * du + dv * dv + dw * dw)
+            xt, yt, zt, ut, vt, wt = x * dt, y * dt, z * dt, u * dt, v * dt, w * dt
+            right[o] = dt
+            right[ROW + o] = xt
+            right[2 * ROW + o] = yt
+            right[3 * ROW + o] = zt
+            right[4 * ROW + o] = ut
+            right[5 * ROW + o] = vt
+            right[6 * ROW + o] = wt
+            right[7 * ROW + o] = u * ut
+            right[8 * ROW + o] = u * vt
+            right[9 * ROW + o] = u * wt
+            right[10 * ROW + o] = v * vt
+            right[11 * ROW + o] = v * wt
+            right[12 * ROW + o] = w * wt
+            right[13 * ROW + o] = x * xt
+            right[14 * ROW + o] = x * yt
+            right[15 * ROW + o] = x * zt
+            right[16 * ROW + o] = y * yt
+            right[17 * ROW + o] = y * zt
+            right[18 * ROW + o] = z * zt
+
+
+@_compiled(error_model="numpy")
+def _regress_own(tile: Array, steps: int, own_axes: tuple[Array, Array], right: Array) -> None:
+    """|a_p·ω| of the gyros, then |a_p·f| and then (a_p·f)³ of the accelerometers, times dt."""
+    gyros, accels = own_axes
+    n, m = len(gyros), len(accels)
+    for p in range(n):
+        _magnitude(tile, tile[6 * ROW :], steps * LANES, gyros[p], right[(COMMON + p) * ROW :])
+    for p in range(m):
+        _magnitude(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + n + p) * ROW :])
+        _cube(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + n + m + p) * ROW :])
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _magnitude(vector: Array, dt: Array, many: int, axis: Array, out: Array) -> None:
+    """|a·x| dt."""
+    a0, a1, a2 = axis
+    for i in range(many):
+        out[i] = abs(a0 * vector[i] + a1 * vector[ROW + i] + a2 * vector[2 * ROW + i]) * dt[i]
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _cube(vector: Array, dt: Array, many: int, axis: Array, out: Array) -> None:
+    """(a·x)³ dt."""
+    a0, a1, a2 = axis
+    for i in range(many):
+        u = a0 * vector[i] + a1 * vector[ROW + i] + a2 * vector[2 * ROW + i]
+        out[i] = u * u * u * dt[i]
+
+
+# The step ----------------------------------------------------------------------------------------------------
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _turn(right: Array, steps: int, lanes: int, state: Array, left: Array) -> None:
+    """Carry attitude and velocity of the lanes through the tile, with primes for the sample before (A1):
+
+        φ = Δθ + Δθ'×Δθ/12,   C ← C exp([φ×]),   C_m = C exp([φ×]/2)
+        V += C_m (Δv + φ×(φ×Δv)/24 + (Δθ'×Δv + Δv'×Δθ)/12)
+
+    and write C_m, row by row, and C_m e_j × (V + ½ΔV), likewise. The quaternions are those of
+    `tumble.reduction.kernels._advance`."""
+    for step in range(steps):
+        sample = LANES * step
+        for i in range(lanes):
+            o = sample + i
+            x, y, z = right[ROW + o], right[2 * ROW + o], right[3 * ROW + o]
+            u, v, w = right[4 * ROW + o], right[5 * ROW + o], right[6 * ROW + o]
+            px, py, pz = state[7 * LANES + i], state[8 * LANES + i], state[9 * LANES + i]
+            pu, pv, pw = state[10 * LANES + i], state[11 * LANES + i], state[12 * LANES + i]
+            state[7 * LANES + i], state[8 * LANES + i], state[9 * LANES + i] = x, y, z
+            state[10 * LANES + i], state[11 * LANES + i], state[12 * LANES + i] = u, v, w
+
+            fx = x + (py * z - pz * y) * (1.0 / 12.0)
+            fy = y + (pz * x - px * z) * (1.0 / 12.0)
+            fz = z + (px * y - py * x) * (1.0 / 12.0)
+            bx, by, bz = fy * w - fz * v, fz * u - fx * w, fx * v - fy * u
+            du = u + (fy * bz - fz * by) * (1.0 / 24.0) + (py * w - pz * v + pv * z - pw * y) * (1.0 / 12.0)
+            dv = v + (fz * bx - fx * bz) * (1.0 / 24.0) + (pz * u - px * w + pw * x - pu * z) * (1.0 / 12.0)
+            dw = w + (fx * by - fy * bx) * (1.0 / 24.0) + (px * v - py * u + pu * y - pv * x) * (1.0 / 12.0)
+
+            h = (fx * fx + fy * fy + fz * fz) * (1.0 / 16.0)
+            e0 = 1.0 - h * (1 / 2 - h * (1 / 24 - h * (1 / 720 - h * (1 / 40320))))
+            s = 0.25 - h * (1 / 24 - h * (1 / 480 - h * (1 / 20160 - h * (1 / 1451520))))
+            e1, e2, e3 = s * fx, s * fy, s * fz
+            q0, q1, q2, q3 = state[i], state[LANES + i], state[2 * LANES + i], state[3 * LANES + i]
+            m0 = q0 * e0 - q1 * e1 - q2 * e2 - q3 * e3
+            m1 = q0 * e1 + q1 * e0 + q2 * e3 - q3 * e2
+            m2 = q0 * e2 - q1 * e3 + q2 * e0 + q3 * e1
+            m3 = q0 * e3 + q1 * e2 - q2 * e1 + q3 * e0
+            state[i] = 2.0 * e0 * m0 - q0
+            state[LANES + i] = 2.0 * e0 * m1 - q1
+            state[2 * LANES + i] = 2.0 * e0 * m2 - q2
+            state[3 * LANES + i] = 2.0 * e0 * m3 - q3
+
+            d1, d2, d3 = m1 + m1, m2 + m2, m3 + m3
+            c00, c01, c02 = 1.0 - (d2 * m2 + d3 * m3), d1 * m2 - d3 * m0, d1 * m3 + d2 * m0
+            c10, c11, c12 = d1 * m2 + d3 * m0, 1.0 - (d1 * m1 + d3 * m3), d2 * m3 - d1 * m0
+            c20, c21, c22 = d1 * m3 - d2 * m0, d2 * m3 + d1 * m0, 1.0 - (d1 * m1 + d2 * m2)
+            gx, gy, gz = state[4 * LANES + i], state[5 * LANES + i], state[6 * LANES + i]
+            ax = c00 * du + c01 * dv + c02 * dw
+            ay = c10 * du + c11 * dv + c12 * dw
+            az = c20 * du + c21 * dv + c22 * dw
+            state[4 * LANES + i], state[5 * LANES + i], state[6 * LANES + i] = gx + ax, gy + ay, gz + az
+            gx, gy, gz = gx + 0.5 * ax, gy + 0.5 * ay, gz + 0.5 * az
+
+            left[o] = c00
+            left[ROW + o] = c01
+            left[2 * ROW + o] = c02
+            left[3 * ROW + o] = c10
+            left[4 * ROW + o] = c11
+            left[5 * ROW + o] = c12
+            left[6 * ROW + o] = c20
+            left[7 * ROW + o] = c21
+            left[8 * ROW + o] = c22
+            left[9 * ROW + o] = c10 * gz - c20 * gy
+            left[10 * ROW + o] = c11 * gz - c21 * gy
+            left[11 * ROW + o] = c12 * gz - c22 * gy
+            left[12 * ROW + o] = c20 * gx - c00 * gz
+            left[13 * ROW + o] = c21 * gx - c01 * gz
+            left[14 * ROW + o] = c22 * gx - c02 * gz
+            left[15 * ROW + o] = c00 * gy - c10 * gx
+            left[16 * ROW + o] = c01 * gy - c11 * gx
+            left[17 * ROW + o] = c02 * gy - c12 * gx
+
+
+@_compiled(error_model="numpy")
+def _turn_about(left: Array, right: Array, steps: int, swept: Array) -> None:
+    """C_m [ω×] dt, row by row."""
+    for i in range(3):
+        _turn_row(left[3 * i * ROW :], right, steps * LANES, swept[3 * i * ROW :])
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _turn_row(row: Array, right: Array, many: int, out: Array) -> None:
+    """One row of C_m times [ω×] dt."""
+    for i in range(many):
+        x, y, z = right[ROW + i], right[2 * ROW + i], right[3 * ROW + i]
+        a, b, c = row[i], row[ROW + i], row[2 * ROW + i]
+        out[i] = b * z - c * y
+        out[ROW + i] = c * x - a * z
+        out[2 * ROW + i] = a * y - b * x
+
+
+# Sums --------------------------------------------------------------------------------------------------------
+
+
+@_compiled(error_model="numpy")
+def _add_all(
+    left: Array, right: Array, swept: Array, tile: Array, steps: int, lanes: int, rows: int, linear: int, total: Array
+) -> None:
+    """Add the products of a tile to `total`: per regressor nine with C_m, per linear and own-axis regressor of the
+    rate nine with C_m × V, per component of f nine with C_m [ω×] dt, and the regressors themselves."""
+    groups = steps // GROUP
+    for r in range(rows):
+        _add_products(left, right[r * ROW :], groups, lanes, total[9 * r * LANES :])
+    for r in range(linear):
+        row = r if r < LINEAR else COMMON + r - LINEAR
+        _add_products(left[9 * ROW :], right[row * ROW :], groups, lanes, total[9 * (rows + r) * LANES :])
+    for k in range(3):
+        _add_products(swept, tile[(3 + k) * ROW :], groups, lanes, total[9 * (rows + linear + k) * LANES :])
+    for r in range(rows):
+        _add_row(right[r * ROW :], groups, lanes, total[(9 * (rows + linear + 3) + r) * LANES :])
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _add_products(left: Array, right: Array, groups: int, lanes: int, total: Array) -> None:
+    """Products of nine rows with one; GROUP samples of every lane before a sum is written back."""
+    for group in range(groups):
+        sample = GROUP * LANES * group
+        for i in range(lanes):
+            o = sample + i
+            a, b, c, d = right[o], right[LANES + o], right[2 * LANES + o], right[3 * LANES + o]
+            e, f, g, h = right[4 * LANES + o], right[5 * LANES + o], right[6 * LANES + o], right[7 * LANES + o]
+            for row in range(9):
+                p = row * ROW + o
+                s = total[row * LANES + i] + a * left[p]
+                s = ((s + b * left[LANES + p]) + c * left[2 * LANES + p]) + d * left[3 * LANES + p]
+                s = ((s + e * left[4 * LANES + p]) + f * left[5 * LANES + p]) + g * left[6 * LANES + p]
+                total[row * LANES + i] = s + h * left[7 * LANES + p]
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _add_row(right: Array, groups: int, lanes: int, total: Array) -> None:
+    """Sums of one row, GROUP samples of every lane before a sum is written back."""
+    for group in range(groups):
+        sample = GROUP * LANES * group
+        for i in range(lanes):
+            o = sample + i
+            first = (right[o] + right[LANES + o]) + (right[2 * LANES + o] + right[3 * LANES + o])
+            last = (right[4 * LANES + o] + right[5 * LANES + o]) + (right[6 * LANES + o] + right[7 * LANES + o])
+            total[i] += first + last
+
+
+@_compiled(error_model="numpy")
+def _join(state: Array, total: Array, piece: IntArray, sums: Sums) -> None:
+    """Append the stretches of a group to their pieces. With C and V of the piece so far and the stretch marked 2:
+    ΔΦ = C ΔΦ₂, ΔΦ × V = C ΔΦ₂ × V + C (ΔΦ₂ × V₂), V += C V₂, C ← C C₂ (as quaternions, of unit length again)."""
+    attitude, V, products, moved, swept, regressors, jumps = sums
+    rows, linear = products.shape[1], moved.shape[1]
+    C = np.empty((3, 3))
+    for lane, k in enumerate(piece):
+        _matrix_of(attitude[k], C)
+        for r in range(rows):
+            own = COMMON <= r < COMMON + linear - LINEAR
+            if r < LINEAR or own:
+                at = r - COMMON + LINEAR if own else r
+                _add_crossed(C, total[9 * r * LANES + lane :], V[k], moved[k, at])
+                _add_rotated(C, total[9 * (rows + at) * LANES + lane :], moved[k, at])
+            _add_rotated(C, total[9 * r * LANES + lane :], products[k, r])
+            regressors[k, r] += total[(9 * (rows + linear + 3) + r) * LANES + lane]
+        for r in range(3):
+            _add_rotated(C, total[9 * (rows + linear + r) * LANES + lane :], swept[k, r])
+        for i in range(3):
+            for j in range(3):
+                V[k, i] += C[i, j] * state[(_V + j) * LANES + lane]
+        jumps[k] += state[_JUMPS * LANES + lane]
+        _append_attitude(attitude[k], state, lane)
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _add_rotated(C: Array, matrix: Array, out: Array) -> None:
+    """Add C times a matrix that lies in every LANES-th number, row by row."""
+    for j in range(3):
+        a, b, c = matrix[j * LANES], matrix[(3 + j) * LANES], matrix[(6 + j) * LANES]
+        for i in range(3):
+            out[3 * i + j] += C[i, 0] * a + C[i, 1] * b + C[i, 2] * c
+
+
+@_compiled(error_model="numpy", fastmath={"contract"})
+def _add_crossed(C: Array, matrix: Array, V: Array, out: Array) -> None:
+    """Add the cross products of the columns of C times a matrix, which lies in every LANES-th number, with V."""
+    for j in range(3):
+        a, b, c = matrix[j * LANES], matrix[(3 + j) * LANES], matrix[(6 + j) * LANES]
+        x = C[0, 0] * a + C[0, 1] * b + C[0, 2] * c
+        y = C[1, 0] * a + C[1, 1] * b + C[1, 2] * c
+        z = C[2, 0] * a + C[2, 1] * b + C[2, 2] * c
+        out[j] += y * V[2] - z * V[1]
+        out[3 + j] += z * V[0] - x * V[2]
+        out[6 + j] += x * V[1] - y * V[0]
+
+
+@_compiled(error_model="numpy")
+def _append_attitude(a: Array, state: Array, lane: int) -> None:
+    """a ← a b, with b the attitude of the lane."""
+    b0, b1, b2, b3 = state[lane], state[LANES + lane], state[2 * LANES + lane], state[3 * LANES + lane]
+    q0 = a[0] * b0 - a[1] * b1 - a[2] * b2 - a[3] * b3
+    q1 = a[0] * b1 + a[1] * b0 + a[2] * b3 - a[3] * b2
+    q2 = a[0] * b2 - a[1] * b3 + a[2] * b0 + a[3] * b1
+    q3 = a[0] * b3 + a[1] * b2 - a[2] * b1 + a[3] * b0
+    length = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    a[0], a[1], a[2], a[3] = q0 / length, q1 / length, q2 / length, q3 / length
+
+
+@_compiled(error_model="numpy")
+def finish(sums: Sums, C: Array) -> None:
+    """Write the matrices of the attitudes to C (K, 3, 3), and Ψ = Φ × V − Σ ΔΦ × V over the latter."""
+    attitude, V, products, moved, _, _, _ = sums
+    for k in range(len(attitude)):
+        _matrix_of(attitude[k], C[k])
+        for r in range(moved.shape[1]):
+            Phi, Psi = products[k, r if r < LINEAR else COMMON + r - LINEAR], moved[k, r]
+            for j in range(3):
+                x, y, z = Phi[j], Phi[3 + j], Phi[6 + j]
+                Psi[j] = y * V[k, 2] - z * V[k, 1] - Psi[j]
+                Psi[3 + j] = z * V[k, 0] - x * V[k, 2] - Psi[3 + j]
+                Psi[6 + j] = x * V[k, 1] - y * V[k, 0] - Psi[6 + j]
+
+
+@_compiled(error_model="numpy")
+def _matrix_of(q: Array, C: Array) -> None:
+    """Write the matrix of a unit quaternion, scalar first, to C (3, 3)."""
+    C[0, 0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
+    C[0, 1] = 2.0 * (q[1] * q[2] - q[3] * q[0])
+    C[0, 2] = 2.0 * (q[1] * q[3] + q[2] * q[0])
+    C[1, 0] = 2.0 * (q[1] * q[2] + q[3] * q[0])
+    C[1, 1] = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3])
+    C[1, 2] = 2.0 * (q[2] * q[3] - q[1] * q[0])
+    C[2, 0] = 2.0 * (q[1] * q[3] - q[2] * q[0])
+    C[2, 1] = 2.0 * (q[2] * q[3] + q[1] * q[0])
+    C[2, 2] = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])

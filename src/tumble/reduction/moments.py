@@ -1,0 +1,374 @@
+"""Moments of a turn: integrals over its samples that know no parameter, and the columns they give for any parameter.
+
+A turn is seen from the non-rotating frame of the body at its start; C(t) takes the body at t to it. With compensated
+rate ω and specific force f of the body and the thirteen regressors β = (1, ω_k, f_k, f_k f_l), k ≤ l,
+
+    Φ_ijb = ∫ C_ij β_b dt,     Ψ_jb = ∫ Φ_jb × dV  (b < 7),     W_ij,kl = ∫ C_ij ω_k ω_l dt,     V = ∫ C f dt,
+
+which together with C, the sweep ∫ (C[ω×])_im f_l dt and the force at both ends are the statistic of the turn
+(method-dynamics, A7). Let sensor p read a_pᵀω or a_pᵀf plus Σ_m θ_m Σ_b w_pbm β_b, and let s_p be column p of the left
+inverse with which the readings were compensated. Then a group of parameters is the constant array w alone:
+
+    gyros           ∂φ = −Φ_ijb s_jp w_pbm,   ∂V = −Ψ_ijb s_jp w_pbm                                    Eq. (A6)
+    accelerometers  ∂V = −Φ_ijb s_jp w_pbm
+
+with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·ω|, |a_p·f| and (a_p·f)³ have sums of their own, for the axes asked for.
+
+The effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on the force through
+the delay, is left out of the columns: it is of second order, and gone when the turn is integrated about the new values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from tumble.reduction import moment_kernels as _kernels
+from tumble.rotation import onto_body, skew
+from tumble.sensors.model import SensorModel
+from tumble.units import Array, BoolArray, IntArray
+
+REGRESSORS = 13
+END_SECONDS = 0.2
+"""Length of the head and of the tail of a turn, over which the force at its ends is meant."""
+NO_AXES: Array = np.empty((0, 3))
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+# What the samples are compensated with -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class BlockCompensation:
+    """How the body vector x is had from y, the body vector of nominal sensors: of
+
+        x = A (y − c − Σ_p P_p (K₂ u² + K₃ u³ + κ |u|)),     u = a_pᵀx,
+
+    `axes` a_p (n, 3), `to_body` P = pinv(axes) (3, n), `matrix` A (3, 3), `bias` c (3,) and `terms` (n, 3): K₂, K₃ and
+    κ of every sensor in the units of its reading per power of u."""
+
+    axes: Array
+    to_body: Array
+    matrix: Array
+    bias: Array
+    terms: Array
+
+    @classmethod
+    def of(cls, axes: Array, model: SensorModel, terms: Array | None = None) -> BlockCompensation:
+        """The compensation of sensors with nominal `axes` (n, 3) for a sensor model, and for nonlinear `terms` if
+        they have any."""
+        to_body = np.asarray(onto_body(axes), dtype=float)
+        return cls(
+            axes=np.ascontiguousarray(axes, dtype=float),
+            to_body=to_body,
+            matrix=np.asarray(np.linalg.inv(to_body @ model.matrix), dtype=float),
+            bias=to_body @ model.bias,
+            terms=np.zeros((len(axes), 3)) if terms is None else terms,
+        )
+
+    @property
+    def left_inverse(self) -> Array:
+        """s (3, n): column p is the change of the body vector with the reading of sensor p."""
+        return np.asarray(self.matrix @ self.to_body)
+
+    def _kernel_terms(self) -> _kernels.Terms:
+        """Arguments of the compiled loops, with the sensors that have nonlinear terms alone."""
+        has = np.any(self.terms != 0.0, axis=1)
+        return (
+            np.ascontiguousarray(self.matrix),
+            -self.matrix @ self.bias,
+            np.ascontiguousarray(self.axes[has]),
+            np.ascontiguousarray(self.terms[has]),
+            np.ascontiguousarray(self.left_inverse[:, has].T),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Compensation:
+    """The values a turn is integrated about: gyros and accelerometers, `g_sensitivity` G (3, 3) of the body rate, rad/s
+    per m/s², and `delay` τ, s, by which the accelerometers are late.
+
+    In the order of A1: f from its readings; ω; f moved by −τ ω̄×f + ½τ² ω̄×(ω̄×f), ω̄ = ω − ½τ ω̇; then ω again, with G
+    times the moved f. Nonlinear terms are solved by two fixed-point steps."""
+
+    gyro: BlockCompensation
+    accel: BlockCompensation
+    g_sensitivity: Array
+    delay: float
+
+    def _kernel_model(self) -> _kernels.Model:
+        """Arguments of the compiled loops."""
+        G = self.gyro.matrix @ self.g_sensitivity
+        G = np.ascontiguousarray(G) if G.any() else NO_AXES
+        return self.gyro._kernel_terms(), self.accel._kernel_terms(), G, float(self.delay)
+
+
+# The moments ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Moments:
+    """Moments of K turns or pieces of turns; n gyros and m accelerometers whose own-axis sums were asked for (0 else).
+
+    Integrals with C are resolved in the body at the start of the turn."""
+
+    C: Array
+    """Rotation (K, 3, 3), body at the end → body at the start."""
+    V: Array
+    """Velocity increment ∫ C f dt (K, 3), m/s."""
+    Phi: Array
+    """∫ C_ij β_b dt (K, 3, 3, 13)."""
+    Psi: Array
+    """(∫ Φ_jb × dV)_i (K, 3, 3, 7), of 1, ω, f."""
+    W: Array
+    """∫ C_ij ω_k ω_l dt (K, 3, 3, 6), kl = 11, 12, 13, 22, 23, 33."""
+    sweep: Array
+    """∫ (C [ω×])_im f_l dt (K, 3, 3, 3)."""
+    Phi_gyro: Array
+    """∫ C_ij |a_p·ω| dt (K, 3, 3, n)."""
+    Psi_gyro: Array
+    """The same as Ψ for |a_p·ω| (K, 3, 3, n)."""
+    Phi_accel: Array
+    """∫ C_ij |a_p·f| dt, and then ∫ C_ij (a_p·f)³ dt (K, 3, 3, 2, m)."""
+    body: Array
+    """∫ β_b dt (K, 13) in the body, without C: the first is the duration, s."""
+    body_rates: Array
+    """∫ ω_k ω_l dt (K, 6)."""
+    body_gyro: Array
+    """∫ |a_p·ω| dt (K, n)."""
+    body_accel: Array
+    """∫ |a_p·f| dt, ∫ (a_p·f)³ dt (K, 2, m)."""
+    jumps: Array
+    """Σ Δt² |f − f'|² (K,), m²/s², with f' of the sample before: Eq. (A3)."""
+    head: Array
+    """∫ f dt and the time (K, 4) over the first END_SECONDS, or all of a shorter piece."""
+    tail: Array
+    """The same at the end."""
+
+    def __len__(self) -> int:
+        return len(self.C)
+
+    @property
+    def T(self) -> Array:
+        """Duration (K,), s."""
+        return np.asarray(self.body[:, 0])
+
+    @property
+    def first_force(self) -> Array:
+        """Mean specific force (K, 3) in the body at the start, m/s²."""
+        return np.asarray(self.head[:, :3] / self.head[:, 3:])
+
+    @property
+    def last_force(self) -> Array:
+        """Mean specific force (K, 3) in the body at the end, m/s²."""
+        return np.asarray(self.tail[:, :3] / self.tail[:, 3:])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class OwnAxes:
+    """Axes of the gyros (n, 3) and the accelerometers (m, 3) whose own-axis sums are wanted: those with asymmetry or a
+    cubic term."""
+
+    gyro: Array
+    accel: Array
+
+
+NO_OWN_AXES = OwnAxes(gyro=NO_AXES, accel=NO_AXES)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Pieces:
+    """Samples of pieces of turns: `rates` (S, 3) rad/s and `forces` (S, 3) m/s² of the body from nominal sensors,
+    `intervals` (S,) s; piece j belongs to turn[j] and is samples start[j] … stop[j] − 1. The two samples before a piece
+    are those before it in time, unless it starts at 0 or 1: the last gives the first step its coning and sculling
+    terms, both the rate of change of the rate."""
+
+    rates: Array
+    forces: Array
+    intervals: Array
+    turn: IntArray
+    start: IntArray
+    stop: IntArray
+
+
+def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
+    """Moments of every piece, by the step about the middle attitude (A1).
+
+    Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
+    starts, stops = (np.ascontiguousarray(x, dtype=np.int64) for x in (pieces.start, pieces.stop))
+    count, n, m = len(starts), len(own.gyro), len(own.accel)
+    rows, linear = _kernels.COMMON + n + 2 * m, _kernels.LINEAR + n
+    attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
+    products, moved, sweep = (np.zeros((count, size, 9)) for size in (rows, linear, 3))
+    body, head, tail = np.zeros((count, rows)), np.zeros((count, 4)), np.zeros((count, 4))
+    sums = attitude, V, products, moved, sweep, body, jumps
+    intervals = np.ascontiguousarray(pieces.intervals, dtype=float)
+    _kernels.integrate_stretches(
+        (np.ascontiguousarray(pieces.rates, dtype=float), np.ascontiguousarray(pieces.forces, dtype=float), intervals),
+        _kernels.stretches_of(starts, stops),
+        compensation._kernel_model(),
+        (np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)),
+        sums,
+        (*_kernels.ends_of(intervals, starts, stops, END_SECONDS * (1.0 - 1e-9)), head, tail),
+        _kernels.new_work(rows, linear),
+        _kernels.LANES,
+    )
+    C = np.empty((count, 3, 3))
+    _kernels.finish(sums, C)
+    Phi, Psi = _matrices(products), _matrices(moved)
+    gyros, accels = slice(_kernels.COMMON, _kernels.COMMON + n), slice(_kernels.COMMON + n, None)
+    return Moments(
+        C=C,
+        V=V,
+        Phi=Phi[..., :REGRESSORS],
+        Psi=Psi[..., : _kernels.LINEAR],
+        W=Phi[..., REGRESSORS : _kernels.COMMON],
+        sweep=_matrices(sweep),
+        Phi_gyro=Phi[..., gyros],
+        Psi_gyro=Psi[..., _kernels.LINEAR :],
+        Phi_accel=Phi[..., accels].reshape(count, 3, 3, 2, m),
+        body=body[:, :REGRESSORS],
+        body_rates=body[:, REGRESSORS : _kernels.COMMON],
+        body_gyro=body[:, gyros],
+        body_accel=body[:, accels].reshape(count, 2, m),
+        jumps=jumps,
+        head=head,
+        tail=tail,
+    )
+
+
+def _matrices(sums: Array) -> Array:
+    """(K, 3, 3, R) of the kernel's sums (K, R, 9)."""
+    return np.moveaxis(sums.reshape(*sums.shape[:2], 3, 3), 1, 3)
+
+
+def _crossed(matrices: Array, V: Array) -> Array:
+    """The columns M_jb (K, 3, 3, R) of each turn times its V (K, 3): (M_jb × V)_i = −([V×] M_jb)_i."""
+    return _turned(-_skews(V), matrices)
+
+
+def _turned(C: Array, matrices: Array) -> Array:
+    """C (K, 3, 3) times the columns of (K, 3, …)."""
+    flat = matrices.reshape(*matrices.shape[:2], math.prod(matrices.shape[2:]))
+    return np.asarray((C @ flat).reshape(matrices.shape))
+
+
+def _skews(vectors: Array) -> Array:
+    """[v×] (K, 3, 3) of vectors (K, 3)."""
+    return np.asarray(np.einsum("kj,jab->kab", vectors, _GENERATORS))
+
+
+_GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
+
+
+def combined(first: Moments, second: Moments) -> Moments:
+    """Moments of turns of two parts, one after the other; with C and V of the first and the second marked 2,
+
+        C C₂,   V + C V₂,   Φ + C Φ₂,   Ψ + Φ × C V₂ + C Ψ₂
+
+    and likewise for all that has a C in it. Exact, but for the force at the ends of a part shorter than END_SECONDS:
+    there it is meant over more."""
+    C, V = first.C, _turned(first.C, second.V)
+    return Moments(
+        C=C @ second.C,
+        V=first.V + V,
+        Phi=first.Phi + _turned(C, second.Phi),
+        Psi=first.Psi + _crossed(first.Phi[..., : _kernels.LINEAR], V) + _turned(C, second.Psi),
+        W=first.W + _turned(C, second.W),
+        sweep=first.sweep + _turned(C, second.sweep),
+        Phi_gyro=first.Phi_gyro + _turned(C, second.Phi_gyro),
+        Psi_gyro=first.Psi_gyro + _crossed(first.Phi_gyro, V) + _turned(C, second.Psi_gyro),
+        Phi_accel=first.Phi_accel + _turned(C, second.Phi_accel),
+        body=first.body + second.body,
+        body_rates=first.body_rates + second.body_rates,
+        body_gyro=first.body_gyro + second.body_gyro,
+        body_accel=first.body_accel + second.body_accel,
+        jumps=first.jumps + second.jumps,
+        head=first.head + np.where(_short(first), second.head, 0.0),
+        tail=second.tail + np.where(_short(second), first.tail, 0.0),
+    )
+
+
+def _short(moments: Moments) -> BoolArray:
+    """Whether (K, 1) a piece is shorter than its ends should be."""
+    return (moments.T < END_SECONDS * (1.0 - 1e-9))[:, None]
+
+
+def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
+    """Moments of whole turns, of which every batch holds at most one piece each, in order of time."""
+    none = np.zeros(turns, dtype=np.int64)
+    nothing = Pieces(rates=NO_AXES, forces=NO_AXES, intervals=np.empty(0), turn=none, start=none, stop=none)
+    whole = moments_of(nothing, compensation, own)
+    for pieces in batches:
+        before = Moments(**{f.name: getattr(whole, f.name)[pieces.turn] for f in fields(Moments)})
+        joined = combined(before, moments_of(pieces, compensation, own))
+        for f in fields(Moments):
+            getattr(whole, f.name)[pieces.turn] = getattr(joined, f.name)
+    return whole
+
+
+# Columns -------------------------------------------------------------------------------------------------------
+
+
+def gyro_columns(moments: Moments, left_inverse: Array, w: Array) -> tuple[Array, Array]:
+    """∂φ and ∂V (K, 3, m) of gyro parameters with regressors w (n, 13, m), Eq. (A6); of ∂V the linear regressors."""
+    weights = np.tensordot(left_inverse, w, axes=1)
+    return -_contracted(moments.Phi, weights), -_contracted(moments.Psi, weights[:, : _kernels.LINEAR])
+
+
+def accel_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
+    """∂V (K, 3, m) of accelerometer parameters with regressors w (n, 13, m), Eq. (A6); ∂φ is 0."""
+    return -_contracted(moments.Phi, np.tensordot(left_inverse, w, axes=1))
+
+
+def gyro_own_columns(moments: Moments, left_inverse: Array, w: Array) -> tuple[Array, Array]:
+    """∂φ and ∂V (K, 3, m) of gyro parameters that add w_pm |a_p·ω|, w (n, m)."""
+    weights = left_inverse[:, :, None] * w
+    return -_contracted(moments.Phi_gyro, weights), -_contracted(moments.Psi_gyro, weights)
+
+
+def accel_own_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
+    """∂V (K, 3, m) of accelerometer parameters that add w_p0m |a_p·f| + w_p1m (a_p·f)³, w (n, 2, m)."""
+    weights = np.einsum("jp,pqm->jqpm", left_inverse, w)
+    return -_contracted(moments.Phi_accel, weights)
+
+
+def lever_columns(moments: Moments, left_inverse: Array, axes: Array) -> Array:
+    """∂V = −A_r (K, 3, 3 n), s⁻¹, of the lever arms r_p (three numbers a sensor) of accelerometers, by parts:
+
+        A_r = ∫ C (s_p a_pᵀ [ω×] − [ω×] s_p a_pᵀ) [ω×] dt                                                Eq. (6)
+
+    with s_p a_pᵀ for e_p e_pᵀ, so that it holds for any axes."""
+    along = np.einsum("jp,pa->pja", left_inverse, axes)
+    first, second = (np.array([_GENERATORS[list(pair)[side]] for pair in _PAIRS]) for side in (0, 1))
+    weights = np.zeros((3, len(_PAIRS), len(axes), 3))
+    for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):
+        kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)
+        weights[:, which] += kernel[:, which]
+    return -_contracted(moments.W, weights.reshape(3, len(_PAIRS), -1))
+
+
+def delay_column(moments: Moments) -> Array:
+    """∂V = −∫ C (ω × f) dt (K, 3), m/s², of the delay common to all accelerometers, Eq. (7)."""
+    return np.asarray(-np.einsum("kijj->ki", moments.sweep))
+
+
+def single_delay_columns(moments: Moments, left_inverse: Array, axes: Array) -> Array:
+    """∂V (K, 3, n), m/s², of the delays of single accelerometers, by parts:
+
+        A_τ = ∫ C (ω × s_p)(a_p·f) dt − [C s_p (a_p·f)]                                                  Eq. (7)
+
+    with the force at the two ends from its means there."""
+    swept = np.einsum("kiml,mp,pl->kip", moments.sweep, left_inverse, axes)
+    last = (moments.C @ left_inverse) * (moments.last_force @ axes.T)[:, None, :]
+    first = left_inverse * (moments.first_force @ axes.T)[:, None, :]
+    return np.asarray(last - first - swept)
+
+
+def _contracted(moments: Array, weights: Array) -> Array:
+    """Σ M_ij… w_j…m (K, 3, m) of moments (K, 3, 3, …) and weights (3, …, m)."""
+    many = math.prod(weights.shape[:-1])
+    return np.asarray(moments.reshape(len(moments), 3, many) @ weights.reshape(many, weights.shape[-1]))

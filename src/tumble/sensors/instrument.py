@@ -1,0 +1,205 @@
+"""An instrument: its blocks of sensors and the groups of parameters that it has, as one vector of values.
+
+The vector holds bias, scale-factor error and axis angles of the accelerometers, then of the gyros, then the further
+groups in the order of the table (`tumble.sensors.parameters`). `coefficients` makes of it the arrays K of both blocks,
+with which a reading is y_p = Σ_b K_pb β_pb(f, ω); `derivatives` their derivatives. Lever arms and delays are in
+neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import (
+    CONSTANT,
+    FORCE,
+    FUNCTIONS,
+    OWN_CUBE,
+    OWN_SIZE,
+    PAIRS,
+    PRODUCTS,
+    RATE,
+    Motion,
+    ParameterGroup,
+    Variable,
+    groups,
+    positions_by_group,
+)
+from tumble.units import Array, IntArray
+
+_FIRST, _SECOND = np.array(PAIRS).T
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instrument:
+    """Accelerometers and gyros (None where there are none) with the `further` groups of parameters they have."""
+
+    accel: Block
+    gyro: Block | None
+    further: tuple[ParameterGroup, ...] = ()
+
+    @staticmethod
+    def of(
+        accel: Block, gyro: Block | None, names: Container[str] | None = None, variables: Container[str] = ("time",)
+    ) -> Instrument:
+        """The instrument with the further groups of these names, all of the table that fit its sensors where None;
+        changes only with `variables` that are known."""
+        blocks = {"accel": accel} | ({} if gyro is None else {"gyro": gyro})
+        chosen = [
+            group
+            for group in groups()
+            if not group.linear
+            and group.kind in blocks
+            and (names is None or group.name in names)
+            and (gyro is not None or group.motion is None)
+            and (group.variable is None or group.variable in variables)
+        ]
+        return Instrument(accel=accel, gyro=gyro, further=tuple(chosen))
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        further = tuple(name for group in self.further for name in group.names(self.block(group)))
+        return self.accel.names + (self.gyro.names if self.gyro is not None else ()) + further
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """SI units of all parameters."""
+        further = tuple(group.unit for group in self.further for _ in group.names(self.block(group)))
+        return self.accel.units + (self.gyro.units if self.gyro is not None else ()) + further
+
+    def block(self, group: ParameterGroup) -> Block:
+        """The sensors that have a group."""
+        found = self.accel if group.kind == "accel" else self.gyro
+        assert found is not None
+        return found
+
+    @cached_property
+    def linear_count(self) -> int:
+        """How many parameters belong to the linear model."""
+        return len(self.accel.names) + (len(self.gyro.names) if self.gyro is not None else 0)
+
+    @cached_property
+    def members(self) -> dict[str, slice]:
+        """Where the parameters of each further group stand, by its name."""
+        out, first = {}, self.linear_count
+        for group in self.further:
+            out[group.name] = slice(first, first := first + len(group.names(self.block(group))))
+        return out
+
+    def own(self, block: Block) -> slice:
+        """Where the linear parameters of a block stand."""
+        n = len(self.accel.names)
+        return slice(0, n) if block.kind == "accel" else slice(n, n + len(block.names))
+
+    def in_motion(self, motion: Motion) -> slice | None:
+        """Where the parameters stand that a turn alone sees in this way."""
+        return next((self.members[g.name] for g in self.further if g.motion == motion), None)
+
+    @cached_property
+    def changes(self) -> list[tuple[slice, slice, Variable]]:
+        """Where the parameters stand that are changes of others, where these stand, and what they go with."""
+        return [
+            (self.members[group.name], self.group_columns(group.base), group.variable)
+            for group in self.further
+            if group.base is not None and group.variable is not None
+        ]
+
+    def group_columns(self, name: str) -> slice:
+        """Where the parameters of a group stand."""
+        if name in self.members:
+            return self.members[name]
+        places = positions_by_group(self.names)[name]
+        return slice(places[0], places[-1] + 1)
+
+    @cached_property
+    def in_velocities(self) -> bool:
+        """Whether the velocities of turns can be predicted: lever arms and delays enter them as much as all else."""
+        return self.gyro is not None and None not in (self.in_motion("lever"), self.in_motion("delay"))
+
+    def model(self, block: Block, values: Array) -> SensorModel:
+        """Sensitivity matrix and bias of a block."""
+        return block.model(values[self.own(block)])
+
+    def coefficients(self, block: Block, values: Array) -> Array:
+        """K (n, 15) of a block."""
+        model = self.model(block, values)
+        out = np.zeros((block.size, FUNCTIONS))
+        out[:, CONSTANT], out[:, _measured(block)] = model.bias, model.matrix
+        for _, columns, regressors in self._regressors[block.kind]:
+            out += regressors @ values[columns]
+        return out
+
+    def derivative(self, block: Block, values: Array) -> Array:
+        """∂K/∂θ (n, 15, m) of a block with respect to all parameters."""
+        out = self._constant[block.kind].copy()
+        own, jacobian = self.own(block), block.jacobian(values[self.own(block)])
+        out[:, _measured(block), own], out[:, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
+        return out
+
+    @cached_property
+    def _regressors(self) -> dict[str, list[tuple[ParameterGroup, slice, Array]]]:
+        out: dict[str, list[tuple[ParameterGroup, slice, Array]]] = {"accel": [], "gyro": []}
+        for group in self.further:
+            if group.regressors is not None:
+                out[group.kind].append((group, self.members[group.name], group.regressors(self.block(group))))
+        return out
+
+    @cached_property
+    def _constant(self) -> dict[str, Array]:
+        """∂K/∂θ of each block for the parameters that K is linear in."""
+        out = {}
+        for block in (self.accel, self.gyro):
+            if block is None:
+                continue
+            out[block.kind] = np.zeros((block.size, FUNCTIONS, len(self.names)))
+            for _, columns, regressors in self._regressors[block.kind]:
+                out[block.kind][:, :, columns] = regressors
+        return out
+
+    @cached_property
+    def used(self) -> dict[str, IntArray]:
+        """Which functions the readings of each block may contain."""
+        out = {}
+        for block in (self.accel, self.gyro):
+            if block is None:
+                continue
+            nonzero = np.any(self._constant[block.kind] != 0.0, axis=(0, 2))
+            nonzero[CONSTANT], nonzero[_measured(block)] = True, True
+            out[block.kind] = np.flatnonzero(nonzero)
+        return out
+
+
+def _measured(block: Block) -> slice:
+    return FORCE if block.kind == "accel" else RATE
+
+
+def functions(block: Block, force: Array, rate: Array) -> Array:
+    """β (N, n, 15) of the sensors of a block for specific forces and rates (N, 3) in the body."""
+    own = (force if block.kind == "accel" else rate) @ block.axes.T
+    out = np.empty((len(force), block.size, FUNCTIONS))
+    out[:, :, CONSTANT] = 1.0
+    out[:, :, RATE], out[:, :, FORCE] = rate[:, None], force[:, None]
+    out[:, :, PRODUCTS] = (force[:, _FIRST] * force[:, _SECOND])[:, None]
+    out[:, :, OWN_SIZE], out[:, :, OWN_CUBE] = np.abs(own), own**3
+    return out
+
+
+def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Array]:
+    """Derivatives (N, n, 3) of the readings Σ_b K_pb β_pb with respect to specific force and rate."""
+    by_force = np.broadcast_to(K[:, FORCE], (len(force), block.size, 3)).copy()
+    by_rate = np.broadcast_to(K[:, RATE], (len(force), block.size, 3)).copy()
+    for b, (k, l) in enumerate(PAIRS, start=PRODUCTS.start):
+        if np.any(K[:, b]):
+            by_force[:, :, k] += K[:, b] * force[:, [l]]
+            by_force[:, :, l] += K[:, b] * force[:, [k]]
+    if np.any(K[:, OWN_SIZE:]):
+        by, true = (by_force, force) if block.kind == "accel" else (by_rate, rate)
+        own = true @ block.axes.T
+        by += (K[:, OWN_SIZE] * np.sign(own) + 3.0 * K[:, OWN_CUBE] * own**2)[:, :, None] * block.axes
+    return by_force, by_rate

@@ -1,0 +1,334 @@
+"""The table of parameter groups: names, units, words, usual spread, and how a rest and a turn see each of them.
+
+A reading is linear in functions β of the specific force f and the rate ω,
+
+    y_p = Σ_b K_pb β_pb(f, ω),    β = 1, ω (3), f (3), products f_k f_l (6), |own|, own³                   (A5), (A6)
+
+own being the component of what sensor p measures along its nominal axis. K (n, 15) holds the sensitivity matrix and the
+bias, and every further group adds to it: a group is the constant array ∂K/∂θ, its `regressors` (n, 15, m). Three groups
+change no reading at rest: lever arms and delays act in a turn alone, and are named by `Motion`.
+
+Everything that deals with parameters loops over this table: estimation, bounds, planning, simulation, frames, the
+calibration file, terminal, report, registry and limits. A further group is one entry.
+
+Source of the groups: dynamics method, Eqs. (1), (2) and A7; of their usual size: its A4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from tumble.sensors.model import Block, SensorKind
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
+
+FUNCTIONS = 15
+"""How many functions β there are."""
+CONSTANT, RATE, FORCE, PRODUCTS, OWN_SIZE, OWN_CUBE = 0, slice(1, 4), slice(4, 7), slice(7, 13), 13, 14
+"""Where each function stands."""
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""k and l of the products f_k f_l."""
+
+Motion = Literal["lever", "delay"]
+Variable = Literal["time", "temperature", "temperature²"]
+"""What the change of a parameter within a session goes with: time from its middle, s, or temperature from the
+reference, K, and its square."""
+Regressors = Callable[[Block], Array]
+"""∂K/∂θ (n, 15, m) of a block for a group's parameters."""
+
+MICRO_G = 1e-6 * G_STANDARD
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ParameterGroup:
+    """A group of parameters such as "accel.quadratic", which `kind` of sensors has.
+
+    `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what
+    reports call it. `suffixes` makes the names of its parameters for a block. `limit`, SI, is how far from nominal a
+    value may reasonably be; `usual` the standard deviation over instruments of a grade, the prior where a parameter
+    has one. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where
+    `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
+    `variable`."""
+
+    name: str
+    kind: SensorKind
+    unit: str
+    words: str
+    suffixes: Callable[[Block], tuple[str, ...]]
+    limit: float
+    shown: tuple[tuple[float, str], ...] = ()
+    usual: Mapping[str, float] = field(default_factory=dict)
+    regressors: Regressors | None = None
+    motion: Motion | None = None
+    base: str | None = None
+    variable: Variable | None = None
+
+    @property
+    def linear(self) -> bool:
+        """Whether the group belongs to the 21 of the linear model: bias, scale factor and axis angles."""
+        return self.regressors is None and self.motion is None and self.base is None
+
+    def names(self, block: Block) -> tuple[str, ...]:
+        """Parameter names for a block of sensors."""
+        stem, ending = (self.name, "") if self.base is None else (self.base, f".{_ENDINGS[self.variable]}")
+        return tuple(f"{stem}.{suffix}{ending}" if suffix else f"{stem}{ending}" for suffix in self.suffixes(block))
+
+
+_ENDINGS: dict[Variable | None, str] = {"time": "drift", "temperature": "t1", "temperature²": "t2"}
+"""How the name of a parameter ends that is the change of another."""
+
+
+def _every_sensor(block: Block) -> tuple[str, ...]:
+    return block.sensors
+
+
+def _angles(block: Block) -> tuple[str, ...]:
+    return block.angles
+
+
+def _by_force(block: Block) -> tuple[str, ...]:
+    apart = "" if block.triad else "."
+    return tuple(f"{sensor}{apart}{axis}" for sensor in block.sensors for axis in "xyz")
+
+
+def _levers(block: Block) -> tuple[str, ...]:
+    return tuple(f"{sensor}.{axis}" for sensor in block.sensors[:-1] for axis in "xyz")
+
+
+def _others(block: Block) -> tuple[str, ...]:
+    return block.sensors[:-1]
+
+
+def _once(_: Block) -> tuple[str, ...]:
+    return ("",)
+
+
+def _own(function: int) -> Regressors:
+    """Regressors of a function of each sensor's own component."""
+
+    def regressors(block: Block) -> Array:
+        out = np.zeros((block.size, FUNCTIONS, block.size))
+        out[block.channels, function, np.arange(block.size)] = 1.0
+        return out
+
+    return regressors
+
+
+def quadratic(block: Block) -> Array:
+    """∂K/∂K₂ (n, 15, n): the square of the force along the nominal axis a, Σ a_k a_l f_k f_l."""
+    out = np.zeros((block.size, FUNCTIONS, block.size))
+    axes = block.axes[block.channels]
+    for b, (k, l) in enumerate(PAIRS, start=PRODUCTS.start):
+        out[block.channels, b, np.arange(block.size)] = (1.0 if k == l else 2.0) * axes[:, k] * axes[:, l]
+    return out
+
+
+def g_sensitivity(block: Block) -> Array:
+    """∂K/∂G (n, 15, 3n): each gyro by each component of the specific force."""
+    out = np.zeros((block.size, FUNCTIONS, 3 * block.size))
+    for j, channel in enumerate(block.channels):
+        out[channel, FORCE, 3 * j : 3 * j + 3] = np.eye(3)
+    return out
+
+
+_MASS = ((MICRO_G, "µg"), (1e3 * MICRO_G, "mg"))
+_PARTS = ((1e-6, "ppm"),)
+_TURN_RATE = ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s"))
+_PER_G = tuple((size / G_STANDARD, f"{name}/g") for size, name in _TURN_RATE)
+
+
+def _grades(navigation: float, tactical: float, mems: float, consumer: float) -> dict[str, float]:
+    return {"navigation": navigation, "tactical": tactical, "mems": mems, "consumer": consumer}
+
+
+LINEAR: tuple[ParameterGroup, ...] = tuple(
+    ParameterGroup(
+        name=f"{kind}.{what}", kind=kind, unit=unit, words=words, suffixes=suffixes, limit=limit, shown=shown
+    )
+    for kind, sensors, bias_unit, bias_limit, bias_shown in (
+        ("accel", "accelerometers", "m/s^2", 1.0, _MASS),
+        ("gyro", "gyros", "rad/s", 0.1, _TURN_RATE),
+    )
+    for what, unit, words, suffixes, limit, shown in (
+        ("bias", bias_unit, f"biases of the {sensors}", _every_sensor, bias_limit, bias_shown),
+        ("scale", "1", f"scale-factor errors of the {sensors}", _every_sensor, 0.1, _PARTS),
+        ("axis", "rad", f"axis angles of the {sensors}", _angles, 0.1, ()),
+    )
+)
+"""Bias, scale-factor error and axis angles: the 21 of two triads."""
+
+FURTHER: list[ParameterGroup] = [
+    ParameterGroup(
+        name="accel.quadratic",
+        kind="accel",
+        unit="s^2/m",
+        words="quadratic nonlinearity of the accelerometers, K₂",
+        suffixes=_every_sensor,
+        limit=1e-2 / G_STANDARD,
+        shown=((MICRO_G / G_STANDARD**2, "µg/g²"), (1e3 * MICRO_G / G_STANDARD**2, "mg/g²")),
+        usual={grade: ppm * 1e-6 / G_STANDARD for grade, ppm in _grades(30.0, 100.0, 500.0, 1000.0).items()},
+        regressors=quadratic,
+    ),
+    ParameterGroup(
+        name="accel.cubic",
+        kind="accel",
+        unit="s^4/m^2",
+        words="cubic nonlinearity of the accelerometers, K₃",
+        suffixes=_every_sensor,
+        limit=1e-2 / G_STANDARD**2,
+        shown=((MICRO_G / G_STANDARD**3, "µg/g³"), (1e3 * MICRO_G / G_STANDARD**3, "mg/g³")),
+        usual={grade: ppm * 1e-6 / G_STANDARD**2 for grade, ppm in _grades(10.0, 30.0, 100.0, 200.0).items()},
+        regressors=_own(OWN_CUBE),
+    ),
+    ParameterGroup(
+        name="accel.asymmetry",
+        kind="accel",
+        unit="1",
+        words="difference of the + and − scale factors of the accelerometers, half",
+        suffixes=_every_sensor,
+        limit=1e-2,
+        shown=_PARTS,
+        usual=_grades(20e-6, 100e-6, 500e-6, 1000e-6),
+        regressors=_own(OWN_SIZE),
+    ),
+    ParameterGroup(
+        name="gyro.asymmetry",
+        kind="gyro",
+        unit="1",
+        words="difference of the + and − scale factors of the gyros, half",
+        suffixes=_every_sensor,
+        limit=1e-2,
+        shown=_PARTS,
+        usual=_grades(10e-6, 100e-6, 500e-6, 1000e-6),
+        regressors=_own(OWN_SIZE),
+    ),
+    ParameterGroup(
+        name="gyro.g_sensitivity",
+        kind="gyro",
+        unit="rad*s/m",
+        words="g-sensitivity of the gyros",
+        suffixes=_by_force,
+        limit=DEGREE,
+        shown=_PER_G,
+        usual={
+            grade: rate / G_STANDARD
+            for grade, rate in _grades(
+                0.05 * DEGREE_PER_HOUR, 5.0 * DEGREE_PER_HOUR, 0.1 * DEGREE, 0.2 * DEGREE
+            ).items()
+        },
+        regressors=g_sensitivity,
+    ),
+    ParameterGroup(
+        name="accel.lever",
+        kind="accel",
+        unit="m",
+        words="lever arms of the accelerometers from the last one",
+        suffixes=_levers,
+        limit=1.0,
+        shown=((1e-3, "mm"),),
+        usual=_grades(0.03, 0.03, 0.005, 0.005),
+        motion="lever",
+    ),
+    ParameterGroup(
+        name="accel.delay",
+        kind="accel",
+        unit="s",
+        words="delay of the accelerometers after the gyros",
+        suffixes=_once,
+        limit=0.1,
+        shown=((1e-6, "µs"), (1e-3, "ms")),
+        usual=_grades(1e-3, 3e-3, 5e-3, 10e-3),
+        motion="delay",
+    ),
+]
+"""The groups beyond the linear model, in the order of the calibration file."""
+
+
+def _changing(base: str, variable: Variable, usual: dict[str, float], shown: tuple[tuple[float, str], ...]) -> None:
+    """Add the change of a group of the linear model with a variable to the table."""
+    group = next(group for group in LINEAR if group.name == base)
+    per, said = {"time": ("s", "drift of the "), "temperature": ("K", "slope over temperature of the ")}.get(
+        variable, ("K^2", "curvature over temperature of the ")
+    )
+    FURTHER.append(
+        ParameterGroup(
+            name=f"{base}.{_ENDINGS[variable]}",
+            kind=group.kind,
+            unit=f"{group.unit}/{per}" if group.unit != "1" else f"1/{per}",
+            words=said + group.words,
+            suffixes=group.suffixes,
+            limit=group.limit,
+            shown=shown,
+            usual=usual,
+            base=base,
+            variable=variable,
+        )
+    )
+
+
+def _scaled(values: dict[str, float], factor: float) -> dict[str, float]:
+    return {grade: factor * value for grade, value in values.items()}
+
+
+_HOUR = 3600.0
+for _base, _units, _per_hour, _per_kelvin in (
+    (
+        "accel.bias",
+        _MASS,
+        _scaled(_grades(20.0, 200.0, 2e3, 5e3), MICRO_G),
+        _scaled(_grades(20.0, 50.0, 300.0, 1e3), MICRO_G),
+    ),
+    ("accel.scale", _PARTS, _grades(10e-6, 50e-6, 200e-6, 500e-6), _grades(20e-6, 30e-6, 150e-6, 300e-6)),
+    (
+        "gyro.bias",
+        _TURN_RATE,
+        _scaled(_grades(0.005, 0.5, 50.0, 200.0), DEGREE_PER_HOUR),
+        _scaled(_grades(0.01, 1.0, 80.0, 200.0), DEGREE_PER_HOUR),
+    ),
+    ("gyro.scale", _PARTS, _grades(5e-6, 50e-6, 200e-6, 500e-6), _grades(10e-6, 30e-6, 200e-6, 400e-6)),
+):
+    _hourly = tuple((size / _HOUR, f"{name}/h") for size, name in _units)
+    _changing(_base, "time", _scaled(_per_hour, 1.0 / _HOUR), _hourly)
+    _changing(_base, "temperature", _per_kelvin, tuple((size, f"{name}/°C") for size, name in _units))
+
+
+def groups() -> tuple[ParameterGroup, ...]:
+    """All groups, in the order of the calibration file."""
+    return (*LINEAR, *FURTHER)
+
+
+def group_name(parameter: str) -> str:
+    """The group of a parameter: "accel.bias" of "accel.bias.x", "accel.bias.t1" of "accel.bias.x.t1"."""
+    parts = parameter.split(".")
+    return ".".join([*parts[:2], *(parts[-1:] if parts[-1] in _ENDINGS.values() else [])])
+
+
+def sensor_kind(parameter: str) -> str:
+    """The kind of sensor of a parameter: "accel" of "accel.bias.x"."""
+    return parameter.partition(".")[0]
+
+
+def group_of(parameter: str) -> ParameterGroup:
+    """The entry of a parameter's group. Raises KeyError where the table has none."""
+    wanted = group_name(parameter)
+    for group in groups():
+        if group.name == wanted:
+            return group
+    raise KeyError(parameter)
+
+
+def limits_of(parameters: Iterable[str]) -> Array:
+    """How far from nominal parameters of these names may reasonably be, SI."""
+    by_name = {group.name: group.limit for group in groups()}
+    return np.array([by_name[group_name(parameter)] for parameter in parameters])
+
+
+def positions_by_group(parameters: Iterable[str]) -> dict[str, list[int]]:
+    """Where the parameters of each group stand, the groups in their order."""
+    out: dict[str, list[int]] = {}
+    for i, parameter in enumerate(parameters):
+        out.setdefault(group_name(parameter), []).append(i)
+    return out
