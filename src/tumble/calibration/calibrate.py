@@ -29,6 +29,7 @@ from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Channels, Session, read_session
+from tumble.reduction import exclusion
 from tumble.reduction.blocks import reduce_log
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.observations import Observations, observe
@@ -112,6 +113,7 @@ def _estimated(
     if faults:
         return Outcome(reasons=tuple(faults))
     segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+    segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
     found = None
     # where the unit of the gyros makes every turn too slow to be one, the accelerometers still show the rests
     rests = segmentation.rests or find_rests(reduction, session.accel_block, None).rests
@@ -125,7 +127,9 @@ def _estimated(
     match = match_rests(session, reduction, segmentation)
     if not match.rests:
         return no_rests(segmentation)
-    if found is not None and match.rests == segmentation.rests:
+    reduction = exclusion.without_turns(reduction, match, session.excluded)
+    match = exclusion.without_rests(match, session.excluded)
+    if found is not None and match.rests == segmentation.rests and not session.excluded:
         observations = replace(found, programme=match.programme, position=match.position)
     else:
         observations = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
@@ -347,7 +351,7 @@ def _result(
         site=observations.site,
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
-        notes=_bridged(log) + _torn(observations) + _unchecked(estimate) + _aligned(case),
+        notes=_bridged(log) + exclusion.said(session.excluded) + _torn(observations) + _unchecked(estimate) + _aligned(case),
         provenance=provenance,
     )
 
