@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from tumble.estimation.prediction import Prediction
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray
@@ -112,6 +113,8 @@ class Estimate:
     groups: tuple[GroupFinding, ...] = ()
     degrees: Array | None = None
     """Degrees of freedom (m,) behind the u of the parameters, where the method knows them."""
+    prediction: Prediction | None = None
+    """What corrected readings are known to."""
 
     @property
     def unobservable(self) -> tuple[str, ...]:
