@@ -27,7 +27,14 @@ from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
 from tumble.files import FilePath
 from tumble.recording.arrays import session_of_arrays
-from tumble.recording.gaps import Gap
+from tumble.
+<<<<<<< ours
+recording
+=======
+reduction import exclusion
+from tumble.reduction
+>>>>>>> theirs
+.gaps import Gap
 from tumble.recording.log import Log
 from tumble.recording.session import Channels, Session, session_from
 from tumble.reduction.observations import Observations
@@ -110,7 +117,15 @@ def _given(session: Session | FilePath | None, readings: Mapping[str, Any]) -> S
         return session_of_arrays(**readings)
     if session is None or readings:
         found = ", ".join(readings) or "nothing"
-        beside = "" if session is None else " beside a session"
+        beside = "" if session
+<<<<<<< ours
+
+=======
+.gyro_block)
+    segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
+    found
+>>>>>>> theirs
+ is None else " beside a session"
         raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
     return session_from(session)
 
@@ -125,8 +140,23 @@ def _estimator(method: str, iterations: int | None) -> Callable[[Observations], 
         raise InputError(f"method: expected one of {known}, found {method!r}")
     if iterations is not None:
         raise InputError(
-            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
-            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
+            f"iterations: expected none with the method {method!r}, which iterates until nothing 
+<<<<<<< ours
+changes,
+=======
+no_rests(segmentation)
+    reduction = exclusion.without_turns(reduction, match, session.excluded)
+    match = exclusion.without_rests(match, session.excluded)
+    if
+>>>>>>> theirs
+ found "
+            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take 
+<<<<<<< ours
+a number"
+=======
+segmentation.rests and not session.excluded:
+>>>>>>> theirs
+
         )
     return METHODS[method]
 
@@ -352,7 +382,7 @@ def _result(
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
         notes=_bridged(observed.gaps)
-        + _torn(observations)
+        + exclusion.said(session.excluded) + _torn(observations)
         + observations.notes
         + _unchecked(estimate)
         + _aligned(case),

@@ -24,6 +24,7 @@ from tumble.files import FilePath, whole_file
 from tumble.recording.dialect import Dialect
 from tumble.recording.session_keys import (
     CLOCK,
+    ExcludeTable,
     LogTable,
     MagnetometerTable,
     ProgrammeTable,
@@ -159,6 +160,19 @@ class ProgrammeSpec:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Exclusion:
+    """What a session leaves out: the rest or the turn of this number, from 1 as results count them, or what lies
+    between `start` and `stop`, s, of a file (its index). The others are None."""
+
+    rest: int | None = None
+    turn: int | None = None
+    start: float | None = None
+    stop: float | None = None
+    file: int = 0
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Session:
     """What session.toml, or the description of samples in memory, says. `programme` is None for a free session:
     orientations are not assumed. `folder` is None in memory.
@@ -180,6 +194,7 @@ class Session:
     site: Site
     log: LogSpec
     programme: ProgrammeSpec | None
+    excluded: tuple[Exclusion, ...] = ()
 
     @property
     def name(self) -> str:
@@ -337,6 +352,18 @@ def _session(document: SessionDocument, folder: Path | None) -> Session:
         site=_site(document.site),
         log=_log(document.log, place),
         programme=None if document.programme is None else _programme(document.programme),
+        excluded=tuple(_exclusion(given) for given in document.exclude),
+    )
+
+
+def _exclusion(given: ExcludeTable) -> Exclusion:
+    return Exclusion(
+        rest=given.rest,
+        turn=given.turn,
+        start=given.start,
+        stop=given.stop,
+        file=(given.file or 1) - 1,
+        reason=given.reason,
     )
 
 
