@@ -39,10 +39,9 @@ _HEAD = 20_000
 _TOLERANCE = 0.3
 _SOFT = 0.03
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
-_USUAL_RATES = np.array(
-    [10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208, 238, 240]
-    + [250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000]
-)
+_LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
+_HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
+_USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
 _RATE_NEAR = 0.04
 _SLOW_RATE = 25.0  # Hz
 _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
@@ -386,8 +385,8 @@ def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
         return draft, faults
     near = _USUAL_RATES[np.argmin(np.abs(np.log(_USUAL_RATES / found)))]
     rate = float(near) if abs(near / found - 1.0) < _RATE_NEAR else float(f"{found:.4g}")
-    said = f"time: rate_hz = {rate:g} from the turns ({found:.4g} found): a guess to some percent"
-    said += "; put the log's rate there"
+    seen = f"rate_hz = {rate:g} from the turns ({found:.4g} found)"
+    said = f"time: {seen}: a guess to some percent; put the log's rate there"
     content = {**draft.content, "log": {**log, "rate_hz": rate}}
     return replace(draft, content=content, said=(*draft.said, said)), _looked_at(content, progress)[1]
 

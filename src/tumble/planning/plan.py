@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from tumble.planning.best_positions import Aim, Compared, Next, compared, next_positions, of_the_literature, optimised
 from tumble.planning.bounds import Bound, bound
 from tumble.planning.reachable_attitudes import ANY, TurnTable
-from tumble.planning.setup import Setup
+from tumble.planning.setup import Setup, with_all_groups
 
 FOR_ALL = Aim()
 """The mean uncertainty of all parameters in units of their spreads, gyros included."""
@@ -15,11 +15,13 @@ FOR_ALL = Aim()
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlanResult:
-    """What a set-up's programme can show at best. `following` are the positions it would gain most by, where it was
-    given; `programmes` the programme that was found and those of the literature, where one was to be found."""
+    """What a set-up's programme can show at best, of the linear model alone and of the `whole` instrument. `following`
+    are the positions it would gain most by, where it was given; `programmes` the programme that was found and those of
+    the literature, where one was to be found."""
 
     setup: Setup
     bound: Bound
+    whole: Bound
     following: tuple[Next, ...]
     programmes: tuple[Compared, ...]
 
@@ -36,8 +38,11 @@ def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, tabl
     (5, 'accel.bias')
     """
     if positions is None:
-        best = bound(setup, gyros=aim.gyros)
-        return PlanResult(setup=setup, bound=best, following=next_positions(setup, aim, table), programmes=())
+        best, whole = bound(setup, gyros=aim.gyros), bound(with_all_groups(setup), gyros=aim.gyros)
+        return PlanResult(
+            setup=setup, bound=best, whole=whole, following=next_positions(setup, aim, table), programmes=()
+        )
     setup = replace(setup, programme=optimised(setup, positions, aim, table))
     rows = compared(setup, (setup.programme, *of_the_literature()), aim)
-    return PlanResult(setup=setup, bound=rows[0].bound, following=(), programmes=rows)
+    whole = bound(with_all_groups(setup), gyros=aim.gyros)
+    return PlanResult(setup=setup, bound=rows[0].bound, whole=whole, following=(), programmes=rows)

@@ -167,7 +167,7 @@ def _check_columns(source: LogSource, spec: LogSpec) -> None:
             near = get_close_matches(column, names, n=1, cutoff=0.5)
             hint = f"; did you mean '{near[0]}'?" if near else ""
             shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
-            raise LogError(f"{source.path}: expected a column '{column}', found {shown}{hint}")
+            raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
         if Counter(names)[column] > 1:
             raise LogError(f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one")
 
