@@ -26,7 +26,8 @@ from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import DETERMINED
-from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -92,10 +93,11 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     independent from rest to turn."""
     truth = np.array([scenario.truth[name] for name in NAMES])
     problem = Problem.of(observations)
-    about = TurnsAbout.of(observations, problem.gyro_model(truth))
+    about = TurnsAbout.of(observations, problem.instrument, truth)
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
     scatter = Scatter(accel=scenario.noise.accel_instability, gyro=scenario.noise.gyro_instability)
-    step = solve(problem, linearise(problem, point, about), weights(problem, scatter))
+    rows = linearise(problem, point, about)
+    step = solve(problem, rows, weights(problem, rows, scatter))
     found = np.sqrt(np.diag(step.covariance)[1:])
     return {n: float(u) for n, u, s in zip(NAMES, found, problem.spread, strict=True) if u < s / DETERMINED}
 

@@ -127,10 +127,8 @@ class TurnsAbout:
         gyro, accel = instrument.gyro, instrument.accel
         assert gyro is not None
         of_gyro, of_accel = instrument.derivative(gyro, values), instrument.derivative(accel, values)
-        m = len(values)
-        flat_gyro, flat_accel = of_gyro.reshape(-1, m), of_accel.reshape(-1, m)
-        phi = self.by_phi.reshape(len(self.C), 3, -1) @ flat_gyro
-        V = self.by_V.reshape(len(self.C), 3, -1) @ flat_gyro + self.by_force.reshape(len(self.C), 3, -1) @ flat_accel
+        phi = np.tensordot(self.by_phi, of_gyro, axes=2)
+        V = np.tensordot(self.by_V, of_gyro, axes=2) + np.tensordot(self.by_force, of_accel, axes=2)
         levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
         if levers is not None:
             V[:, :, levers] = self.levers

@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import numpy as np
 
 from tumble.programme.positions import Programme
+from tumble.recording.gaps import Gap
 from tumble.recording.session import Site
 from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
@@ -50,6 +51,7 @@ ACCEL_FLOOR = 1e-9  # m/s²
 GYRO_FLOOR = 1e-11  # rad/s
 PATH_STEPS = 32
 VELOCITY_FLOOR = 1e-8  # m/s
+VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: what the integration errs by
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
@@ -246,7 +248,9 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
     turns, samples, readings = None, None, None
     if gyro is not None and gyro_fit is not None and reduction.samples is not None:
         accel_fit = fit_coloured_noise(accel_series)
-        turns, samples = _turns(reduction.samples, by_file, spans, (accel, accel_fit), (gyro, gyro_fit), block_seconds)
+        whole = _recorded_turns(spans, reduction.gaps)
+        noises = (accel, accel_fit), (gyro, gyro_fit)
+        turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
         readings = _turn_readings(by_file, spans, turns, gyro_fit, block_seconds) if gyro.size > 3 else None
     return Observations(
         accel_block=accel,
@@ -343,16 +347,27 @@ def _drift(series: list[Array]) -> Array:
     return np.array(out)
 
 
+def _recorded_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> list[tuple[int, int]]:
+    """The rests before and after each turn that was recorded as a whole, in one file."""
+    broken = [gap for gap in gaps if not gap.integrable]
+    return [
+        (i, i + 1)
+        for i, (before, after) in enumerate(pairwise(spans))
+        if before.file == after.file
+        and not any(g.file == before.file and g.time < after.start and g.stop > before.stop for g in broken)
+    ]
+
+
 def _turns(
     stored: MotionSamples,
     by_file: dict[int, FileBlocks],
     spans: tuple[RestSpan, ...],
+    pairs: list[tuple[int, int]],
     accel_noise: tuple[Block, ColouredNoise],
     gyro_noise: tuple[Block, ColouredNoise],
     block_seconds: float,
 ) -> tuple[Turns, TurnSamples]:
-    """The turns between consecutive rests of a file, integrated with nominal gyros."""
-    pairs = [(i, i + 1) for i in range(len(spans) - 1) if spans[i].file == spans[i + 1].file]
+    """The turns between consecutive rests `pairs` of a file, integrated with nominal gyros."""
     first, last = np.array(pairs, dtype=int).reshape(-1, 2).T
     sample = {f: (by_file[f].first_sample, by_file[f].size) for f in by_file}
     start = np.array([sample[spans[i].file][0] + sample[spans[i].file][1] * spans[i].last for i in first], dtype=int)
@@ -364,7 +379,7 @@ def _turns(
     moments = integrate(samples.pieces(), len(pairs), linear)
     long = np.maximum(duration, block_seconds)
     density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
-    velocity = [T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long]
+    velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
     turns = Turns(
         first=first,
         last=last,
@@ -374,13 +389,21 @@ def _turns(
         B=moments.Phi[..., 0],
         covariance=_carried(samples, density) + TURN_FLOOR**2 * np.eye(3),
         velocity=moments.V,
-        velocity_covariance=(np.array(velocity) + VELOCITY_FLOOR**2)[:, None, None] * np.eye(3),
+        velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
     )
     return turns, samples
 
 
 _BODY = Block(kind="gyro", axes=np.eye(3))
+
+
+def velocity_floor(moments: Moments, samples: IntArray) -> Array:
+    """Standard deviation (K,), m/s, of the velocities of turns of so many samples (K,) from rounding and from the error
+    of the integration, which is of third order in the angle of a step (A1)."""
+    mean_square = (moments.body_rates[:, [0, 3, 5]]).sum(axis=1) * moments.T
+    step = np.sqrt(mean_square) / np.maximum(samples, 1)
+    return np.asarray(VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * step**3)
 
 
 def _of_mean(block: Block, noise: ColouredNoise, blocks: float) -> Array:

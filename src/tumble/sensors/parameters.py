@@ -300,6 +300,11 @@ def groups() -> tuple[ParameterGroup, ...]:
     return (*LINEAR, *FURTHER)
 
 
+def usual_of(grade: str) -> dict[str, float]:
+    """Standard deviations, SI, of the groups beyond the linear model over instruments of a grade, by group."""
+    return {group.name: group.usual[grade] for group in FURTHER if grade in group.usual}
+
+
 def group_name(parameter: str) -> str:
     """The group of a parameter: "accel.bias" of "accel.bias.x", "accel.bias.t1" of "accel.bias.x.t1"."""
     parts = parameter.split(".")
