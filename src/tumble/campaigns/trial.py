@@ -12,10 +12,8 @@ A trial of rests alone (`statics_rows`) is a block of BLOCK triads at once, and 
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -25,11 +23,12 @@ from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
 from tumble.estimation.diagnosis import verdict
-from tumble.estimation.estimate import DETERMINED
+from tumble.estimation.estimate import DETERMINED, Estimate
 from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
+from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import Spread
@@ -37,13 +36,13 @@ from tumble.sensors.model import Block
 from tumble.sensors.parameters import limits_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, itinerary, scenario_of
-from tumble.simulation.session import write_simulation
+from tumble.simulation.session import session_in_memory
 from tumble.units import Array
 
 Source = Literal["observations", "log"]
 
 NAMES = tuple(name for kind in ("accel", "gyro") for name in Block(kind=kind, axes=np.eye(3)).names)
-"""The parameters of a trial, in the order of the calibration file."""
+"""The parameters of the linear model, in the order of the calibration file."""
 
 BLOCK = 4096
 """Triads in a trial of rests alone."""
@@ -74,7 +73,7 @@ def stream(seed: int, number: int) -> np.random.Generator:
 
 
 def session_rows(seed: int, source: Source, methods: Sequence[str], number: int, cell: Cell) -> list[Row]:
-    """A row for each method: whether the calibration was accepted, if not why, and for every parameter p of NAMES
+    """A row for each method: whether the calibration was accepted, if not why, and for every parameter p of the instrument
     `error.p`, its value less the truth, `u.p`, its standard uncertainty, and, without a log, `bound.p`, the Cramér–Rao
     bound of the observations; nothing where there is none."""
     rng = stream(seed, number)
@@ -89,17 +88,19 @@ def session_rows(seed: int, source: Source, methods: Sequence[str], number: int,
 
 def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> dict[str, float]:
     """Square roots of the Cramér–Rao bounds of the parameters that observations determine, by name, SI: of the joint
-    likelihood at the true parameters and attitudes (N, 3, 3), with the true in-run instability as scatter that is
-    independent from rest to turn."""
-    truth = np.array([scenario.truth[name] for name in NAMES])
-    problem = Problem.of(observations)
-    about = TurnsAbout.of(observations, problem.instrument, truth)
+    likelihood at the true parameters and attitudes (N, 3, 3), with the true in-run instability as a bias that lasts from
+    a rest through the turn that follows, and the spreads of groups beyond the linear model as priors."""
+    instrument, truth = scenario.instrument, scenario.values
+    problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
+    about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
     scatter = Scatter(accel=scenario.noise.accel_instability, gyro=scenario.noise.gyro_instability)
     rows = linearise(problem, point, about)
     step = solve(problem, rows, weights(problem, rows, scatter))
     found = np.sqrt(np.diag(step.covariance)[1:])
-    return {n: float(u) for n, u, s in zip(NAMES, found, problem.spread, strict=True) if u < s / DETERMINED}
+    determined = problem.spread / DETERMINED
+    determined[instrument.linear_count :] = np.inf  # by their priors
+    return {n: float(u) for n, u, s in zip(instrument.names, found, determined, strict=True) if u < s}
 
 
 def _from_observations(scenario: Scenario, observations: Observations, method: str) -> dict[str, Any]:
@@ -108,22 +109,26 @@ def _from_observations(scenario: Scenario, observations: Observations, method: s
     except (InputError, np.linalg.LinAlgError) as error:
         return {"method": method, "error": f"{type(error).__name__}: {error}"}
     outcome = verdict(estimate, observations)
-    seen = [i for i in range(len(estimate.names)) if estimate.observable[i]]
+    seen = [i for i in range(len(estimate.names)) if estimate.observable[i] or _has_prior(estimate, i)]
     values = {estimate.names[i]: (float(estimate.values[i]), float(estimate.u[i])) for i in seen}
     return _row(method, outcome.reasons, values, scenario)
 
 
+def _has_prior(estimate: Estimate, i: int) -> bool:
+    """Whether a parameter is beyond the linear model, so that it has a value in any case."""
+    return estimate.instrument is not None and i >= estimate.instrument.linear_count
+
+
 def _through_a_log(scenario: Scenario, methods: Sequence[str], rng: np.random.Generator) -> list[Row]:
-    with tempfile.TemporaryDirectory(prefix="tumble-") as temporary:
-        folder = write_simulation(Path(temporary) / "session", scenario, rng)
-        return [_from_session(scenario, folder, method) for method in methods]
+    session = session_in_memory(scenario, rng)
+    return [_from_session(scenario, session, method) for method in methods]
 
 
-def _from_session(scenario: Scenario, folder: Path, method: str) -> Row:
+def _from_session(scenario: Scenario, session: Session, method: str) -> Row:
     try:
-        calibration = calibrate(folder, method=method)
+        calibration = calibrate(session, method=method)
     except InputError as error:
-        return {"method": method, "error": f"{type(error).__name__}: {error}".replace(str(folder), "session")}
+        return {"method": method, "error": f"{type(error).__name__}: {error}"}
     values = {p.name: (p.value, p.u) for p in calibration.parameters}
     return _row(method, calibration.outcome.reasons, values, scenario)
 
@@ -131,8 +136,9 @@ def _from_session(scenario: Scenario, folder: Path, method: str) -> Row:
 def _row(
     method: str, reasons: Sequence[str], values: Mapping[str, tuple[float, float | None]], scenario: Scenario
 ) -> dict[str, Any]:
-    errors = {f"error.{name}": value - scenario.truth[name] for name, (value, _) in values.items()}
-    uncertainties = {f"u.{name}": u for name, (_, u) in values.items()}
+    known = {name: found for name, found in values.items() if name in scenario.truth}
+    errors = {f"error.{name}": value - scenario.truth[name] for name, (value, _) in known.items()}
+    uncertainties = {f"u.{name}": u for name, (_, u) in known.items()}
     return {"method": method, "accepted": not reasons, "reasons": "; ".join(reasons), **errors, **uncertainties}
 
 

@@ -178,9 +178,7 @@ def draw_parameters(instrument: Setup | Grade, blocks: Sequence[Block], rng: np.
     return values
 
 
-def draw_further(
-    spreads: Mapping[str, float], accel: Block, gyro: Block, rng: np.random.Generator
-) -> dict[str, float]:
+def draw_further(spreads: Mapping[str, float], accel: Block, gyro: Block, rng: np.random.Generator) -> dict[str, float]:
     """True values by parameter name of groups beyond the linear model, Gaussian with these standard deviations, SI."""
     instrument = Instrument.of(accel, gyro, tuple(spreads))
     return {
@@ -190,7 +188,7 @@ def draw_further(
     }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Itinerary:
     """Where a simulated device rests and how it gets there: `attitudes`, `rests`, `moves` and `positions` as in a
     `Recording`; `programmed` (R − 1,): whether the programme prescribes the turn."""
