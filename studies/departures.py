@@ -33,7 +33,7 @@ from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import groups
-from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, IntArray
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, IntArray
 
 MICRO_G = 1e-6 * G_STANDARD
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
