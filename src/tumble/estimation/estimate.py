@@ -200,7 +200,7 @@ class Estimate:
         return np.sqrt(np.diag(self.covariance))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solution:
     """A weighted least-squares step: `step` (m,), `gain` (m, r) of the whitened residuals, `null` (q, m) the
     combinations the data do not determine, in units of the spreads, and the covariance (m, m), to which the

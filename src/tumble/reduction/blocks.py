@@ -46,7 +46,7 @@ class ChannelState:
     extreme_stop: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Tail:
     """The samples after the last whole block of a file: their weighted `total` (n,); and the weights (K + 1,) of the
     blocks and of the tail in a mean."""
@@ -62,7 +62,7 @@ class Tail:
         return np.asarray(total / weight)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FileBlocks:
     """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the
     accelerometers (K, n) and gyros (K, n) in SI, of the temperature, and of the magnetometer (K, 3) in its unit."""

@@ -39,7 +39,7 @@ LEAST = 1e-3  # of what white noise of the same variance would give: quantisatio
 NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ColouredNoise:
     """Noise of block means: autocovariances (c, L) of batches of `batch` blocks from lag 0, correlation (c, c)
     between channels, and the level (r, c) of each rest as a factor on the variance."""

@@ -31,7 +31,7 @@ SHORTEST_STATED = 1.0
 """s: below, a rest has too few blocks for the noise of its mean."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Match:
     """The rests to use, and where there is a programme, it and the index of each rest's position in it (N,)."""
 

@@ -56,7 +56,7 @@ VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: w
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rests:
     """N rests: file, start and stop (s), mean readings and their covariances in SI; drift is the change of a
     reading over the rest (slope times duration) and noise its density, unit/√Hz. The gyro arrays are empty
@@ -82,7 +82,7 @@ class Rests:
         return len(self.start)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Turns:
     """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
     M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
@@ -105,7 +105,7 @@ class Turns:
         return len(self.duration)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnSamples:
     """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`."""
 
@@ -146,7 +146,7 @@ def _pieces(parts: list[tuple[Array, Array, Array]], pieces: list[tuple[int, int
     return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turn, start=start, stop=stop)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnReadings:
     """Integrals (K, n) of the gyro readings over the turns, rad, and their covariance (K, n, n) from noise: what a
     redundant block says beyond the rotation of the body."""
@@ -155,7 +155,7 @@ class TurnReadings:
     covariance: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observations:
     """All that a method sees of a session. `position` (N,) is the index in the programme of each rest's position,
     where there is one."""
