@@ -33,7 +33,7 @@ from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import groups
-from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, IntArray
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, IntArray
 
 MICRO_G = 1e-6 * G_STANDARD
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
@@ -151,9 +151,7 @@ class Way:
         early, late = np.minimum(x, r), np.minimum(T - x, r)
         w = 1.0 / (T - r)
         rate = np.where(x < r, _swing(early, r)[1], np.where(x > T - r, _swing(late, r)[1], 1.0)) * w
-        turn = w * np.where(
-            x < r, _swing(early, r)[0], np.where(x > T - r, T - r - _swing(late, r)[0], x - 0.5 * r)
-        )
+        turn = w * np.where(x < r, _swing(early, r)[0], np.where(x > T - r, T - r - _swing(late, r)[0], x - 0.5 * r))
         change = w * np.where(x < r, _swing(early, r)[2], np.where(x > T - r, -_swing(late, r)[2], 0.0))
         moving = (t > 0.0) & (t < T)
         pushed = np.where(moving, np.pi / T * np.sin(2.0 * np.pi * x / T), 0.0)

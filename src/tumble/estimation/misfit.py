@@ -85,7 +85,9 @@ def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
         named += _likely(found, {group.component for group in larger}, {group.concerns for group in larger})
     named = named[:MOST_NAMED]
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
-    reasons = [_too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)]
+    reasons = [
+        _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
+    ]
     reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < CAUSE_PROBABILITY]
     remarks = [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
     remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
@@ -95,7 +97,7 @@ def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
 def _likely(found: list[Cause], components: set[str], concerned: set[Concerns]) -> list[Cause]:
     """Causes for a scatter that is there. What makes turns scatter and not the gyros at rest is random itself, so that
     nothing systematic need fit well: it comes first."""
-    likely = [c for c in found if CAUSE_PROBABILITY <= c.probability and concerned & {c.concerns, "both"}]
+    likely = [c for c in found if c.probability >= CAUSE_PROBABILITY and concerned & {c.concerns, "both"}]
     random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in components else []
     if random and random[0].probability > 0.05:
         random.insert(0, _movement())
@@ -155,8 +157,8 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
 def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Concerns, str]:
     return (
         group.concerns,
-        f"the {group.words} scatter by {_said(group, ratio, linearised)}, more than {MANY:.0f}: something is there that "
-        "the model does not have" + ("; look for lost or held samples" if group.component == "turn" else ""),
+        f"the {group.words} scatter by {_said(group, ratio, linearised)}, more than {MANY:.0f}: something is there "
+        "that the model does not have" + ("; look for lost or held samples" if group.component == "turn" else ""),
     )
 
 
@@ -173,4 +175,3 @@ def _movement() -> Cause:
         damage=0.0,
         sentence="a device that moved after it was put down, or before it was taken up: wait until it lies still",
     )
-
