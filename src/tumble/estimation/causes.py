@@ -13,7 +13,8 @@ weight, an eigenvalue of Zᵀ (1 − Q Qᵀ) Z. Its probability is that of Pears
 moments.
 
 A heading that the gyros hardly see may be far from where the rows were linearised. The horizontal Earth's rate is
-linear in its cosine and sine, so the rows get another unknown, the part along north, for each chain with such a heading.
+linear in its cosine and sine, so the rows get another unknown, the part along north, for each chain of rests that has
+such a heading.
 """
 
 from __future__ import annotations

@@ -513,8 +513,8 @@ def _gravity_refused(site: Site) -> Iterator[str]:
     if difference is not None and abs(difference) > GRAVITY_REFUSED:
         yield (
             f"gravity {site.gravity:.6f} m/s^2 is {difference / MILLIGAL:+.0f} mGal from normal gravity, more than "
-            f"{GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the accelerometers would be wrong with it; correct "
-            "gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true"
+            f"{GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the accelerometers would be wrong with it; "
+            "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true"
         )
 
 
