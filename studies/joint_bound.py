@@ -21,11 +21,12 @@ import numpy as np
 from formulas_against_simulation import DEVICE
 
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
 from tumble.estimation.methods.joint import TOTAL, joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.budget import GROUPS
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -87,11 +88,10 @@ class Run:
 def _bound(scenario: Scenario, observations: Observations, truth: Array, number: int) -> Array:
     """Standard deviations (m,) that no unbiased estimate from these observations can fall below."""
     way = itinerary(scenario, np.random.default_rng([number, 1]).spawn(3)[0])
-    model = scenario.gyro.model(truth[9:])
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=way.attitudes)
     problem = Problem.of(observations)
-    rows = linearise(problem, point, TurnsAbout.of(observations, model))
-    step = solve(problem, rows, weights(problem, Scatter()))
+    rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, truth))
+    step = solve(problem, rows, weights(problem, rows, Scatter()))
     return np.sqrt(np.diag(step.covariance)[1:])
 
 

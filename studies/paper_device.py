@@ -384,7 +384,8 @@ def main(arguments: list[str]) -> int:
     mostly = all(min(inside) <= MOST_OUTSIDE for inside in outside.values()) and abs(first[1] - 7.5) < 1.5
     counts = "; ".join(f"{name}: {a} and {b} of 9" for name, (a, b) in outside.items())
     print(
-        f"\nDo the published tables come out? {'Mostly' if mostly else 'No'}. Second iterations outside the middle 95 % of tables of ±0.5–1° "
+        f"\nDo the published tables come out? {'Mostly' if mostly else 'No'}. Second iterations outside the middle "
+        "95 % of tables of ±0.5–1° "
         f"and ±1–2°: {counts}. Those of the scalar method in the scale factors are its second order. The methods "
         f"differ by as much as published if the scalar one has nine orientations and sensors change by "
         f"{1e6 * instability:.0f} µm/s² between rests: noise, not convergence. The indirect method errs by "

@@ -35,8 +35,9 @@ GROUPS = {
 }
 
 WORSE = 1.1
-NOWHERE = f"nowhere up to ±{max(TABLES):g}°"
 """Ratio of rms errors from which one method counts as worse."""
+
+NOWHERE = f"nowhere up to ±{max(TABLES):g}°"
 
 
 def errors(degrees: float, launches: int) -> dict[tuple[str, int], dict[str, float]]:
@@ -83,13 +84,8 @@ def main(arguments: list[str]) -> int:
         f"accelerometer angles to {scalar['accel.axis']:.1f} %, two of the sequential one to "
         f"{sequential['accel.axis']:.1f} %."
     )
-    return (
-        0
-        if one == f"from ±{min(TABLES):g}° on"
-        and two not in (one, NOWHERE)
-        and scalar["accel.axis"] < sequential["accel.axis"]
-        else 1
-    )
+    holds = one == f"from ±{min(TABLES):g}° on" and two not in (one, NOWHERE)
+    return 0 if holds and scalar["accel.axis"] < sequential["accel.axis"] else 1
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def _moments(
     C, V = Rotation.identity(), np.zeros(3)
     Phi, Psi, W, sweep = np.zeros((3, 3, 13)), np.zeros((3, 3, 7)), np.zeros((3, 3, 6)), np.zeros((3, 3, 3))
     Phi_gyro, Psi_gyro, Phi_accel = np.zeros((3, 3, n)), np.zeros((3, 3, n)), np.zeros((3, 3, 2, m))
-    body, body_W, body_gyro, body_accel = np.zeros(13), np.zeros(6), np.zeros(n), np.zeros((2, m))
+    body, body_rates, body_gyro, body_accel = np.zeros(13), np.zeros(6), np.zeros(n), np.zeros((2, m))
     f_dt: list[Array] = []
     jumps = 0.0
     for k in range(start, stop):
@@ -67,7 +67,7 @@ def _moments(
         Phi_accel += np.multiply.outer(middle, own_accel) * dt
         W += np.multiply.outer(middle, rates) * dt
         sweep += np.multiply.outer(middle @ np.cross(omega, np.eye(3)).T, f) * dt
-        body, body_W = body + beta * dt, body_W + rates * dt
+        body, body_rates = body + beta * dt, body_rates + rates * dt
         body_gyro, body_accel = body_gyro + own_gyro * dt, body_accel + own_accel * dt
         jumps += dt**2 * np.sum((f - f_before) ** 2)
         f_dt.append(np.append(velocity, dt))
@@ -83,7 +83,7 @@ def _moments(
         "Psi_gyro": Psi_gyro,
         "Phi_accel": Phi_accel,
         "body": body,
-        "body_W": body_W,
+        "body_rates": body_rates,
         "body_gyro": body_gyro,
         "body_accel": body_accel,
         "jumps": jumps,
@@ -103,16 +103,24 @@ def _end(f_dt: list[Array]) -> Array:
 
 def compensated(pieces: Pieces, k: int, compensation: Compensation) -> tuple[Array, Array]:
     """Rate and specific force of sample k, in the order of A1."""
-    gyro, accel, delay = compensation.gyro, compensation.accel, compensation.delay
-    f = _solved(accel, accel.matrix @ (pieces.forces[k] - accel.bias))
-    omega = _solved(gyro, gyro.matrix @ (pieces.rates[k] - gyro.bias))
+    accel, delay = compensation.accel, compensation.delay
+    f = _force(pieces, k, accel)
+    omega = _rate(pieces, k, compensation, f)
     if k > 0:
-        before = _solved(gyro, gyro.matrix @ (pieces.rates[k - 1] - gyro.bias))
+        before = _rate(pieces, k - 1, compensation, _force(pieces, k - 1, accel))
         rate_of_change = (omega - before) / ((pieces.intervals[k] + pieces.intervals[k - 1]) / 2)
         omega = omega - delay / 2 * rate_of_change
     f = f - delay * np.cross(omega, f) + delay**2 / 2 * np.cross(omega, np.cross(omega, f))
-    G = compensation.g_sensitivity
-    return _solved(gyro, gyro.matrix @ (pieces.rates[k] - gyro.bias - G @ f)), f
+    return _rate(pieces, k, compensation, f), f
+
+
+def _force(pieces: Pieces, k: int, accel: BlockCompensation) -> Array:
+    return _solved(accel, accel.matrix @ (pieces.forces[k] - accel.bias))
+
+
+def _rate(pieces: Pieces, k: int, compensation: Compensation, f: Array) -> Array:
+    gyro = compensation.gyro
+    return _solved(gyro, gyro.matrix @ (pieces.rates[k] - gyro.bias - compensation.g_sensitivity @ f))
 
 
 def _solved(block: BlockCompensation, linear: Array) -> Array:

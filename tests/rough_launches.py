@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from preintegrated import preintegrate
 from scipy.spatial.transform import Rotation
 
 from tumble.earth import earth_rate, normal_gravity
@@ -29,7 +30,6 @@ from tumble.estimation.methods.paper.four_stages import (
 )
 from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
 from tumble.programme.positions import programme
-from tumble.reduction import kernels as _kernels
 from tumble.reduction.observations import Turns
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import SensorModel
@@ -93,7 +93,7 @@ class Launches:
         angle = angle.reshape(n, k, STEPS, 3)
         angle = np.concatenate([angle[:, :, :1], angle], axis=2)  # the sample before the first
         start = np.arange(n * k) * (STEPS + 1) + 1
-        C, M, B = _kernels.preintegrate(
+        C, M, B = preintegrate(
             angle.reshape(-1, 3),
             np.full(n * k * (STEPS + 1), dt),
             start,
@@ -109,6 +109,9 @@ class Launches:
             M=M.reshape(n, k, 3, 3, 3),
             B=B.reshape(n, k, 3, 3),
             covariance=np.zeros((k, 3, 3)),
+            velocity=np.zeros((k, 3)),
+            velocity_covariance=np.zeros((k, 3, 3)),
+            jumps=np.zeros(k),
         )
 
 

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tumble.errors import InputError
-from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.observability import in_words
-from tumble.planning.bounds import Course, bound, bound_of, course_of
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of
 from tumble.planning.budget import GROUPS, budget
 from tumble.planning.error_propagation import NAMES
 from tumble.planning.setup import Setup
@@ -111,15 +112,15 @@ def test_the_bound_is_that_of_the_joint_likelihood(monkeypatch: pytest.MonkeyPat
         observations = noiseless(TILTED)
         problem = Problem.of(observations)
         point = Point(values=np.zeros(len(NAMES)), gravity=GRAVITY, attitudes=way_of(TILTED).attitudes)
-        rows = linearise(problem, point, TurnsAbout.of(observations, TILTED.gyro.nominal()))
-        found = solve(problem, rows, weights(problem, Scatter())).covariance[1:, 1:]
+        rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, point.values))
+        found = solve(problem, rows, weights(problem, rows, Scatter())).covariance[1:, 1:]
         assert off(found, expected) < difference
 
 
 def test_the_bound_is_the_covariance_that_joint_states(monkeypatch: pytest.MonkeyPatch) -> None:
     """To 2e-5 of u u': joint takes its covariance where its last step begins, some 1e-5 from where that ends."""
     monkeypatch.setattr(simulated_observations, "SAMPLES", 1024)
-    estimate = joint(noiseless(TILTED))
+    estimate = joint(noiseless(TILTED), instrument=instrument_of(SETUP, gyros=True))
     assert np.abs(estimate.values).max() < 1e-8
     assert off(estimate.covariance, bound_of(course_along(way_of(TILTED)), SETUP).covariance) < 2e-5
 
@@ -142,7 +143,8 @@ def noiseless(loud: Scenario) -> Observations:
     assert seen.turns is not None
     assert noisy.turns is not None
     stated = {name: getattr(noisy.rests, name) for name in ("accel_covariance", "gyro_covariance")}
-    turns = replace(seen.turns, covariance=noisy.turns.covariance)
+    noise = {name: getattr(noisy.turns, name) for name in ("covariance", "velocity_covariance")}
+    turns = replace(seen.turns, **noise)
     return replace(seen, rests=replace(seen.rests, **stated), turns=turns)
 
 

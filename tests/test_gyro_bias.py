@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from paper_variants import turned_bias, two_position_bias
 from rough_launches import EARTH, GRAVITY, LATITUDE, PROGRAMME
 
 from tumble.earth import EARTH_RATE
 from tumble.estimation.methods.paper.gyro_bias import (
     invariant_bias,
     scalar_bias,
-    turned_bias,
-    two_position_bias,
     vector_bias,
     vertical_bias,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from paper_variants import logged_jacobian
 from rough_launches import COURSE, EARTH, GRAVITY, PROGRAMME, SIZES, TURN_SECONDS, Launches, launches, rough_attitudes
 
 from tumble.errors import ProgrammeError
@@ -15,7 +16,6 @@ from tumble.estimation.methods.paper.indirect import (
     gyro_errors,
     horizontal_differences,
     known_turns,
-    logged_jacobian,
     programme_matrix,
 )
 from tumble.estimation.methods.paper.levelling import triad

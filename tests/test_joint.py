@@ -133,9 +133,10 @@ def unscattered(session: Observations) -> Array:
     problem = Problem.of(session)
     found = joint(session)
     at, _ = method._started(problem)
-    about = None if found.gyro is None else TurnsAbout.of(session, found.gyro)
+    turned = found.gyro is not None and session.turns is not None
+    about = TurnsAbout.of(session, problem.instrument, found.values) if turned else None
     rows = linearise(problem, replace(at.point, values=found.values), about)
-    return solve(problem, rows, weights(problem, Scatter())).covariance[1:, 1:]
+    return solve(problem, rows, weights(problem, rows, Scatter())).covariance[1:, 1:]
 
 
 # -------------------- with noise --------------------

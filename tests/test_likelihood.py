@@ -16,7 +16,6 @@ from tumble.estimation.likelihood import (
     Problem,
     Rows,
     Scatter,
-    TurnsAbout,
     bases,
     inverse_left_jacobian,
     left,
@@ -25,13 +24,15 @@ from tumble.estimation.likelihood import (
     solve,
     weights,
 )
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import limits_of, usual_of
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import Scenario, itinerary, scenario_of
+from tumble.simulation.scenario import Scenario, draw_further, itinerary, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 
 SETUP = device_setup(
@@ -43,12 +44,14 @@ TRIAD = np.eye(3)
 PYRAMID = np.array([[0.8 * np.cos(a), 0.8 * np.sin(a), 0.6] for a in np.arange(4) * np.pi / 2.0])
 
 
-def scenario(axes: Array = TRIAD, seed: int = 1, setup: Setup = SETUP) -> Scenario:
-    """A scenario of a set-up with blocks of any axes and coarse errors."""
+def scenario(axes: Array = TRIAD, seed: int = 1, setup: Setup = SETUP, *, full: bool = False) -> Scenario:
+    """A scenario of a set-up with blocks of any axes and coarse errors, of the linear model or of all groups."""
     rng = np.random.default_rng(seed)
     accel, gyro = Block(kind="accel", axes=axes), Block(kind="gyro", axes=axes)
     names = accel.names + gyro.names
     truth = dict(zip(names, 0.01 * rng.standard_normal(len(names)), strict=True))
+    if full:
+        truth |= draw_further(usual_of("mems"), accel, gyro, rng)
     return replace(scenario_of(setup, rng), accel=accel, gyro=gyro, truth=truth)
 
 
@@ -57,15 +60,18 @@ def problem_at(chosen: Scenario, off: float, prior: Prior = NO_PRIOR) -> tuple[P
     rng = np.random.default_rng(2)
     observations = simulate_observations(chosen, np.random.default_rng(3))
     attitudes = true_attitudes(chosen, 3)
-    values = np.array([chosen.truth[name] for name in chosen.accel.names + chosen.gyro.names])
+    values, instrument = chosen.values, chosen.instrument
+    size = np.ones(len(values))
+    size[instrument.linear_count :] = limits_of(instrument.names[instrument.linear_count :])
+    for own, _, _ in instrument.changes:  # products of a drift with another change are neglected
+        values[own], size[own] = 0.0, 0.0
     point = Point(
-        values=values + off * rng.standard_normal(len(values)),
+        values=values + off * size * rng.standard_normal(len(values)),
         gravity=observations.site.gravity + off,
         attitudes=attitudes @ rotation_matrix(off * rng.standard_normal((len(attitudes), 3))),
     )
-    problem = Problem.of(observations, prior)
-    model = chosen.gyro.model(values[len(chosen.accel.names) :])
-    return problem, point, TurnsAbout.of(observations, model)
+    problem = Problem.of(observations, prior, instrument=instrument, usual=usual_of("mems"))
+    return problem, point, TurnsAbout.of(observations, instrument, values)
 
 
 def true_attitudes(chosen: Scenario, seed: int) -> Array:
@@ -78,10 +84,12 @@ def true_attitudes(chosen: Scenario, seed: int) -> Array:
 
 @pytest.mark.parametrize("axes", [np.eye(3), PYRAMID], ids=["triad", "pyramid"])
 @pytest.mark.parametrize("ordered", [True, False], ids=["ordered", "unordered"])
-def test_jacobians_are_derivatives(axes: Array, ordered: bool) -> None:
-    """Central differences with respect to every unknown, at a point 0.05 rad off, where no residual is small."""
+@pytest.mark.parametrize("full", [False, True], ids=["linear", "all groups"])
+def test_jacobians_are_derivatives(axes: Array, ordered: bool, full: bool) -> None:
+    """Central differences with respect to every unknown, at a point 0.05 rad off, where no residual is small, and every
+    further parameter off by a twentieth of its limit: of rests, rotations, velocities, spare rows and priors."""
     listed = replace(programme("rough-table"), ordered=ordered)
-    chosen = scenario(axes, setup=replace(SETUP, programme=listed))
+    chosen = scenario(axes, setup=replace(SETUP, programme=listed), full=full)
     problem, point, about = problem_at(chosen, 0.05, Prior(parameters={"gyro.scale.1": 1e-3}, attitude=0.1))
     rows = linearise(problem, point, about)
     N, p = len(point.attitudes), 1 + len(point.values)
@@ -91,13 +99,20 @@ def test_jacobians_are_derivatives(axes: Array, ordered: bool) -> None:
         return found.rest[:, :, -1], found.turn[:, :, -1], found.prior[:-1, -1]
 
     step = 1e-4
+    sizes = np.append(1.0, np.minimum(limits_of(chosen.names) * 10.0, 1.0))
+    for own, _, _ in chosen.instrument.changes:
+        sizes[1:][own] = 1e-6  # per second
     for c in range(p):
-        forward, backward = (residuals(sign * step * np.eye(p)[c], np.zeros((N, 3))) for sign in (1.0, -1.0))
+        by_one = sizes[c] * step * np.eye(p)[c]
+        forward, backward = (residuals(sign * by_one, np.zeros((N, 3))) for sign in (1.0, -1.0))
         by = [-(f - b) / (2.0 * step) for f, b in zip(forward, backward, strict=True)]
-        assert_close(by[0], rows.rest[:, :, 3 + c])
-        assert_close(by[1], rows.turn[:, :, 6 + c])
-        assert_close(by[2], rows.prior[:-1, c])
-    assert about.turns.last.tolist() == list(range(1, N))
+        assert_close(by[0], sizes[c] * rows.rest[:, :, 3 + c])
+        assert_close(by[1][:, :3], sizes[c] * rows.turn[:, :3, 6 + c])
+        assert_close(by[1][:, 3:], sizes[c] * rows.turn[:, 3:, 6 + c])
+        assert_close(by[2], sizes[c] * rows.prior[:-1, c])
+    turns = problem.observations.turns
+    assert turns is not None
+    assert turns.last.tolist() == list(range(1, N))
     for c in range(3):
         for odd in (0, 1):  # every second rest at a time: a turn has one end moved
             angles = np.zeros((N, 3))
@@ -105,7 +120,7 @@ def test_jacobians_are_derivatives(axes: Array, ordered: bool) -> None:
             forward, backward = residuals(np.zeros(p), angles), residuals(np.zeros(p), -angles)
             by = [-(f - b) / (2.0 * step) for f, b in zip(forward, backward, strict=True)]
             assert_close(by[0][odd::2], rows.rest[odd::2, :, c])
-            first = about.turns.first % 2 == odd
+            first = turns.first % 2 == odd
             assert_close(by[1][first], rows.turn[first, :, c])
             assert_close(by[1][~first], rows.turn[~first, :, 3 + c])
 
@@ -158,26 +173,25 @@ def test_jacobians_of_the_rotation_group(angle: float) -> None:
 # -------------------- elimination --------------------
 
 
-def dense(problem: Problem, rows: Rows, scatter: Scatter) -> tuple[Array, Array]:
-    """All whitened rows over all unknowns at once: angles of rest 0, 1, …, then the parameters."""
-    weight = weights(problem, scatter)
-    rest, turn = weight.rest @ rows.rest, weight.turn @ rows.turn
+def dense(problem: Problem, rows: Rows, scatter: Scatter) -> tuple[Array, Array, list[tuple[str, int]]]:
+    """All whitened rows over all unknowns at once: angles of rest 0, 1, …, then the parameters; and which they are, the
+    rows of a rest that no turn follows, or of a turn and the rest before it."""
+    weight, turns = weights(problem, rows, scatter), problem.observations.turns
+    assert turns is not None
+    rest, merged = weight.rest @ rows.rest, weight.merged @ rows.merged(turns.first)
     N, p = len(rest), len(rows.prior) - 1
-    lines, right = [], []
+    lines, right, which = [], [], []
     for i in range(N):
-        block = np.zeros((rest.shape[1], 3 * N + p))
-        block[:, 3 * i : 3 * i + 3], block[:, 3 * N :] = rest[i, :, :3], rest[i, :, 3:-1]
+        k = int(problem.link[i])
+        found, wide = (rest[i], 3) if k < 0 else (merged[k], 6)
+        block = np.zeros((len(found), 3 * N + p))
+        block[:, 3 * i : 3 * i + wide], block[:, 3 * N :] = found[:, :wide], found[:, wide:-1]
         lines.append(block)
-        right.append(rest[i, :, -1])
-        if problem.link[i] >= 0:
-            k = problem.link[i]
-            block = np.zeros((turn.shape[1], 3 * N + p))
-            block[:, 3 * i : 3 * i + 6], block[:, 3 * N :] = turn[k, :, :6], turn[k, :, 6:-1]
-            lines.append(block)
-            right.append(turn[k, :, -1])
+        right.append(found[:, -1])
+        which.append(("rest", i) if k < 0 else ("merged", k))
     block = np.zeros((p + 1, 3 * N + p))
     block[:, 3 * N :] = rows.prior[:, :-1]
-    return np.concatenate([*lines, block]), np.concatenate([*right, rows.prior[:, -1]])
+    return np.concatenate([*lines, block]), np.concatenate([*right, rows.prior[:, -1]]), which
 
 
 @pytest.mark.parametrize("axes", [np.eye(3), PYRAMID], ids=["triad", "pyramid"])
@@ -191,11 +205,11 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
         observations = simulate_observations(chosen, np.random.default_rng(3), only_programmed=True)
         assert observations.turns is not None
         problem = Problem.of(observations)
-        about = TurnsAbout.of(observations, about.model)
+        about = TurnsAbout.of(observations, problem.instrument, point.values)
         assert np.sum(problem.link < 0) == 6
     rows, scatter = linearise(problem, point, about), Scatter(accel=1e-5, gyro=1e-8, turn=1e-6)
-    step = solve(problem, rows, weights(problem, scatter))
-    jacobian, residual = dense(problem, rows, scatter)
+    step = solve(problem, rows, weights(problem, rows, scatter))
+    jacobian, residual, which = dense(problem, rows, scatter)
     scale = np.linalg.norm(jacobian, axis=0)
     Q, R = np.linalg.qr(jacobian / scale)
     all_at_once = np.linalg.solve(R, Q.T @ residual) / scale
@@ -213,19 +227,13 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
         atol=1e-7,
     )
     found = left(problem, step)
-    parts = (found.accel, found.gyro, found.turn)
     after, projected = residual - Q @ (Q.T @ residual), np.eye(len(Q)) - Q @ Q.T
-    rest_rows, turn_rows, n = rows.rest.shape[1], rows.turn.shape[1], len(axes)
     at = 0
-    for i in range(N):
-        pieces = [(parts[0], i, slice(at, at + n)), (parts[1], i, slice(at + n, at + 2 * n))]
-        at += rest_rows
-        if problem.link[i] >= 0:
-            pieces.append((parts[2], problem.link[i], slice(at, at + turn_rows)))
-            at += turn_rows
-        for (found_residual, found_covariance), k, own in pieces:
-            np.testing.assert_allclose(found_residual[k], after[own], rtol=1e-6, atol=1e-5)
-            np.testing.assert_allclose(found_covariance[k], projected[own, own], rtol=0.0, atol=1e-6)
+    for kind, k in which:
+        found_residual, found_covariance = (part[k] for part in getattr(found, kind))
+        own = slice(at, at := at + len(found_residual))
+        np.testing.assert_allclose(found_residual, after[own], rtol=1e-6, atol=1e-5)
+        np.testing.assert_allclose(found_covariance, projected[own, own], rtol=0.0, atol=1e-6)
 
 
 def test_a_free_heading_takes_no_information() -> None:
@@ -236,8 +244,8 @@ def test_a_free_heading_takes_no_information() -> None:
     observations = problem.observations
     problem = Problem.of(replace(observations, site=replace(observations.site, latitude=None)))
     rows = linearise(problem, point, about)
-    step = solve(problem, rows, weights(problem, Scatter()))
-    jacobian, residual = dense(problem, rows, Scatter())
+    step = solve(problem, rows, weights(problem, rows, Scatter()))
+    jacobian, residual, which = dense(problem, rows, Scatter())
     scale = np.linalg.norm(jacobian, axis=0)
     U, s, Vt = np.linalg.svd(jacobian / scale, full_matrices=False)
     assert s[-2] > 1e-9 > 1e3 * s[-1]
@@ -247,7 +255,7 @@ def test_a_free_heading_takes_no_information() -> None:
     far = np.abs(by_all[-m:] / u).max()  # the step is many sigmas long
     np.testing.assert_allclose(step.parameters[1:] / u, by_all[-m:] / u, rtol=0.0, atol=1e-6 * far)
     found = left(problem, step)
-    freedom = sum(float(np.trace(part[1], axis1=1, axis2=2).sum()) for part in (found.accel, found.gyro, found.turn))
+    freedom = sum(float(np.trace(getattr(found, kind)[1][k])) for kind, k in which)
     # the row of gravity is not among them, and no data show it; the priors of the parameters take next to nothing
     assert freedom == pytest.approx(len(rows.rest) * 6 + 3 * len(rows.turn) + 1 - (3 * 15 - 1) - (m + 1), abs=1e-3)
 
@@ -261,10 +269,9 @@ def bound(setup: Setup, only_programmed: bool) -> Array:
     observations = simulate_observations(chosen, np.random.default_rng(3), only_programmed=only_programmed)
     values = np.array([chosen.truth[name] for name in chosen.accel.names + chosen.gyro.names])
     point = Point(values=values, gravity=setup.gravity, attitudes=true_attitudes(chosen, 3))
-    model = chosen.gyro.model(values[9:])
     problem = Problem.of(observations)
-    rows = linearise(problem, point, TurnsAbout.of(observations, model))
-    variance = np.diag(solve(problem, rows, weights(problem, Scatter())).covariance)[1:]
+    rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, values))
+    variance = np.diag(solve(problem, rows, weights(problem, rows, Scatter())).covariance)[1:]
     return np.sqrt([variance[i:j].mean() for i, j in ((0, 3), (3, 6), (6, 9), (9, 12), (12, 15), (15, 21))])
 
 
@@ -280,9 +287,10 @@ def test_bound_is_that_of_section_8() -> None:
 
 def test_noise_of_nothing_is_no_scatter() -> None:
     """The weights are those of the noise within rests where there is no scatter."""
-    problem, _, _ = problem_at(scenario(setup=replace(SETUP, noise=NoiseModel(accel_white=1e-3))), 0.0)
+    problem, point, about = problem_at(scenario(setup=replace(SETUP, noise=NoiseModel(accel_white=1e-3))), 0.0)
+    rows = linearise(problem, point, about)
     variance = 1e-6 / 120.0
-    np.testing.assert_allclose(weights(problem, Scatter()).rest[:, 0, 0], variance**-0.5, rtol=1e-6)
+    np.testing.assert_allclose(weights(problem, rows, Scatter()).rest[:, 0, 0], variance**-0.5, rtol=1e-6)
 
 
 def test_other_chains_are_refused() -> None:

@@ -16,10 +16,11 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from preintegrated import preintegrate
 from scipy.spatial.transform import Rotation
 
 from tumble.reduction import kernels as _kernels
-from tumble.reduction.kernels import LANES, STRETCH, TILE, preintegrate
+from tumble.reduction.moment_kernels import LANES, STRETCH, TILE
 from tumble.rotation import rotation_matrix, skew
 from tumble.units import Array
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from paper_variants import logged_jacobian
 from rough_launches import (
     COURSE,
     EARTH,
@@ -36,7 +37,6 @@ from tumble.estimation.methods.paper.indirect import (
     accelerometer_errors,
     gyro_errors,
     horizontal_differences,
-    logged_jacobian,
     programme_matrix,
 )
 from tumble.estimation.methods.paper.levelling import triad, vertical

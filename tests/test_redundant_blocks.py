@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paper_variants import angle_astride
 from test_staged import COARSE, FINE, NAVIGATION, PYRAMID, error_of, in_the_hand, observations, rough_table, unit
 
 from tumble.calibration.calibrate import calibrate
 from tumble.earth import earth_rate
 from tumble.estimation.methods.paper.accuracy_formulas import angle_variance, best_elevations
 from tumble.estimation.methods.paper.levelling import triad, vertical
-from tumble.estimation.methods.paper.sequential import angle_astride, angle_between, bias_and_scale
+from tumble.estimation.methods.paper.sequential import angle_between, bias_and_scale
 from tumble.estimation.methods.staged import accelerometers as staged_accelerometers
 from tumble.estimation.methods.staged import gyros as staged_gyros
 from tumble.estimation.methods.staged.method import staged

@@ -75,7 +75,8 @@ def test_the_variance_is_the_bound_of_the_joint_likelihood_with_free_attitudes()
     for i in range(5):
         problem = Problem.of(of_rests(readings[i], sigma))
         point = Point(values=truth[i], gravity=GRAVITY, attitudes=L[i])
-        step = solve(problem, linearise(problem, point, None), weights(problem, Scatter()))
+        rows = linearise(problem, point, None)
+        step = solve(problem, rows, weights(problem, rows, Scatter()))
         information = np.linalg.inv(step.covariance[1:, 1:]) - np.diag(1.0 / problem.spread**2)  # without the prior
         np.testing.assert_allclose(sigma**2 * variance[i], np.diag(np.linalg.inv(information)), rtol=1e-9)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from paper_variants import angle_astride
 
 from tumble.errors import ProgrammeError
 from tumble.estimation.methods.paper.accuracy_formulas import best_elevations
@@ -16,7 +17,6 @@ from tumble.estimation.methods.paper.compensation import compensated, composed, 
 from tumble.estimation.methods.paper.levelling import vertical
 from tumble.estimation.methods.paper.sequential import (
     accelerometers,
-    angle_astride,
     angle_between,
     axis_angles,
     bias_and_scale,

@@ -12,7 +12,7 @@ time, as in `log`, less the samples that are missing in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from tumble.calibration.calibrate import inspect_session
 from tumble.calibration.calibration_file import Calibration, corrected
 from tumble.errors import InputError, LogError
 from tumble.recording.log import open_log
-from tumble.recording.readers import header, opened, readable, whole_lines
+from tumble.recording.readers import readable, source_of, text_tables, times_of
 from tumble.recording.session import Channels, Magnetometer, Session
 from tumble.recording.writer import write_tables
 from tumble.sensors.model import SensorModel
@@ -130,7 +130,7 @@ def _tables(session: Session, parts: tuple[_Correction, ...], interval: float) -
     names: list[str] | None = None
     for path in session.log.files:
         clock = _Clock(path=path, session=session, interval=interval)
-        for table in _rows(path, parts):
+        for table in _rows(path, parts, session):
             names = table.columns if names is None else names
             if table.columns != names:
                 raise LogError(f"{path}: expected the columns of the first file, {', '.join(names)}; write them alike")
@@ -151,10 +151,10 @@ class _Clock:
     def intervals(self, table: pl.DataFrame) -> Array:
         """What each increment is the integral over, s."""
         spec = self.session.log
-        if spec.time is None:
+        if spec.time is None or spec.regular:
             return np.full(table.height, self.interval)
         with _parsed(self.path):
-            time = table[spec.time].cast(pl.Float64).to_numpy() * spec.time_factor
+            time = times_of(table[spec.time], spec)
         before = time[0] - self.interval if self.last is None else self.last
         self.last = float(time[-1])
         steps = np.diff(time, prepend=before)
@@ -166,11 +166,12 @@ class _Clock:
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
 
 
-def _rows(path: Path, parts: tuple[_Correction, ...]) -> Iterator[pl.DataFrame]:
+def _rows(path: Path, parts: tuple[_Correction, ...], session: Session) -> Iterator[pl.DataFrame]:
     """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are."""
     sensors = [column for part in parts for column in part.channels.columns]
     with _parsed(path):
-        tables = _parquet(path) if path.suffix.lower() == ".parquet" else _csv(path, sensors)
+        text = path.suffix.lower() != ".parquet"
+        tables = text_tables(source_of(path, session.log.dialect), sensors) if text else _parquet(path)
         for table in tables:
             for added in (column for part in parts for column in part.added if column in table.columns):
                 raise InputError(f"{path}: expected no column '{added}', the block's vector gets it; rename it")
@@ -182,14 +183,6 @@ def _parquet(path: Path) -> Iterator[pl.DataFrame]:
     rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
     for first in range(0, rows, _SLICE_ROWS):
         yield pl.scan_parquet(path, glob=False).slice(first, _SLICE_ROWS).collect()
-
-
-def _csv(path: Path, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-    """A CSV file, compressed or not, in pieces of whole lines, with these columns as numbers and the others as text."""
-    with opened(path) as stream:
-        schema = {name: pl.Float64 if name in numbers else pl.String for name in header(stream)}
-        for piece in whole_lines(stream, path):
-            yield pl.read_csv(piece, has_header=False, schema=schema)
 
 
 @contextmanager

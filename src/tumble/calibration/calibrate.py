@@ -162,9 +162,39 @@ def _provenance(log_sha256: str) -> dict[str, str]:
     }
 
 
+_GAPS_SHOWN = 5
+
+
 def _bridged(log: Log) -> tuple[str, ...]:
-    """What was bridged in the log, as notes."""
-    return tuple(f"bridged: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what}" for g in log.gaps)
+    """What was bridged or left out in the log, as notes: the first of each kind, and how many more."""
+    kinds = {
+        "bridged": [g for g in log.gaps if g.samples and g.integrable],
+        "left out": [g for g in log.gaps if not g.samples],
+        "gap": [g for g in log.gaps if not g.integrable],
+    }
+    notes = []
+    for kind, gaps in kinds.items():
+        for g in gaps[:_GAPS_SHOWN]:
+            lost = f" ({g.samples} samples)" if g.samples > 1 else ""
+            notes.append(
+                f"{kind}: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what.removesuffix(': left out')}{lost}"
+            )
+        if len(gaps) > _GAPS_SHOWN:
+            lost = f", {sum(g.samples for g in gaps)} samples in all" if gaps[0].samples else ""
+            notes.append(f"{kind}: {len(gaps) - _GAPS_SHOWN} more such places{lost}")
+    return tuple(notes)
+
+
+def _torn(observations: Observations) -> tuple[str, ...]:
+    """The turns that were not recorded as a whole, as notes."""
+    if observations.turns is None:
+        return ()
+    file, known = observations.rests.file, set(observations.turns.first.tolist())
+    return tuple(
+        f"turn from rest {i + 1} to rest {i + 2} is left out: samples are lost in it"
+        for i in range(len(file) - 1)
+        if file[i] == file[i + 1] and i not in known
+    )
 
 
 def _unchecked(estimate: Estimate) -> tuple[str, ...]:
@@ -317,7 +347,7 @@ def _result(
         site=observations.site,
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
-        notes=_bridged(log) + _unchecked(estimate) + _aligned(case),
+        notes=_bridged(log) + _torn(observations) + observations.notes + _unchecked(estimate) + _aligned(case),
         provenance=provenance,
     )
 

@@ -1,15 +1,17 @@
 """A first session.toml for a log: what its columns, rate and units are, guessed from names and numbers, and said.
 
 Names are taken at their word where they say a unit. Otherwise accelerometers at rest must read gravity, which tells
-their unit, and gyros must carry the vertical from rest to rest, which tells theirs (and the rate of a log without
-times). What cannot be guessed (serial number, place, programme) is left to be filled in, with a comment.
+their unit, and gyros must carry the vertical from rest to rest, which tells theirs, the scale of counts, and the rate
+of a log without times. What cannot be guessed (serial number, place, programme) is left to be filled in, with a
+comment.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,97 +20,142 @@ from typing import Any
 import numpy as np
 
 from tumble.calibration.calibrate import Progress, inspect_session
+from tumble.calibration.found_log import FoundLog, files_of, found_log, mended, times_of
+from tumble.calibration.log_times import Times
+from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor
 from tumble.errors import InputError, TumbleError
 from tumble.estimation.diagnosis import fitting_gyro_unit
 from tumble.files import whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.formats import Sensors
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import open_log
-from tumble.recording.readers import log_columns, log_head
 from tumble.recording.session import SESSION_FILE, read_session, write_session
-from tumble.reduction.sphere import sphere_through
-from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TIME_UNITS
-
-LOGS = (".csv", ".gz", ".zst", ".parquet")
-"""Endings of files that a session can name as they are."""
+from tumble.reduction.observations import Observations
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS
 
 _HEAD = 20_000
-_LONGEST = 2_000_000
-_BLOCK = 50
 _TOLERANCE = 0.3
-_ASSUMED_RATE = 100.0
-_RATES = 2.0, 20_000.0  # Hz, of a log
+_SOFT = 0.03
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
+_LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
+_HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
+_USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
+_RATE_NEAR = 0.04
+_SLOW_RATE = 25.0  # Hz
+_LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Draft:
     """The content of a session.toml as far as it is known, and how each part of it came about, in sentences. A table
-    [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest."""
+    [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest. Whether the rate is a guess,
+    and whether the unit of the gyros is."""
 
     content: Mapping[str, Any]
     said: tuple[str, ...]
     magnetometer: Mapping[str, Any] | None = None
+    rate_guessed: bool = False
+    gyro_unknown: bool = False
 
 
-def draft_session(
-    folder: Path, log: Path, *, programme: str | None, message: str | None, progress: Progress
-) -> tuple[Draft, list[str]]:
-    """Write a commented session.toml for a log into a folder, made if need be; another format than CSV or Parquet
-    becomes log.parquet there. Gives what was guessed, and the faults that a look at the recording shows.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Given:
+    """What the user knows: serial number, latitude (°), rate (Hz), programme and message of a recording."""
 
-    Raises InputError where there is a session already, and for a log that cannot be read or has no accelerometers."""
+    serial: str | None = None
+    latitude: float | None = None
+    rate: float | None = None
+    programme: str | None = None
+    message: str | None = None
+
+
+def draft_session(folder: Path, logs: Sequence[Path], given: Given, *, progress: Progress) -> tuple[Draft, list[str]]:
+    """Write a commented session.toml for logs into a folder, made if need be: files, folders of files, patterns. What a
+    session file cannot say of them is mended in a copy there, and so are other formats than text and Parquet. Gives
+    what was guessed, and the faults that a look at the recording shows.
+
+    Raises InputError, and leaves no folder behind, where there is a session already, and for a log that cannot be
+    read or has no accelerometers."""
     path = folder / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
-    if not log.exists():
-        raise InputError(f"{log}: expected a log, found no such file")
-    if programme is not None and programme not in BUILT_IN:
-        raise InputError(f"--programme: expected one of {', '.join(BUILT_IN)}, found {programme!r}")
-    known = log.suffix.lower() in LOGS
-    draft = _of_log(log) if known else _of_recording(log, folder / "log.parquet", message)
-    draft, faults = _checked(draft, progress)
-    folder.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_text(_text(draft, folder, programme), encoding="utf-8")
+    files = [file for log in logs for file in files_of(log)]
+    if given.programme is not None and given.programme not in BUILT_IN:
+        raise InputError(f"--programme: expected one of {', '.join(BUILT_IN)}, found {given.programme!r}")
+    if given.latitude is not None and not -90.0 <= given.latitude <= 90.0:
+        raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
+    if given.rate is not None and not 0.0 < given.rate < 1e9:
+        raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
+    with _nothing_left(folder):
+        draft = _of_files(files, folder, given)
+        draft, faults = _checked(_scaled(draft, progress), progress)
+        draft, faults = _with_rate(draft, faults, progress)
+        draft = replace(draft, content=_with_given(draft.content, folder, given))
+        folder.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as temporary:
+            temporary.write_text(_text(draft, folder, given), encoding="utf-8")
     return draft, faults
+
+
+@contextmanager
+def _nothing_left(folder: Path) -> Iterator[None]:
+    """Where the block fails, the folder is as it was: not there, or without the files that were written into it."""
+    absent = [place for place in (folder, *folder.parents) if not place.exists()]
+    before = set(folder.iterdir()) if folder.is_dir() else set()
+    try:
+        yield
+    except BaseException:
+        for file in set(folder.iterdir()) - before if folder.is_dir() else ():
+            file.unlink(missing_ok=True)
+        for place in absent:
+            if place.is_dir():
+                place.rmdir()
+        raise
 
 
 # -------------------- what is known from names and first numbers --------------------
 
 
-def _of_log(log: Path) -> Draft:
-    """From a CSV or Parquet file."""
-    names = log_columns(log)
-    found = columns_by_name(names)
-    if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
+def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
+    recordings = [f for f in files if f.suffix.lower() in formats.ENDINGS or f.is_dir()]
+    if not recordings:
+        log = mended(found_log(files, folder), folder, given.rate)
+        return _of_log(log, times_of(log, given.rate), given.rate)
+    if len(files) > 1:
         raise InputError(
-            f"{log}: expected commas between the columns, found {names[0][:40]!r}; save as CSV with commas"
+            f"{recordings[0]}: expected one recording, found {len(files)} files; give each its own session"
         )
-    if ACCEL not in found.triads:
-        raise InputError(
-            f"{log}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z; found "
-            f"{', '.join(names[:12])}; rename them"
-        )
-    if len(log_head(log, found.triads[ACCEL].columns[0], 2)) < 2:
-        raise InputError(f"{log}: expected rows of readings below the names of the columns, found none")
-    time, said = _time(log, found.time, found.time_unit)
+    return _of_recording(recordings[0], folder, given)
+
+
+def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
+    """From text and Parquet files."""
+    found = log.columns
+    said = [*log.said, *times.said]
+    if rate is not None and found.time is not None:
+        said.append(f"time: column {found.time!r} is not used, since the rate was given")
     said += [f"also there, and not used: {', '.join(found.others)}"] if found.others else []
-    sensors = {kind: found.triads[kind] for kind in (ACCEL, GYRO) if kind in found.triads}
-    content, more = _content(log, time, sensors, found.temperature)
+    content, more, unknown = _content(log, times, found)
     magnetometer, most = _magnetometer(log, found.triads.get(MAGNETOMETER))
-    return Draft(content=content, said=(*said, *more, *most), magnetometer=magnetometer)
+    return Draft(
+        content=content,
+        said=(*said, *more, *most),
+        magnetometer=magnetometer,
+        rate_guessed=times.guessed,
+        gyro_unknown=unknown,
+    )
 
 
-def _of_recording(recording: Path, log: Path, name: str | None) -> Draft:
+def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
     """From another format, whose messages become a Parquet file."""
     found = formats.messages(recording)
-    accel = _named(found, name, recording)
+    accel = _named(found, given.message, recording)
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
-    log.parent.mkdir(parents=True, exist_ok=True)
+    log = folder / "log.parquet"
+    folder.mkdir(parents=True, exist_ok=True)
     formats.as_log(log, accel, gyro)
     said = [f"{recording.name}: message {accel.name}, written to {log}"]
     if gyro is not None and gyro is not accel:
@@ -116,12 +163,17 @@ def _of_recording(recording: Path, log: Path, name: str | None) -> Draft:
     others = [m.name for m in found if m not in (accel, gyro) and m.accel]
     said += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
     said += [remark for remark in {m.remark: None for m in (accel, gyro) if m is not None} if remark]
-    assert accel.accel is not None
-    sensors = {ACCEL: accel.accel} | ({GYRO: gyro.gyro} if gyro is not None and gyro.gyro is not None else {})
-    time = {"time": TIME} if accel.timed else {"rate_hz": _ASSUMED_RATE}
-    content, more = _content(log, time, sensors, accel.temperature)
-    magnetometer, most = _magnetometer(log, accel.magnetometer if gyro in (None, accel) else None)
-    return Draft(content=content, said=(*said, *more, *most), magnetometer=magnetometer)
+    triads = {ACCEL: accel.accel, GYRO: gyro.gyro if gyro is not None else None}
+    triads |= {MAGNETOMETER: accel.magnetometer if gyro in (None, accel) else None}
+    columns = Columns(
+        time=TIME if accel.timed else None,
+        time_unit=None,
+        triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
+        temperature=accel.temperature,
+        others=(),
+    )
+    written = mended(FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), folder, given.rate)
+    return _of_log(written, times_of(written, given.rate), given.rate)
 
 
 def _named(found: list[Message], name: str | None, recording: Path) -> Message:
@@ -138,94 +190,77 @@ def _pairs(accel: Message, gyro: Message) -> bool:
     """Whether gyros in another message belong to the accelerometers: of one clock, and the same instance where
     messages are counted."""
     counted = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
-    return accel.timed and gyro.timed and (not all(c.isdigit() for c in counted) or counted[0] == counted[1])
+    return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
 
 
-def _time(log: Path, column: str | None, unit: str | None) -> tuple[dict[str, Any], list[str]]:
-    """The time column and its unit, or a rate."""
-    if column is None:
-        return {"rate_hz": _ASSUMED_RATE}, [
-            f"no time column was found: rate_hz = {_ASSUMED_RATE:g} is a guess, put the log's rate there"
-        ]
-    step = float(np.median(np.diff(log_head(log, column, _HEAD))))
-    likely = [name for name, size in TIME_UNITS.items() if step > 0 and _RATES[0] <= 1.0 / (step * size) <= _RATES[1]]
-    taken = unit or next(iter(likely), "s")
-    how = "by its name" if unit else "by its steps"
-    rate = 1.0 / (step * TIME_UNITS[taken]) if step > 0 else float("nan")
-    said = f"time: column {column!r} in {taken} ({how}), {rate:.6g} samples per second"
-    return {"time": column, **({"time_unit": taken} if taken != "s" else {})}, [said]
-
-
-def _content(
-    log: Path, time: Mapping[str, Any], sensors: Mapping[str, Sensors], temperature: str | None
-) -> tuple[dict[str, Any], list[str]]:
-    accel, said = _accel(log, sensors[ACCEL], time)
-    table: dict[str, Any] = {"file": str(log.resolve()), **time, "accel": accel}
-    if GYRO in sensors:
-        table["gyro"], more = _gyro(log, sensors[GYRO], raw=accel["unit"] == "count")
+def _content(log: FoundLog, times: Times, found: Columns) -> tuple[dict[str, Any], list[str], bool]:
+    """The tables of session.toml, what there is to say, and whether the unit of the gyros is unknown."""
+    accel, said = _accel(log, found.triads[ACCEL], times)
+    files = [str(file.resolve()) for file in log.files]
+    table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys, "accel": accel}
+    unknown = False
+    if GYRO in found.triads:
+        table["gyro"], more, unknown = _gyro(found.triads[GYRO], raw=accel["unit"] == "count")
         said += more
     else:
         said.append("no gyros were found: the accelerometers alone will be calibrated")
-    if temperature is not None:
-        table["temperature"] = {"columns": [temperature], "unit": "degC"}
-        said.append(f"temperature: {temperature} in degC")
-    return {"format": 1, "device": {"serial": "unknown"}, "log": table}, said
+    if found.temperature is not None:
+        table["temperature"] = {"columns": [found.temperature], "unit": "degC"}
+        said.append(f"temperature: {found.temperature} in degC")
+    return {"format": 1, "device": {"serial": "unknown"}, "log": table}, said, unknown
 
 
-def _accel(log: Path, sensors: Sensors, time: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.accel]: the unit in which the median magnitude is gravity."""
-    read = np.column_stack([log_head(log, column, _HEAD) for column in sensors.columns])
+def _accel(log: FoundLog, sensors: Sensors, times: Times) -> tuple[dict[str, Any], list[str]]:
+    """The table [log.accel]: the unit in which the median magnitude is gravity; of counts, with a scale of one."""
+    read = log.read(sensors.columns, rows=_HEAD)
     magnitude = float(np.nanmedian(np.linalg.norm(read, axis=1)))
     columns = list(sensors.columns)
     named = ", ".join(columns)
     if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
-        return {"columns": columns, "unit": sensors.unit}, [
-            f"accelerometers: {named} in {sensors.unit} (from the name or the format), magnitude {magnitude:.6g}"
-        ]
+        said = [f"accelerometers: {named} in {sensors.unit} (from the name or the format), magnitude {magnitude:.6g}"]
+        unit = ACCEL_UNITS[sensors.unit]
+        rate = times.rate if unit.kind == "increment" else 1.0
+        if abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) > _TOLERANCE:
+            said.append(f"accelerometers: their magnitude is not that of gravity in {sensors.unit}: is the unit right?")
+        return {"columns": columns, "unit": sensors.unit}, said
     for name, unit in ACCEL_UNITS.items():
-        rate = _rate(log, time) if unit.kind == "increment" else 1.0
-        if unit.kind != "raw" and abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) < _TOLERANCE:
-            return {"columns": columns, "unit": name}, [
-                f"accelerometers: {named} in {name} (their magnitude is {magnitude:.6g})"
-            ]
-    offset, scale = _offset_and_scale(log, columns)
-    return {"columns": columns, "unit": "count", "scale": scale, "offset": offset}, [
-        f"accelerometers: {named} in counts; scale and offset, such that gravity is seen in all positions, are rough: "
-        "put those of the data sheet there"
-    ]
+        rate = times.rate if unit.kind == "increment" else 1.0
+        named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
+        if named_raw or unit.kind == "raw" or abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) >= _TOLERANCE:
+            continue
+        also = "; 1024 counts per g are possible too" if name == "mg" and abs(magnitude / 1024.0 - 1.0) < _SOFT else ""
+        found = f"accelerometers: {named} in {name} (their magnitude is {magnitude:.6g}){also}"
+        return {"columns": columns, "unit": name}, [found]
+    return {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "m/s^2", "offset": 0.0}, []
 
 
-def _offset_and_scale(log: Path, columns: list[str]) -> tuple[list[float], float]:
-    """Centre and radius per m/s² of the sphere of all readings."""
-    read = np.column_stack([log_head(log, column, _LONGEST) for column in columns])
-    read = read[: len(read) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, 3)
-    quiet = read.std(axis=1).max(axis=1)
-    a = read.mean(axis=1)[quiet <= np.median(quiet)]
-    centre, radius = sphere_through(a)
-    return [float(f"{c:.4g}") for c in centre], float(f"{radius / G_STANDARD:.4g}")
-
-
-def _gyro(log: Path, sensors: Sensors, *, raw: bool) -> tuple[dict[str, Any], list[str]]:
+def _gyro(sensors: Sensors, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
     """The table [log.gyro]; where the accelerometers are in counts, gyros of no named unit are too."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
+    if sensors.unit == "mdps":
+        return (
+            {"columns": columns, "unit": "count", "scale": 1000.0, "scale_per": "deg/s"},
+            [f"gyros: {named} in thousandths of deg/s (from the name)"],
+            False,
+        )
     if sensors.unit is not None and GYRO_UNITS[sensors.unit].kind != "raw":
-        return {"columns": columns, "unit": sensors.unit}, [
-            f"gyros: {named} in {sensors.unit} (from the name or the format)"
-        ]
+        return (
+            {"columns": columns, "unit": sensors.unit},
+            [f"gyros: {named} in {sensors.unit} (from the name or the format)"],
+            False,
+        )
     if not raw and sensors.unit is None:
-        return {"columns": columns, "unit": "rad/s"}, [f"gyros: {named} in rad/s (a guess)"]
-    offset = [float(np.nanmedian(log_head(log, column, _LONGEST))) for column in columns]
-    return {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "deg/s", "offset": offset}, [
-        f"gyros: {named} in counts; the offset is their median, the scale is unknown: put that of the data sheet there"
-    ]
+        return {"columns": columns, "unit": "rad/s"}, [f"gyros: {named} in rad/s (a guess)"], True
+    table = {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "deg/s", "offset": 0.0}
+    return table, [], True
 
 
-def _magnetometer(log: Path, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
+def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
     """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []
-    read = np.column_stack([log_head(log, column, _HEAD) for column in sensors.columns])
+    read = log.read(sensors.columns, rows=_HEAD)
     field = float(np.nanmedian(np.linalg.norm(read, axis=1)))
     likely = [unit for unit, (low, high) in _FIELDS.items() if low <= field <= high]
     unit = sensors.unit or next(iter(likely), None)
@@ -236,11 +271,110 @@ def _magnetometer(log: Path, sensors: Sensors | None) -> tuple[dict[str, Any] | 
     return {"columns": list(sensors.columns), "unit": unit}, [said]
 
 
-def _rate(log: Path, time: Mapping[str, Any]) -> float:
-    if "rate_hz" in time:
-        return float(time["rate_hz"])
-    step = float(np.median(np.diff(log_head(log, time["time"], _HEAD))))
-    return 1.0 / (step * TIME_UNITS[time.get("time_unit", "s")])
+def _with_given(content: Mapping[str, Any], folder: Path, given: Given) -> dict[str, Any]:
+    """A content with serial number and latitude: as given, the former else by the folder's name."""
+    site = {"site": {"latitude_deg": given.latitude}} if given.latitude is not None else {}
+    out = {**content, "device": {"serial": given.serial or folder.resolve().name or "unknown"}, **site}
+    with TemporaryDirectory() as place:  # checked as a session is
+        write_session(Path(place), out)
+    return out
+
+
+# -------------------- counts and rates, from rests and turns --------------------
+
+
+def _scaled(draft: Draft, progress: Progress) -> Draft:
+    """A draft with the scales of counts, and the rate of a log without times, as rests and turns show them."""
+    log = draft.content["log"]
+    gyro = log.get("gyro")
+    raw_gyro = gyro is not None and draft.gyro_unknown and gyro["unit"] == "count"
+    raw_accel = log["accel"]["unit"] == "count"
+    if not (raw_accel or raw_gyro):
+        return draft
+    observations = _observed(draft.content, progress)
+    said: list[str] = []
+    if raw_accel:
+        log, more = _accel_scaled(log, observations, progress, draft)
+        said += more
+    if raw_gyro:
+        content = {**draft.content, "log": log}
+        observations = _observed(content, progress) if raw_accel else observations
+        log, more = _gyro_scaled(content, observations, progress)
+        said += more
+    return replace(draft, content={**draft.content, "log": log}, said=(*draft.said, *said))
+
+
+def _observed(content: Mapping[str, Any], progress: Progress) -> Observations | None:
+    """Rests and turns of a session of this content; None where there are none."""
+    with TemporaryDirectory() as place:
+        try:
+            write_session(Path(place), content)
+            return inspect_session(read_session(Path(place)), progress=progress)[1]
+        except (TumbleError, np.linalg.LinAlgError):
+            return None
+
+
+def _accel_scaled(
+    log: Mapping[str, Any], observations: Observations | None, progress: Progress, draft: Draft
+) -> tuple[dict[str, Any], list[str]]:
+    """[log] with the scale and offset of accelerometers in counts, from the rests."""
+    accel, named = log["accel"], ", ".join(log["accel"]["columns"])
+    if observations is None and "gyro" in log:  # gyros in counts can hide the rests: the accelerometers alone show them
+        alone = {key: value for key, value in log.items() if key != "gyro"}
+        observations = _observed({**draft.content, "log": alone}, progress)
+    means = observations.rests.accel if observations is not None else np.empty((0, 3))
+    sphere = accel_scale(means)
+    if sphere is None:
+        radius = float(np.median(np.linalg.norm(means, axis=1))) if len(means) else 1.0
+        sphere = radius, [0.0] * 3
+    scale = counts_per_g(sphere[0])
+    seen = f"from {len(means)} rests" if len(means) >= 4 else "a guess from too few rests: state the data sheet's"
+    offset: Any = sphere[1][0] if len(set(sphere[1])) == 1 else sphere[1]
+    made = {"columns": accel["columns"], "unit": "count", "scale": scale.value, "scale_per": "g", "offset": offset}
+    return {**log, "accel": made}, [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
+
+
+def _gyro_scaled(
+    content: Mapping[str, Any], observations: Observations | None, progress: Progress
+) -> tuple[dict[str, Any], list[str]]:
+    """[log] with the scale of gyros in counts, from the turns; the offset is none or the mean at rest."""
+    log = content["log"]
+    gyro, named = log["gyro"], ", ".join(log["gyro"]["columns"])
+    bias = np.zeros(3) if observations is None else np.median(observations.rests.gyro, axis=0) / DEGREE
+    centred = {**gyro, "offset": [float(f"{b:.6g}") for b in bias]}
+    observations = _observed({**content, "log": {**log, "gyro": centred}}, progress)
+    factor = None if observations is None else gyro_factor(observations)
+    if factor is None:
+        said = (
+            f"gyros: {named} in counts; the offset is their reading at rest, the scale is unknown, for no turns show "
+            "it: put that of the data sheet there"
+        )
+        return {**log, "gyro": centred}, [said]
+    scale = counts_per_deg_s(factor / DEGREE)
+    high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
+    made = {**(centred if high else gyro), "scale": scale.value}
+    return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)"]
+
+
+def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft whose rate, if it is a guess, is that at which gyros in a known unit carry the vertical from rest to
+    rest."""
+    log = draft.content["log"]
+    if not draft.rate_guessed or "gyro" not in log or log["gyro"]["unit"] == "count":
+        return draft, faults
+    found = None
+    for trial in (log["rate_hz"], _SLOW_RATE):  # at too high a rate rests would be too short to be any
+        observations = _observed({**draft.content, "log": {**log, "rate_hz": trial}}, progress)
+        factor = None if observations is None else gyro_factor(observations)
+        found = trial * factor if found is None and factor is not None else found
+    if found is None:
+        return draft, faults
+    near = _USUAL_RATES[np.argmin(np.abs(np.log(_USUAL_RATES / found)))]
+    rate = float(near) if abs(near / found - 1.0) < _RATE_NEAR else float(f"{found:.4g}")
+    seen = f"rate_hz = {rate:g} from the turns ({found:.4g} found)"
+    said = f"time: {seen}: a guess to some percent; put the log's rate there"
+    content = {**draft.content, "log": {**log, "rate_hz": rate}}
+    return replace(draft, content=content, said=(*draft.said, said)), _looked_at(content, progress)[1]
 
 
 # -------------------- what the recording says of the guesses --------------------
@@ -249,6 +383,8 @@ def _rate(log: Path, time: Mapping[str, Any]) -> float:
 def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
     """A draft with the gyros' unit in which they carry the vertical from rest to rest, and the faults left."""
     unit, faults = _looked_at(draft.content, progress)
+    if faults and draft.gyro_unknown and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
+        return _in_counts(draft, faults, progress)
     gyro = draft.content["log"].get("gyro")
     if not faults or unit is None or gyro["unit"] == "count":
         return draft, faults
@@ -256,6 +392,28 @@ def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
     if _looked_at(trial, progress)[1]:
         return draft, faults
     said = f"gyros: in {unit}, not {gyro['unit']}: so they carry the vertical from rest to rest"
+    return replace(draft, content=trial, said=(*draft.said, said)), []
+
+
+def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft with the gyros in counts, where that makes them carry the vertical and no unit does."""
+    log = draft.content["log"]
+    factor = None if (observations := _observed(draft.content, progress)) is None else gyro_factor(observations)
+    if factor is None:
+        return draft, faults
+    scale = counts_per_deg_s(factor)
+    gyro = {
+        "columns": log["gyro"]["columns"],
+        "unit": "count",
+        "scale": scale.value,
+        "scale_per": "deg/s",
+        "offset": 0.0,
+    }
+    trial = {**draft.content, "log": {**log, "gyro": gyro}}
+    _, left = _looked_at(trial, progress)
+    if left:
+        return draft, faults
+    said = f"gyros: not in rad/s but in counts: {scale.said}: so they carry the vertical from rest to rest"
     return replace(draft, content=trial, said=(*draft.said, said)), []
 
 
@@ -282,25 +440,29 @@ def _looked_at(content: Mapping[str, Any], progress: Progress) -> tuple[str | No
 # -------------------- the file --------------------
 
 
-def _text(draft: Draft, folder: Path, programme: str | None) -> str:
+def _text(draft: Draft, folder: Path, given: Given) -> str:
     """session.toml with a comment on all that has to be filled in."""
     log = draft.content["log"]
-    file = os.path.relpath(log["file"], folder.resolve())
+    stated = [log["file"]] if isinstance(log["file"], str) else log["file"]
+    files = [os.path.relpath(file, folder.resolve()) for file in stated]
+    serial = draft.content["device"]["serial"]
+    latitude = draft.content.get("site", {}).get("latitude_deg")
+    place = "of the place; without it the Earth's rate and local gravity are unknown"
     lines = [
         "format = 1",
         "",
         "[device]",
-        f"{_line('serial', folder.resolve().name)}   # the serial number",
+        _line("serial", serial) + ("" if given.serial else "   # the serial number"),
         '# model = "…"',
         "",
         "[site]",
-        "# latitude_deg = 0.0   # of the place; without it the Earth's rate and local gravity are unknown",
+        f"# latitude_deg = 0.0   # {place}" if latitude is None else _line("latitude_deg", latitude),
         "# height_m = 0.0",
         "# gravity = 9.80665    # m/s², where it was measured; gravity_u is its standard uncertainty",
         "",
         "[log]",
-        _line("file", file),
-        *(_line(key, log[key]) for key in ("time", "time_unit", "rate_hz") if key in log),
+        _line("file", files[0] if len(files) == 1 else files),
+        *(_line(key, log[key]) for key in _LOG_KEYS if key in log),
         "",
     ]
     for kind in ("accel", "gyro", "temperature"):
@@ -308,15 +470,20 @@ def _text(draft: Draft, folder: Path, programme: str | None) -> str:
             lines += [f"[log.{kind}]", *(_line(key, value) for key, value in log[kind].items()), ""]
     if draft.magnetometer is not None:
         lines += ["# [log.magnetometer]", *(f"# {_line(key, value)}" for key, value in draft.magnetometer.items()), ""]
-    if programme is None:
+    if given.programme is None:
         lines += [
             "# the positions, if they were planned: see `tumble programme`",
             "# [programme]",
             '# name = "rough-table"',
         ]
     else:
-        lines += ["[programme]", _line("name", programme)]
+        lines += ["[programme]", _line("name", given.programme)]
     return "\n".join(lines) + "\n"
+
+
+_LOG_KEYS = (
+    "delimiter", "decimal", "comment", "header", "encoding", "time", "time_unit", "regular", "rate_hz"
+)  # fmt: skip
 
 
 def _line(key: str, value: Any) -> str:

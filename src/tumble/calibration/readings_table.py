@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from tumble.errors import InputError
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, MAGNETIC_UNITS, Array, IntArray
 
 Sensor = Literal["accel", "gyro", "mag"]
-SENSORS: tuple[Sensor, ...] = get_args(Sensor)
+
 
 TELLING = 0.3
 """A channel's polarity is told by a position in which the vector has at least this part along it, in the fit and as

@@ -33,6 +33,8 @@ from tumble.calibration.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHO
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_rows
 from tumble.errors import InputError
+from tumble.planning.bounds import instrument_of
+from tumble.planning.setup import Terms
 from tumble.programme.positions import BUILT_IN
 from tumble.sensors.grades import GRADES
 from tumble.usual_setup import GRADE, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
@@ -49,8 +51,11 @@ AXES = (
     "sample_rate",
     "latitude_deg",
     "noise_factor",
+    "terms",
 )
 """The axes of the grid apart from the method, outermost first."""
+
+TERMS: tuple[Terms, ...] = ("linear", "full")
 
 MOST_TASKS = 10_000_000
 _FAULTS_SHOWN = 3
@@ -83,7 +88,7 @@ class Campaign:
             items=self.cells * self.trials,
             task=rows,
             label=label,
-            schema=_label_schema() | (_statics_schema() if statics else _session_schema()),
+            schema=_label_schema() | (_statics_schema() if statics else _session_schema(self.cells)),
         )
 
 
@@ -100,13 +105,14 @@ def label(cell: Cell) -> Row:
 
 
 def _label_schema() -> dict[str, Any]:
-    types = {"grade": pl.String, "programme": pl.String, "positions": pl.Int64}
+    types = {"grade": pl.String, "programme": pl.String, "positions": pl.Int64, "terms": pl.String}
     return {name: types.get(name, pl.Float64) for name in AXES}
 
 
-def _session_schema() -> dict[str, Any]:
+def _session_schema(cells: Iterable[Cell]) -> dict[str, Any]:
     said = {"method": pl.String, "accepted": pl.Boolean, "reasons": pl.String}
-    return said | {f"{what}.{name}": pl.Float64 for what in ("error", "u", "bound") for name in NAMES}
+    names = dict.fromkeys(name for cell in cells for name in instrument_of(cell.setup, gyros=True).names)
+    return said | {f"{what}.{name}": pl.Float64 for what in ("error", "u", "bound") for name in names}
 
 
 def _statics_schema() -> dict[str, Any]:
@@ -221,6 +227,7 @@ class _GridKeys(_CampaignTable):
     noise_factor: list[Annotated[float, Field(ge=0.0, le=1000.0)]] = Field(
         default=[1.0], min_length=1, description="numbers from 0 to 1000"
     )
+    terms: list[str] = Field(default=["linear"], min_length=1, description=_one_of(TERMS))
 
     @field_validator("*", mode="before")
     @classmethod
@@ -229,7 +236,12 @@ class _GridKeys(_CampaignTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for key, known in (("method", ESTIMATORS), ("grade", GRADES), ("programme", BUILT_IN)):
+        for key, known in (
+            ("method", ESTIMATORS),
+            ("grade", GRADES),
+            ("programme", BUILT_IN),
+            ("terms", TERMS),
+        ):
             for name in getattr(self, key):
                 if name not in known:
                     raise ValueError(f"grid.{key}: expected {_one_of(known)}, found {json.dumps(name)}")
@@ -247,8 +259,12 @@ class _CampaignKeys(_CampaignTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.kind == "statics" and ("source" in self.model_fields_set or "method" in self.grid.model_fields_set):
-            raise ValueError('kind: expected neither source nor grid.method with "statics", found one; leave it out')
+        if self.kind == "statics" and (
+            "source" in self.model_fields_set or {"method", "terms"} & self.grid.model_fields_set
+        ):
+            raise ValueError(
+                'kind: expected neither source nor grid.method nor grid.terms with "statics", found one; leave it out'
+            )
         if self.trials * math.prod(len(getattr(self.grid, axis)) for axis in AXES) > MOST_TASKS:
             raise ValueError(f"trials: expected at most {MOST_TASKS} over all points of the grid, found more")
         return self

@@ -24,7 +24,7 @@ import polars as pl
 from tumble.campaigns.campaign import AXES
 from tumble.campaigns.trial import NAMES
 from tumble.files import whole_file
-from tumble.planning.budget import GROUPS, UNITS
+from tumble.sensors.parameters import group_of, positions_by_group
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -74,20 +74,26 @@ def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterato
         trials, failed = len(part), int(part["error"].is_not_null().sum())
         part = part.filter(pl.col("accepted"))
         accepted = len(part)
+    names = NAMES if statics else _names(part)
     moments = _statics_moments(part) if statics else _session_moments(part)
-    for group in GROUPS:
-        members = [moments[name] for name in NAMES if name.startswith(group) and name in moments]
+    for group, places in positions_by_group(names).items():
+        members = [moments[names[i]] for i in places if names[i] in moments]
         if members or not accepted:
             yield SummaryLine(
                 point=point,
                 method=method,
                 group=group,
-                unit=UNITS[group],
+                unit=group_of(names[places[0]]).unit,
                 trials=trials,
                 accepted=accepted,
                 failed=failed,
                 **_of_group(members),
             )
+
+
+def _names(part: pl.DataFrame) -> tuple[str, ...]:
+    """The parameters that rows of sessions have columns of."""
+    return tuple(column.removeprefix("error.") for column in part.columns if column.startswith("error."))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,7 +110,7 @@ class _Moments:
 def _session_moments(part: pl.DataFrame) -> dict[str, _Moments]:
     """Moments by parameter over trials that have a value."""
     out = {}
-    for name in NAMES:
+    for name in _names(part):
         error, u, bound = (_column(part, f"{what}.{name}") for what in ("error", "u", "bound"))
         seen = np.isfinite(error)
         if not seen.any():

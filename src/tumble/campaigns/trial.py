@@ -25,9 +25,10 @@ from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
 from tumble.estimation.diagnosis import verdict
-from tumble.estimation.estimate import DETERMINED
-from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, linearise, solve, weights
+from tumble.estimation.estimate import DETERMINED, Estimate
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
 from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
@@ -42,7 +43,7 @@ from tumble.units import Array
 Source = Literal["observations", "log"]
 
 NAMES = tuple(name for kind in ("accel", "gyro") for name in Block(kind=kind, axes=np.eye(3)).names)
-"""The parameters of a trial, in the order of the calibration file."""
+"""The parameters of the linear model, in the order of the calibration file."""
 
 BLOCK = 4096
 """Triads in a trial of rests alone."""
@@ -73,7 +74,7 @@ def stream(seed: int, number: int) -> np.random.Generator:
 
 
 def session_rows(seed: int, source: Source, methods: Sequence[str], number: int, cell: Cell) -> list[Row]:
-    """A row for each method: whether the calibration was accepted, if not why, and for every parameter p of NAMES
+    """A row for each method: whether the calibration was accepted, if not why, and for every parameter p of the instrument
     `error.p`, its value less the truth, `u.p`, its standard uncertainty, and, without a log, `bound.p`, the Cramér–Rao
     bound of the observations; nothing where there is none."""
     rng = stream(seed, number)
@@ -88,16 +89,19 @@ def session_rows(seed: int, source: Source, methods: Sequence[str], number: int,
 
 def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> dict[str, float]:
     """Square roots of the Cramér–Rao bounds of the parameters that observations determine, by name, SI: of the joint
-    likelihood at the true parameters and attitudes (N, 3, 3), with the true in-run instability as scatter that is
-    independent from rest to turn."""
-    truth = np.array([scenario.truth[name] for name in NAMES])
-    problem = Problem.of(observations)
-    about = TurnsAbout.of(observations, problem.gyro_model(truth))
+    likelihood at the true parameters and attitudes (N, 3, 3), with the true in-run instability as a bias that lasts from
+    a rest through the turn that follows, and the spreads of groups beyond the linear model as priors."""
+    instrument, truth = scenario.instrument, scenario.values
+    problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
+    about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=attitudes)
     scatter = Scatter(accel=scenario.noise.accel_instability, gyro=scenario.noise.gyro_instability)
-    step = solve(problem, linearise(problem, point, about), weights(problem, scatter))
+    rows = linearise(problem, point, about)
+    step = solve(problem, rows, weights(problem, rows, scatter))
     found = np.sqrt(np.diag(step.covariance)[1:])
-    return {n: float(u) for n, u, s in zip(NAMES, found, problem.spread, strict=True) if u < s / DETERMINED}
+    determined = problem.spread / DETERMINED
+    determined[instrument.linear_count :] = np.inf  # by their priors
+    return {n: float(u) for n, u, s in zip(instrument.names, found, determined, strict=True) if u < s}
 
 
 def _from_observations(scenario: Scenario, observations: Observations, method: str) -> dict[str, Any]:
@@ -106,9 +110,14 @@ def _from_observations(scenario: Scenario, observations: Observations, method: s
     except (InputError, np.linalg.LinAlgError) as error:
         return {"method": method, "error": f"{type(error).__name__}: {error}"}
     outcome = verdict(estimate, observations)
-    seen = [i for i in range(len(estimate.names)) if estimate.observable[i]]
+    seen = [i for i in range(len(estimate.names)) if estimate.observable[i] or _has_prior(estimate, i)]
     values = {estimate.names[i]: (float(estimate.values[i]), float(estimate.u[i])) for i in seen}
     return _row(method, outcome.reasons, values, scenario)
+
+
+def _has_prior(estimate: Estimate, i: int) -> bool:
+    """Whether a parameter is beyond the linear model, so that it has a value in any case."""
+    return estimate.instrument is not None and i >= estimate.instrument.linear_count
 
 
 def _through_a_log(scenario: Scenario, methods: Sequence[str], rng: np.random.Generator) -> list[Row]:
@@ -129,8 +138,9 @@ def _from_session(scenario: Scenario, folder: Path, method: str) -> Row:
 def _row(
     method: str, reasons: Sequence[str], values: Mapping[str, tuple[float, float | None]], scenario: Scenario
 ) -> dict[str, Any]:
-    errors = {f"error.{name}": value - scenario.truth[name] for name, (value, _) in values.items()}
-    uncertainties = {f"u.{name}": u for name, (_, u) in values.items()}
+    known = {name: found for name, found in values.items() if name in scenario.truth}
+    errors = {f"error.{name}": value - scenario.truth[name] for name, (value, _) in known.items()}
+    uncertainties = {f"u.{name}": u for name, (_, u) in known.items()}
     return {"method": method, "accepted": not reasons, "reasons": "; ".join(reasons), **errors, **uncertainties}
 
 

@@ -61,6 +61,15 @@ def number(name: str, default: float, says: str) -> Callable[[_Command], _Comman
     return click.option(name, type=float, default=default, show_default=True, help=says)
 
 
+TERMS = click.option(
+    "--terms",
+    type=click.Choice(["linear", "full"]),
+    default="linear",
+    show_default=True,
+    help="Bias, scale and axes alone, or all groups of parameters.",
+)
+
+
 def setup_options(command: _Command) -> _Command:
     """The options that describe a set-up before anything is measured."""
     options: list[Callable[[_Command], _Command]] = [
@@ -73,6 +82,7 @@ def setup_options(command: _Command) -> _Command:
         number("--latitude", usual_setup.LATITUDE_DEG, "Of the site, °."),
         click.option("--gravity", type=float, help="Measured gravity, m/s²; default: normal gravity."),
         number("--gravity-u", usual_setup.GRAVITY_U, "Its uncertainty, m/s²."),
+        TERMS,
         click.option("--noiseless", is_flag=True, help="Errors of the method alone."),
     ]
     for option in reversed(options):
@@ -95,6 +105,7 @@ def setup_of(options: dict[str, Any]) -> Setup:
         gravity=options["gravity"],
         gravity_u=options["gravity_u"],
         noise_factor=0.0 if options["noiseless"] else 1.0,
+        terms=options["terms"],
     )
 
 

@@ -11,19 +11,39 @@ from tumble.commands.arguments import EXISTING_FOLDER, with_progress
 
 @click.command()
 @click.argument("folder", type=EXISTING_FOLDER)
-@click.option("--log", type=EXISTING_FOLDER, required=True, help="The recording: a log, a bag, a flight log, arrays.")
+@click.argument("more", metavar="[LOG]...", nargs=-1, type=EXISTING_FOLDER)
+@click.option("--log", type=EXISTING_FOLDER, multiple=True, help="The recording: a log, a folder, a pattern, a bag.")
+@click.option("--serial", metavar="NUMBER", help="Serial number of the device; default: the name of FOLDER.")
+@click.option("--latitude", type=float, metavar="DEGREES", help="Of the place, ° north.")
+@click.option("--rate", type=float, metavar="HZ", help="Samples per second, instead of the times in the log.")
 @click.option("--programme", help="Built-in programme that was gone through.")
 @click.option("--message", metavar="NAME", help="Topic or message of a recording, where there are several.")
-def new(folder: Path, log: Path, programme: str | None, message: str | None) -> None:
+def new(
+    folder: Path,
+    more: tuple[Path, ...],
+    log: tuple[Path, ...],
+    serial: str | None,
+    latitude: float | None,
+    rate: float | None,
+    programme: str | None,
+    message: str | None,
+) -> None:
     """Write a commented session.toml for a log into FOLDER, and say what was guessed.
 
-    A log is .csv (.gz, .zst) or .parquet; .bag, .db3, .mcap, .ulg, .bin, .mat, .h5 and ROS 2 folders are converted.
+    LOG, or --log, is one or more text files in any dialect, .parquet, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5, a ROS 2
+    folder, or a folder or a pattern of files that were recorded one after the other.
     """
-    from tumble.calibration.new_session import draft_session
+    from tumble.calibration.new_session import Given, draft_session
 
-    draft, faults = draft_session(folder, log, programme=programme, message=message, progress=with_progress)
+    if not log and not more:
+        raise click.UsageError("Missing argument 'LOG': the recording")
+    given = Given(serial=serial, latitude=latitude, rate=rate, programme=programme, message=message)
+    draft, faults = draft_session(folder, [*log, *more], given, progress=with_progress)
     for sentence in draft.said:
         click.echo(sentence, err=True)
     for fault in faults:
         click.echo(f"look at this: {fault}", err=True)
-    click.echo(f"written to {folder / 'session.toml'}; fill in the serial number and the place", err=True)
+    missing = [what for what, value in (("the serial number", serial), ("the place", latitude)) if value is None]
+    click.echo(
+        f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""), err=True
+    )

@@ -57,11 +57,12 @@ def _one_more(setup: Setup, aim: Aim, table: TurnTable) -> list[str]:
     """Print what a set-up's programme can show and what one more position would buy; returns what it cannot."""
     from tumble.planning.best_positions import next_positions
     from tumble.planning.bounds import bound
+    from tumble.planning.setup import with_all_groups
     from tumble.terminal.plan import bound_report, next_report, short_of
     from tumble.terminal.text import print_report
 
     best, found = bound(setup, gyros=aim.gyros), next_positions(setup, aim, table)
-    print_report(bound_report(setup, best))
+    print_report(bound_report(setup, best, bound(with_all_groups(setup), gyros=aim.gyros)))
     click.echo()
     print_report(next_report(best, found, aim))
     return short_of(best, aim, setup)
@@ -70,6 +71,8 @@ def _one_more(setup: Setup, aim: Aim, table: TurnTable) -> list[str]:
 def _found(setup: Setup, positions: int, aim: Aim, table: TurnTable) -> list[str]:
     """Print the best programme that is found, what it can show, and others beside it; returns what it cannot."""
     from tumble.planning.best_positions import compared, of_the_literature, optimised
+    from tumble.planning.bounds import bound
+    from tumble.planning.setup import with_all_groups
     from tumble.terminal.plan import bound_report, comparison_report, positions_report, short_of
     from tumble.terminal.text import print_report
 
@@ -77,7 +80,7 @@ def _found(setup: Setup, positions: int, aim: Aim, table: TurnTable) -> list[str
     rows = compared(setup, (setup.programme, *of_the_literature()), aim)
     print_report(positions_report(setup.programme))
     click.echo()
-    print_report(bound_report(setup, rows[0].bound))
+    print_report(bound_report(setup, rows[0].bound, bound(with_all_groups(setup), gyros=aim.gyros)))
     click.echo()
     print_report(comparison_report(setup, rows, aim))
     return short_of(rows[0].bound, aim, setup)

@@ -8,7 +8,7 @@ from typing import Literal
 import click
 
 from tumble import usual_setup
-from tumble.commands.arguments import EXISTING_FOLDER
+from tumble.commands.arguments import EXISTING_FOLDER, TERMS
 from tumble.usual_setup import BY_HAND, ON_TABLE
 
 
@@ -41,6 +41,7 @@ from tumble.usual_setup import BY_HAND, ON_TABLE
 @click.option(
     "--latitude", type=float, default=usual_setup.LATITUDE_DEG, show_default=True, help="Latitude of the site, °."
 )
+@TERMS
 @click.option("--noiseless", is_flag=True, help="No noise and no instability.")
 @click.option("--vibration", metavar="AMPLITUDE@HZ", help="Vibration throughout, m/s² at Hz, e.g. 0.05@30.")
 @click.option("--format", "log_format", type=click.Choice(["csv", "parquet"]), default="parquet", show_default=True)
@@ -57,6 +58,7 @@ def simulate(
     table_error: float,
     mounting_error: float,
     latitude: float,
+    terms: Literal["linear", "full"],
     noiseless: bool,
     vibration: str | None,
     log_format: Literal["csv", "parquet"],
@@ -79,6 +81,7 @@ def simulate(
         mounting_error_deg=mounting_error,
         latitude_deg=latitude,
         noise_factor=0.0 if noiseless else 1.0,
+        terms=terms,
     )
     shaken = vibration_of(vibration) if vibration else NO_VIBRATION
     written = simulate_session(folder, setup, seed=seed, launch=launch, vibration=shaken, log_format=log_format)

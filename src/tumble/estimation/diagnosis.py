@@ -20,7 +20,7 @@ from tumble.programme.positions import from_attitudes, programme
 from tumble.recording.session import Channels, Session, Site
 from tumble.reduction.blocks import ChannelState, Reduction
 from tumble.reduction.observations import Observations
-from tumble.reduction.segmentation import Segmentation
+from tumble.reduction.segmentation import STILL_SECONDS, Segmentation
 from tumble.rotation import onto_body, skew, tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of
@@ -649,7 +649,8 @@ def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
 
 def no_rests(segmentation: Segmentation) -> Outcome:
     """The outcome of a log in which nothing rests."""
-    reason = "no rest found: expected the device to lie still for at least 3 s in each position"
+    reason = f"no rest found: expected the device to lie still for at least {STILL_SECONDS} s in each position"
+    reason += "".join(f"; {said}" for said in segmentation.passed_over())
     if segmentation.rejected:
         longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)
         reason += f"; the longest quiet stretch, {longest.start:.1f}–{longest.stop:.1f} s, is none: {longest.reason}"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy import special
 
+from tumble.estimation.prediction import Prediction
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray
@@ -183,6 +184,8 @@ class Estimate:
     groups: tuple[GroupFinding, ...] = ()
     degrees: Array | None = None
     """Degrees of freedom (m,) behind the u of the parameters, where the method knows them."""
+    prediction: Prediction | None = None
+    """What corrected readings are known to."""
     linearised: Linearised | None = None
     """The likelihood about the estimate, where the method has one."""
 

@@ -6,7 +6,7 @@ Minimised is the sum of squares, each over its covariance (turntable method §8;
 
     ŷ − Σ_b K_b(θ) β_b(f, ω)                   at rest, of both blocks: f = g u, u = Lᵀ e_U; ω = Lᵀ Ω
     log( C(θ) L_jᵀ e^{−[Ω×]T} L_i )            the turn from rest i to rest j, resolved in the body at its start
-    V(θ) − L_iᵀ ∫ e^{[Ω×]s} g e_U ds           its velocity, likewise                                            (9)
+    V(θ) − L_iᵀ ∫ e^{[Ω×]s} g e_U ds           its velocity, likewise, where levers and delay are unknowns        (9)
     g − g₀                                     the measured gravity
 
 C(θ) = exp([φ×]) C and V(θ) are about the parameters the turn was integrated with: φ and V change with the coefficients
@@ -347,11 +347,14 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     rows[:, :3, -1] = r
     bias = np.zeros((len(turns), 6, phi_bias.shape[2]))
     bias[:, :3], bias[:, 3:] = left @ left_jacobian(phi) @ phi_bias, V_bias
-    predicted, by_turning = _velocity(problem, point, turns.duration)
-    rows[:, 3:, :3] = by_turning
-    if observations.site.gravity_u > 0.0:
-        rows[:, 3:, 6] = predicted / point.gravity
-    rows[:, 3:, 7:-1], rows[:, 3:, -1] = by_V, V - predicted
+    if instrument.in_velocities:
+        predicted, by_turning = _velocity(problem, point, turns.duration)
+        rows[:, 3:, :3] = by_turning
+        if observations.site.gravity_u > 0.0:
+            rows[:, 3:, 6] = predicted / point.gravity
+        rows[:, 3:, 7:-1], rows[:, 3:, -1] = by_V, V - predicted
+    else:
+        rows, bias = rows[:, :3], bias[:, :3]
     if observations.turn_readings is None:
         return rows, bias
     spare, spare_bias = _spare_rows(problem, point)
@@ -470,22 +473,24 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     at_rest = (selected[:, :, :n], selected[:, :, n:stop], none, none, none)
     turns = observations.turns
     if turns is None or not len(turns):
-        empty = np.zeros((0, r + rows.turn.shape[1], 0))
-        return Noise(rest=rest, merged=np.zeros((0, r, r)), rest_directions=at_rest, merged_directions=(empty,) * 5)
+        t = r + rows.turn.shape[1]
+        empty = (np.zeros((0, t, 0)),) * len(COMPONENTS)
+        return Noise(rest=rest, merged=np.zeros((0, t, t)), rest_directions=at_rest, merged_directions=empty)
     bias = np.zeros((len(turns), r + rows.turn.shape[1], stop))
     bias[:, :stop] = np.eye(stop)
     bias[:, r:] = rows.bias
-    of_turn = np.zeros((3, len(turns), r + rows.turn.shape[1], rows.turn.shape[1] - 3))
-    rotation, velocity, jumps = of_turn
+    v = 3 if problem.instrument.in_velocities else 0
+    spare = rows.turn.shape[1] - 3 - v
+    rotation, velocity, jumps = (np.zeros((len(turns), bias.shape[1], q)) for q in (3 + spare, v, v))
     rotation[:, r : r + 3, :3] = np.eye(3)
-    rotation[:, r + 6 :, 3:] = np.eye(rows.turn.shape[1] - 6)
-    velocity[:, r + 3 : r + 6, :3] = np.eye(3)
-    jumps[:, r + 3 : r + 6, :3] = np.sqrt(turns.jumps)[:, None, None] * np.eye(3)
+    rotation[:, r + 3 + v :, 3:] = np.eye(spare)
+    velocity[:, r + 3 : r + 3 + v] = np.eye(v)
+    jumps[:, r + 3 : r + 3 + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
     return Noise(
         rest=rest,
         merged=_diagonal([rest[turns.first], _turn_noise(problem, unseen)]),
         rest_directions=at_rest,
-        merged_directions=(bias[:, :, :n], bias[:, :, n:], rotation, velocity[:, :, :3], jumps[:, :, :3]),
+        merged_directions=(bias[:, :, :n], bias[:, :, n:], rotation, velocity, jumps),
     )
 
 
@@ -503,6 +508,8 @@ def _turn_noise(problem: Problem, unseen: float) -> Array:
     out[:, 3:, :3] = across @ rotation
     out[:, :3, 3:] = np.swapaxes(out[:, 3:, :3], 1, 2)
     out[:, 3:, 3:] = turns.velocity_covariance + 4.0 / 3.0 * third
+    if not problem.instrument.in_velocities:
+        out = out[:, :3, :3]
     if readings is None:
         return out
     assert problem.observations.gyro_block is not None

@@ -3,12 +3,14 @@
 How good a programme is (`Criterion`), smaller being better: by "A" the root mean square of u over the weights, which
 are the spreads of `tumble.estimation.estimate` or wanted accuracies; by "D" the geometric mean of the semi-axes of
 the ellipsoid of uncertainty, which does not depend on weights. A prior as wide as the spreads makes either finite
-while positions are too few; afterwards it counts for nothing.
+while positions are too few; afterwards it counts for nothing. Groups of parameters beyond the linear model have their
+usual spreads as prior; they count by A only where an accuracy of them is wanted. Drifts with time are left out, as a
+position is sought before it is known when it comes.
 
 A position costs little to add or to exchange. Eliminating the attitudes of all rests before it leaves three rows on the
 attitude of the last of them and a triangle on the parameters (`tumble.estimation.elimination`), and those after it
-likewise. What a candidate shows is then an elimination of two to four rests, whatever the length of the programme:
-about 0.1 ms.
+likewise; the rows of a rest go with those of the turn after it, as the in-run bias of both is one. What a candidate
+shows is then an elimination of two to four rests, whatever the length of the programme: about 0.1 ms.
 
 A programme is begun with X, Y or Z up, grows by the best position to add, and is improved by exchange of one position
 at a time, or of neighbours where the table leaves no other way, until no exchange makes it better. By A it is sought
@@ -27,13 +29,13 @@ import numpy as np
 from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED
-from tumble.planning.bounds import Bound, blocks_of, bound, course_of, view
+from tumble.planning.bounds import Bound, bound, course_of, instrument_of, view
 from tumble.planning.reachable_attitudes import ANY, Places, TurnTable, Ways, ways_through
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
 from tumble.programme.positions import programme as built_in
-from tumble.sensors.parameters import limits_of
-from tumble.units import Array, IntArray
+from tumble.sensors.parameters import group_name, limits_of
+from tumble.units import Array, BoolArray, IntArray
 
 Letter = Literal["A", "D"]
 
@@ -66,26 +68,30 @@ class Aim:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Criterion:
     """How good a programme is: by A, with `weight` (m,), SI, of the parameters, infinite for those that do not count,
-    or by D. `prior` (m,) are the spreads, SI, and `known` the triangle of what is known before: measured gravity, and
-    the prior."""
+    or by D. `prior` (m,) are the spreads, SI, of which the first `linear` are those of the linear model, and `known`
+    the triangle of what is known before: measured gravity, and the prior."""
 
     letter: Letter
     weight: Array
     prior: Array
+    linear: int
     known: Array
 
     @staticmethod
     def of(aim: Aim, setup: Setup) -> Criterion:
         """The criterion of an aim. Raises InputError if it is for no parameter."""
-        blocks = blocks_of(aim.gyros)
-        prior = np.concatenate([limits_of(block.names) for block in blocks])
-        groups = [name.rpartition(".")[0] for block in blocks for name in block.names]
-        weight = np.array([aim.wanted.get(group, np.inf) for group in groups]) if aim.wanted else prior
+        instrument = instrument_of(setup, aim.gyros)
+        groups, linear = list(map(group_name, instrument.names)), instrument.linear_count
+        prior = limits_of(instrument.names)
+        prior[linear:] = [setup.further[group] for group in groups[linear:]]
+        weight = np.where(np.arange(len(prior)) < linear, prior, np.inf)
+        if aim.wanted:
+            weight = np.array([aim.wanted.get(group, np.inf) for group in groups])
         if not np.any(np.isfinite(weight)):
             raise InputError("wanted: expected an accuracy of parameters that are calibrated, found none")
         gravity = 1.0 / setup.gravity_u if setup.gravity_u > 0.0 else 0.0
         known = np.diag([gravity, *(1.0 / prior), 0.0])
-        return Criterion(letter=aim.letter, weight=weight, prior=prior, known=known)
+        return Criterion(letter=aim.letter, weight=weight, prior=prior, linear=linear, known=known)
 
     def of_triangles(self, triangles: Array) -> Array:
         """Its values (q,) for triangles (q, 1 + m + 1, 1 + m + 1) on gravity and the parameters."""
@@ -97,35 +103,59 @@ class Criterion:
         return np.asarray(np.sqrt((u**2).sum(axis=(1, 2)) / np.isfinite(self.weight).sum()))
 
 
+def _timeless(setup: Setup) -> Setup:
+    """A set-up whose instrument does not change with time, for positions are sought without when they are taken."""
+    instrument = instrument_of(setup, gyros=True)
+    timeless = {group.name for group in instrument.further if group.variable is None}
+    return replace(setup, further={name: spread for name, spread in setup.further.items() if name in timeless})
+
+
 # What a programme and its candidates show
 
 
-def _eliminated(rest: Array, turn: Array, link: IntArray, triangle: Array) -> tuple[Array, Array]:
-    """What rests (N, r, ·) with turns (K, t, ·) between them show when their attitudes are eliminated: rows (r, ·) on
-    the attitude of the last, in the form of a rest, and a triangle on the parameters, to which one is added."""
+def _eliminated(rest: Array, turn: Array, link: IntArray, counts: BoolArray, triangle: Array) -> tuple[Array, Array]:
+    """What rests (N, r, ·), where they count, and rows (K, r + t, ·) of turns and the rests before them show when their
+    attitudes are eliminated: rows (r, ·) on the attitude of the last, in the form of a rest, and a triangle on the
+    parameters, to which one is added."""
     factor, triangle = np.empty((len(rest), 3, rest.shape[2] + 3)), triangle.copy()
-    eliminate(rest, turn, link, factor, triangle)
+    eliminate(rest, turn, link, counts, factor, triangle)
     last = np.zeros(rest.shape[1:])
     last[:3, :3], last[:3, 3:] = factor[-1, :, :3], factor[-1, :, 6:]
     return last, triangle
 
 
-def _triangles(rest: Array, turn: Array, triangle: Array) -> Array:
-    """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·) and turns (q, n − 1, t, ·)."""
+def _triangles(rest: Array, turn: Array, counts: BoolArray, triangle: Array) -> Array:
+    """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·), of which some count, and rows (q, n − 1, r +
+    t, ·) of the turns."""
     out = np.repeat(triangle[None], len(rest), axis=0)
     factor, link = np.empty((rest.shape[1], 3, rest.shape[3] + 3)), _linked(rest.shape[1], turn)
     for chain_rest, chain_turn, found in zip(rest, turn, out, strict=True):
-        eliminate(chain_rest, chain_turn, link, factor, found)
+        eliminate(chain_rest, chain_turn, link, counts, factor, found)
     return out
 
 
 def _linked(rests: int, turn: Array) -> IntArray:
-    """Every rest linked to the next by turns (..., t, ·), if there are gyros."""
+    """Every rest linked to the next by turns (..., r + t, ·), if there are gyros."""
     return np.append(np.arange(rests - 1), -1) if turn.shape[-2] else np.full(rests, -1)
 
 
+def _counting(rests: int, gyros: bool, *ends: int) -> BoolArray:
+    """Which rests (N,) of a chain count themselves: those at these ends, the rows of the others being among those of
+    the turns after them; without gyros, all."""
+    counts = np.full(rests, not gyros)
+    counts[list(ends)] = True
+    return counts
+
+
+def _closed(last: Array, rest: Array, triangle: Array) -> Array:
+    """The triangle on the parameters when a chain ends with rows (r, ·) on the attitude of its last rest and the
+    rows of that rest."""
+    rows = np.linalg.qr(np.concatenate([last, rest]), mode="r")[3:, 3:]
+    return np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
+
+
 def _backwards(turn: Array) -> Array:
-    """Rows (K, t, ·) of turns in a chain that is gone through from its end."""
+    """Rows (K, r + t, ·) of turns in a chain that is gone through from its end."""
     swapped = np.concatenate([turn[..., 3:6], turn[..., :3], turn[..., 6:]], axis=-1)
     return np.ascontiguousarray(swapped[::-1])
 
@@ -147,16 +177,20 @@ class _Search:
         q, triangle, chain = len(ways.places), self.criterion.known, [rest[ways.places]]
         if q == 0:
             return way, np.inf
+        gyros, ends = self.places.gyros, [-1]
         if before is not None:
-            turn = way.rows[0, : start - 1]
-            last, triangle = _eliminated(rest[places[:start]], turn, _linked(start, turn), triangle)
+            turn, counts = way.rows[0, : start - 1], _counting(start, gyros)
+            last, triangle = _eliminated(rest[places[:start]], turn, _linked(start, turn), counts, triangle)
             chain.insert(0, _repeated(last, q))
+            ends.append(0)
         if after is not None:
-            turn, none = _backwards(way.rows[0, stop:]), np.zeros_like(triangle)
-            last, more = _eliminated(rest[places[stop:][::-1]], turn, _linked(len(places) - stop, turn), none)
+            n, turn, none = len(places) - stop, _backwards(way.rows[0, stop:]), np.zeros_like(triangle)
+            last, more = _eliminated(rest[places[stop:][::-1]], turn, _linked(n, turn), _counting(n, gyros, 0), none)
             triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, more]), mode="r"))
             chain.append(_repeated(last, q))
-        values = self.criterion.of_triangles(_triangles(np.concatenate(chain, axis=1), ways.rows, triangle))
+        rests = np.concatenate(chain, axis=1)
+        counts = _counting(rests.shape[1], gyros, *ends)
+        values = self.criterion.of_triangles(_triangles(rests, ways.rows, counts, triangle))
         best = int(np.argmax(values <= values.min() * (1.0 + SAME)))
         return way.spliced(start, stop, ways, best), float(values[best])
 
@@ -191,12 +225,15 @@ class _Search:
 
     def _triangle(self, way: Ways) -> Array:
         """The triangle (1, p + 1, p + 1) of a programme."""
-        return _triangles(self.places.rest[way.places], way.rows, self.criterion.known)
+        counts = _counting(way.places.shape[1], self.places.gyros, -1)
+        return _triangles(self.places.rest[way.places], way.rows, counts, self.criterion.known)
 
     def _determined(self, way: Ways) -> bool:
-        """Whether a programme determines all parameters."""
-        R = self._triangle(way)[0, 1:-1, 1:-1]
-        return bool(np.linalg.svd(R * self.criterion.prior, compute_uv=False)[-1] > DETERMINED)
+        """Whether a programme determines all linear parameters."""
+        criterion = self.criterion
+        u = np.linalg.inv(self._triangle(way)[0, 1:-1, 1:-1])[: criterion.linear]
+        largest = np.linalg.norm(u / criterion.prior[: criterion.linear, None], ord=2)
+        return bool(largest < 1.0 / DETERMINED)
 
 
 def _repeated(last: Array, q: int) -> Array:
@@ -213,6 +250,7 @@ def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: TurnTable =
     Raises InputError for fewer than two positions, for values that make no sense, and where there is no noise."""
     if positions < 2:
         raise InputError(f"positions: expected at least 2, found {positions}")
+    setup = _timeless(setup)
     places = Places.of(table, setup, gyros=aim.gyros)
     starts = [int(np.argmax(places.attitudes[:, 1, p] > UPRIGHT)) for p in range(3)]
     found = [_from(start, positions, places, setup, aim, first) for start in starts for first in _FIRST[aim.letter]]
@@ -262,8 +300,9 @@ def next_positions(setup: Setup, aim: Aim = Aim(), table: TurnTable = ANY, *, co
     """The positions that a set-up's programme gains most by, the best first; of equally good ones the first.
 
     Raises InputError for values that make no sense, and where there is no noise."""
-    places = Places.of(table, setup, gyros=aim.gyros, last=setup.programme.positions[-1])
-    before, values, legs = candidates(setup, aim, places)
+    timeless = _timeless(setup)
+    places = Places.of(table, timeless, gyros=aim.gyros, last=setup.programme.positions[-1])
+    before, values, legs = candidates(timeless, aim, places)
     order = np.argsort(values, kind="stable")
     steps = np.flatnonzero(np.diff(np.log(values[order])) > ALIKE)
     found = []
@@ -286,23 +325,27 @@ def candidates(setup: Setup, aim: Aim, places: Places) -> tuple[float, Array, Wa
     """The criterion of a set-up's programme, and its values (q,) with one more position, by each leg (q) from where it
     ends."""
     criterion = Criterion.of(aim, setup)
-    last, triangle = _shown(setup, aim, criterion)
+    last, own, triangle = _shown(setup, aim, criterion)
     legs = Ways.of(places.onward(places.index(setup.programme.positions[-1].matrix)))
     rest = np.concatenate([_repeated(last, len(legs.places)), places.rest[legs.places]], axis=1)
-    values = criterion.of_triangles(_triangles(rest, legs.rows, triangle))
-    return float(criterion.of_triangles(triangle[None])[0]), values, legs
+    values = criterion.of_triangles(_triangles(rest, legs.rows, _counting(2, aim.gyros, 0, -1), triangle))
+    return float(criterion.of_triangles(_closed(last, own, triangle)[None])[0]), values, legs
 
 
-def _shown(setup: Setup, aim: Aim, criterion: Criterion) -> tuple[Array, Array]:
-    """What a set-up's programme shows, see `_eliminated`."""
+def _shown(setup: Setup, aim: Aim, criterion: Criterion) -> tuple[Array, Array, Array]:
+    """What a set-up's programme shows, see `_eliminated`, but for rows of its last rest that have not counted yet, and
+    these."""
     seen = view(course_of(setup), setup, gyros=aim.gyros)
-    return _eliminated(*seen.whitened(), seen.problem.link, criterion.known)
+    rest, turn = seen.whitened()
+    link = seen.problem.link
+    last, triangle = _eliminated(rest, turn, link, _counting(len(rest), aim.gyros), criterion.known)
+    return last, rest[-1] if aim.gyros else np.zeros_like(last), triangle
 
 
 def value_of(setup: Setup, aim: Aim = Aim()) -> float:
     """The criterion of a set-up's programme."""
     criterion = Criterion.of(aim, setup)
-    return float(criterion.of_triangles(_shown(setup, aim, criterion)[1][None])[0])
+    return float(criterion.of_triangles(_closed(*_shown(setup, aim, criterion))[None])[0])
 
 
 def extended(programme: Programme, position: Position, move: Move) -> Programme:
@@ -325,7 +368,7 @@ class Compared:
 def compared(setup: Setup, programmes: Sequence[Programme], aim: Aim = Aim()) -> tuple[Compared, ...]:
     """Programmes beside each other in the same set-up. Raises InputError."""
     return tuple(
-        Compared(programme=listed, bound=bound(one, gyros=aim.gyros), value=value_of(one, aim))
+        Compared(programme=listed, bound=bound(one, gyros=aim.gyros), value=value_of(_timeless(one), aim))
         for listed, one in ((listed, replace(setup, programme=listed)) for listed in programmes)
     )
 

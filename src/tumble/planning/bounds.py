@@ -2,15 +2,15 @@
 
 The rows are those of `tumble.estimation.likelihood`, taken at perfect sensors and at the attitudes of the programme,
 which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has
-of it: the rests, with white noise and in-run instability in their covariances (the instability of the gyros lasts
-through the turn that follows), and the moves between them, all of which the gyros record. A move goes about one axis
-at a constant rate; the body turns about a fixed axis in inertial space, so that with v the rotation vector of the
-turn in the body at its start, the Earth's rotation included, and T its duration,
+of it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias
+that differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant
+rate; the body turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and
+mounting are not in the bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts
+of a thousand.
 
-    C = exp([v×]),   B = ∫ C dt = T J_l(v),   M = ∫ C ⊗ ω dt = J_l(v) ⊗ v
-
-with J_l the left Jacobian of the rotation group. Errors of table and mounting are not in the bound: the attitudes are
-unknowns, and where they are a degree or two off it changes by parts of a thousand.
+Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
+combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the
+programme finds out about it: the learned fraction 1 − u²/s² of each parameter, s being its prior.
 
 How well the parameters are seen together is judged in natural units, biases as parts of gravity and of the rate of the
 turns, scale-factor errors as they are, angles in rad: `condition` is that of the whitened Jacobian, `worst` the
@@ -19,25 +19,42 @@ combination of unit length that is determined worst. For accelerometers alone th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
-from tumble.estimation.estimate import least_squares
-from tumble.estimation.likelihood import Point, Problem, Scatter, TurnsAbout, Weights, left_jacobian, linearise, weights
+from tumble.estimation.estimate import GroupFinding, Solution, least_squares
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, noise_of
+from tumble.estimation.turns_about import TurnsAbout, own_axes
 from tumble.planning.inertial_turns import inertial_turns
 from tumble.planning.setup import Setup, check_setup
+from tumble.planning.steady_turns import steady_moments
 from tumble.recording.session import Site
-from tumble.reduction.observations import ACCEL_FLOOR, GYRO_FLOOR, TURN_FLOOR, Observations, Rests, Turns
-from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.reduction.moments import Moments
+from tumble.reduction.observations import (
+    ACCEL_FLOOR,
+    GYRO_FLOOR,
+    TURN_FLOOR,
+    VELOCITY_FLOOR,
+    Observations,
+    Rests,
+    Turns,
+)
+from tumble.rotation import rotation_vector
+from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import positions_by_group
 from tumble.units import Array, BoolArray, IntArray
 
 ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
 """The triads of a set-up."""
+
+KEPT = 1e-3
+"""Learned fraction from which a programme says anything of a group."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,13 +71,16 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Bound:
-    """Least possible covariance (m, m) of the parameters, SI, in the order of `names`. `observable` marks the
-    parameters that are determined, and only these mean anything; `null` (q, m) are the combinations that are not,
-    `worst` (m,) the unit combination determined worst and `worst_u` how well, both in natural units, whose sizes in SI
-    are `natural` (m,). `condition` is infinite where a combination is not determined."""
+    """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear`
+    are those of the linear model. `observable` marks the parameters that are determined, and only these mean
+    anything; those of further groups are by their priors at least, and `further` says what the programme adds.
+    `null` (q, linear) are the combinations that are not determined, `worst` (linear,) the unit combination
+    determined worst and `worst_u` how well, both in natural units, whose sizes in SI are `natural` (linear,).
+    `condition` is infinite where a combination is not determined."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
+    linear: int
     covariance: Array
     observable: BoolArray
     natural: Array
@@ -68,6 +88,7 @@ class Bound:
     condition: float
     worst: Array
     worst_u: float
+    further: tuple[GroupFinding, ...]
 
     @property
     def u(self) -> Array:
@@ -76,21 +97,18 @@ class Bound:
 
     @property
     def rank(self) -> int:
-        """How many combinations of the parameters are determined."""
-        return len(self.names) - len(self.null)
+        """How many combinations of the linear parameters are determined."""
+        return self.linear - len(self.null)
 
     def rms(self, group: str) -> float:
         """Root mean square of the u of a group such as "accel.bias", SI; infinite where one of it is not determined.
         Raises KeyError for a group that is not there."""
-        members = [name.startswith(f"{group}.") for name in self.names]
-        if not any(members):
-            raise KeyError(group)
-        return float(np.sqrt(np.mean(self.u[members] ** 2)))
+        return float(np.sqrt(np.mean(self.u[positions_by_group(self.names)[group]] ** 2)))
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The kinds of parameters there are, in order."""
-        return tuple(dict.fromkeys(name.rpartition(".")[0] for name in self.names))
+        """The kinds of linear parameters there are, in order."""
+        return tuple(positions_by_group(self.names[: self.linear]))
 
 
 def bound(setup: Setup, *, gyros: bool = True) -> Bound:
@@ -103,30 +121,58 @@ def bound(setup: Setup, *, gyros: bool = True) -> Bound:
 def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of a course; of the set-up, all but programme, table and mounting counts. Raises InputError."""
     seen = view(course, setup, gyros=gyros)
-    solution = least_squares(seen.information(), np.zeros(len(seen.problem.spread)), seen.problem.spread)
-    blocks = blocks_of(gyros)
-    units = tuple(unit for block in blocks for unit in block.units)
-    natural = _natural_units(setup, units)
+    instrument, linear = seen.problem.instrument, seen.problem.instrument.linear_count
+    triangle, spread = seen.information(), seen.problem.spread[:linear]
+    own, solution = _marginal(triangle, linear, spread)
+    natural = _natural_units(setup, instrument.units[:linear])
     size, direction = np.linalg.eigh(solution.covariance / np.outer(natural, natural))
-    null = solution.null * seen.problem.spread / natural
+    null = solution.null * spread / natural
     null /= np.linalg.norm(null, axis=1, keepdims=True)
     worst = null[0] if len(null) else direction[:, -1]
     return Bound(
-        names=tuple(name for block in blocks for name in block.names),
-        units=units,
-        covariance=solution.covariance,
-        observable=solution.observable,
+        names=instrument.names,
+        units=instrument.units,
+        linear=linear,
+        covariance=own,
+        observable=np.append(solution.observable, np.ones(len(own) - linear, dtype=bool)),
         natural=natural,
         null=null,
         condition=np.inf if len(null) else float(np.sqrt(size[-1] / size[0])),
         worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
         worst_u=np.inf if len(null) else float(np.sqrt(size[-1])),
+        further=tuple(_findings(instrument, setup, np.diag(own))),
     )
 
 
-def blocks_of(gyros: bool) -> tuple[Block, ...]:
-    """The triads that are calibrated: accelerometers, with gyros or alone."""
-    return (ACCEL, GYRO) if gyros else (ACCEL,)
+def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solution]:
+    """Covariance (m, m) of all parameters from their triangle (m, m), and the solution for the linear ones, whatever
+    the others are: with the columns of these first, R = (F X; 0 L), L is the triangle of the linear ones."""
+    further = triangle.shape[1] - linear
+    R = np.linalg.qr(np.roll(triangle, further, axis=1), mode="r")
+    F, X, L = R[:further, :further], R[:further, further:], R[further:, further:]
+    solution = least_squares(L, np.zeros(len(L)), spread)
+    back, inverse = np.linalg.solve(F, X), np.linalg.inv(F)
+    across = -solution.covariance @ back.T
+    own = inverse @ inverse.T - back @ across
+    return np.block([[solution.covariance, across], [across.T, own]]), solution
+
+
+def _findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
+    """What a programme finds out about each group beyond the linear model."""
+    for name, members in instrument.members.items():
+        learned = np.clip(1.0 - variance[members] / setup.further[name] ** 2, 0.0, 1.0)
+        yield GroupFinding(
+            name=name,
+            kept=bool(learned.max() > KEPT),
+            prior=setup.further[name],
+            widened=1.0,
+            learned=tuple(learned.tolist()),
+        )
+
+
+def instrument_of(setup: Setup, gyros: bool) -> Instrument:
+    """The instrument of a set-up: triads along the body axes with the groups of parameters it has."""
+    return Instrument.of(ACCEL, GYRO if gyros else None, tuple(setup.further))
 
 
 def _natural_units(setup: Setup, units: Sequence[str]) -> Array:
@@ -165,52 +211,72 @@ def course_through(attitudes: Array, moves: Array, setup: Setup) -> Course:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class View:
-    """A course as the likelihood sees it: problem, point, turns and weights."""
+    """A course as the likelihood sees it: problem, point, turns and in-run instability."""
 
     problem: Problem
     point: Point
     about: TurnsAbout | None
-    weights: Weights
+    scatter: Scatter
 
     def information(self) -> Array:
-        """A square root (m, m), a triangle, of what the course says of the parameters."""
-        rest, turn = self.whitened()
-        p, gravity_u = rest.shape[2] - 4, self.problem.observations.site.gravity_u
-        triangle, factor = np.zeros((p + 1, p + 1)), np.empty((len(rest), 3, 7 + p))
-        triangle[0, 0] = 1.0 / gravity_u if gravity_u > 0.0 else 0.0
-        eliminate(rest, turn, self.problem.link, factor, triangle)
+        """A square root (m, m), a triangle, of what the course, measured gravity and the priors of the groups beyond
+        the linear model say of the parameters."""
+        rest, merged = self.whitened()
+        p, link = rest.shape[2] - 4, self.problem.link
+        triangle, factor = np.diag(np.append(known_before(self.problem), 0.0)), np.empty((len(rest), 3, 7 + p))
+        eliminate(rest, merged, link, link < 0, factor, triangle)
         return triangle[1:-1, 1:-1]
 
     def whitened(self) -> tuple[Array, Array]:
-        """The whitened rows of the rests (N, r, 3 + p + 1) and turns (K, t, 6 + p + 1), see
-        `tumble.estimation.elimination`."""
+        """The whitened rows of the rests (N, r, 3 + p + 1), which count where no turn follows, and of the turns
+        together with the rests before them (K, r + t, 6 + p + 1), see `tumble.estimation.elimination`."""
         rows = linearise(self.problem, self.point, self.about)
-        return self.weights.rest @ rows.rest, self.weights.turn @ rows.turn
+        weights = noise_of(self.problem, rows).weights(self.scatter)
+        turns = self.problem.observations.turns
+        first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
+        return weights.rest @ rows.rest, weights.merged @ rows.merged(first)
+
+
+def known_before(problem: Problem) -> Array:
+    """One over what is known before (1 + m,) of gravity and the parameters; nothing of the linear ones."""
+    u = problem.measured[1].copy()
+    u[1 : 1 + problem.instrument.linear_count] = 0.0
+    return np.where(u > 0.0, 1.0 / np.where(u > 0.0, u, 1.0), 0.0)
 
 
 def view(course: Course, setup: Setup, *, gyros: bool) -> View:
     """The rows' ingredients at perfect sensors and the attitudes of the course. Raises InputError."""
     _check(setup, gyros)
-    turns = _turns(course, setup) if gyros and len(course.first) else None
+    instrument = instrument_of(setup, gyros)
+    values, turning = np.zeros(len(instrument.names)), gyros and len(course.first) > 0
+    about = _turns_about(course, setup, instrument) if turning else None
     observations = Observations(
         accel_block=ACCEL,
-        gyro_block=GYRO if gyros else None,
+        gyro_block=instrument.gyro,
         site=Site(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u),
         rests=_rests(course, setup, gyros),
-        turns=turns,
+        turns=None if about is None else _turns(course, setup, about.moments),
         turn_samples=None,
         programme=None,
         position=None,
     )
-    problem = Problem.of(observations)
-    point = Point(values=np.zeros(len(problem.spread)), gravity=setup.gravity, attitudes=course.attitudes)
-    scatter = Scatter(accel=setup.noise.accel_instability, gyro=setup.noise.gyro_instability)
     return View(
-        problem=problem,
-        point=point,
-        about=None if turns is None else TurnsAbout(turns=turns, model=GYRO.nominal(), to_rate=np.eye(3)),
-        weights=weights(problem, scatter),
+        problem=Problem.of(observations, instrument=instrument, usual=setup.further),
+        point=Point(values=values, gravity=setup.gravity, attitudes=course.attitudes),
+        about=about,
+        scatter=Scatter(accel=setup.noise.accel_instability, gyro=setup.noise.gyro_instability),
     )
+
+
+def _turns_about(course: Course, setup: Setup, instrument: Instrument) -> TurnsAbout:
+    """The turns of a course as perfect sensors record them."""
+    assert instrument.gyro is not None
+    start, end = course.attitudes[course.first], course.attitudes[course.first + 1]
+    vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
+    moments = steady_moments(vector, course.seconds, start, setup, own_axes(instrument))
+    values = np.zeros(len(instrument.names))
+    about = tuple(instrument.coefficients(block, values) for block in (instrument.gyro, instrument.accel))
+    return TurnsAbout.from_moments(moments, instrument.accel, (*about, 0.0), (np.eye(3), np.eye(3)))
 
 
 def _check(setup: Setup, gyros: bool) -> None:
@@ -225,21 +291,23 @@ def _check(setup: Setup, gyros: bool) -> None:
 
 
 def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
-    """Rests with the covariances of white noise, whose readings do not matter."""
+    """What perfect sensors read at rest, with the covariances of white noise."""
     N, noise = len(course.attitudes), setup.noise
     accel = noise.accel_white**2 / setup.rest + ACCEL_FLOOR**2
     gyro = noise.gyro_white**2 / setup.rest + GYRO_FLOOR**2
     n = 3 if gyros else 0
-    none = np.zeros(N)
+    moved = np.zeros(N)
+    moved[course.first + 1] = course.seconds
+    start = setup.rest * np.arange(N) + np.cumsum(moved)
     return Rests(
         file=np.zeros(N, dtype=np.int64),
-        start=none,
-        stop=none + setup.rest,
-        accel=np.zeros((N, 3)),
+        start=start,
+        stop=start + setup.rest,
+        accel=setup.gravity * course.attitudes[:, 1],
         accel_covariance=np.broadcast_to(accel * np.eye(3), (N, 3, 3)),
         accel_drift=np.zeros((N, 3)),
         accel_noise=np.full((N, 3), noise.accel_white),
-        gyro=np.zeros((N, n)),
+        gyro=(np.array(earth_rate(setup.latitude)) @ course.attitudes)[:, :n],
         gyro_covariance=np.broadcast_to(gyro * np.eye(n), (N, n, n)),
         gyro_drift=np.zeros((N, n)),
         gyro_noise=np.full((N, n), noise.gyro_white),
@@ -247,18 +315,20 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
     )
 
 
-def _turns(course: Course, setup: Setup) -> Turns:
-    """The turns as they are integrated with perfect gyros."""
-    T, start, end = course.seconds, course.attitudes[course.first], course.attitudes[course.first + 1]
-    v = inertial_turns(start, end, course.moves, T, setup.latitude)
-    path = left_jacobian(v)
-    variance = setup.noise.gyro_white**2 * T + TURN_FLOOR**2
+def _turns(course: Course, setup: Setup, moments: Moments) -> Turns:
+    """The turns with these moments, with the covariances of white noise."""
+    T, noise = course.seconds, setup.noise
+    rotation = noise.gyro_white**2 * T + TURN_FLOOR**2
+    velocity = noise.accel_white**2 * T + VELOCITY_FLOOR**2
     return Turns(
         first=course.first,
         last=course.first + 1,
         duration=T,
-        C=rotation_matrix(v),
-        M=np.einsum("kip,kq->kipq", path, v),
-        B=T[:, None, None] * path,
-        covariance=variance[:, None, None] * np.eye(3),
+        C=moments.C,
+        M=moments.Phi[..., 1:4],
+        B=moments.Phi[..., 0],
+        covariance=rotation[:, None, None] * np.eye(3),
+        velocity=moments.V,
+        velocity_covariance=velocity[:, None, None] * np.eye(3),
+        jumps=moments.jumps,
     )

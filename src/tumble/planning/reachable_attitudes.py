@@ -58,7 +58,7 @@ SMALLEST_STEP = 5.0
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Legs:
     """Ways between one place and others (q,): rotation vectors (q, 3), which of them are turns of the table, and the
-    whitened rows (q, t, 6 + p + 1) of what the gyros see."""
+    whitened rows (q, r + t, 6 + p + 1) of the rest before and of what gyros and accelerometers see of the turn."""
 
     places: IntArray
     moves: Array
@@ -104,24 +104,26 @@ class Places:
     def onward(self, place: int) -> Legs:
         """The legs from a place to others."""
         if place not in self._onward:
-            self._onward[place] = self._legs(place, 1.0)
+            self._onward[place] = self._legs(place, 1)
         return self._onward[place]
 
     def backward(self, place: int) -> Legs:
         """The legs from others to a place."""
         if place not in self._backward:
-            self._backward[place] = self._legs(place, -1.0)
+            self._backward[place] = self._legs(place, -1)
         return self._backward[place]
 
-    def _legs(self, place: int, sense: float) -> Legs:
+    def _legs(self, place: int, sense: int) -> Legs:
         """The legs from (1) or to (−1) a place; turns of the table first."""
-        others, moves, turned = self._moves(place)
+        others, moves, turned = self._moves(place, sense)
         rows = self._rows(place, others, moves, sense) if self.gyros else np.zeros((len(others), 0, 0))
-        return Legs(places=others, moves=sense * moves, turned=turned, rows=rows)
+        return Legs(places=others, moves=moves, turned=turned, rows=rows)
 
-    def _moves(self, place: int) -> tuple[IntArray, Array, BoolArray]:
-        """The places that can be reached from one, how, and whether by a turn of the table."""
-        vectors = rotation_vector(self.attitudes @ self.attitudes[place].T)
+    def _moves(self, place: int, sense: int) -> tuple[IntArray, Array, BoolArray]:
+        """The places that can be reached from one (1), or from which it can (−1), how, and whether by a turn of the
+        table. Half turns by hand go the way that `course_of` takes."""
+        away = self.attitudes @ self.attitudes[place].T
+        vectors = rotation_vector(away if sense > 0 else np.swapaxes(away, 1, 2))
         angle, step = np.linalg.norm(vectors, axis=1), self.table.step
         axes = [_AXES.index(letter) for letter in self.table.axes]
         turned = (np.abs(vectors[:, axes]).max(axis=1) > angle - 1e-9) & (angle > 1e-9)
@@ -133,13 +135,14 @@ class Places:
         moves = np.concatenate([vectors[one], -vectors[two], vectors[three]])
         return np.concatenate([one, two, three]), moves, np.arange(len(moves)) < len(one) + len(two)
 
-    def _rows(self, place: int, others: IntArray, moves: Array, sense: float) -> Array:
-        """The whitened rows of the turns on legs from or to a place, one after the other as if in one long course."""
-        ends = np.stack([np.full(len(others), place), others], axis=1)[:, :: int(sense)]
+    def _rows(self, place: int, others: IntArray, moves: Array, sense: int) -> Array:
+        """The whitened rows of the turns on legs from or to a place, and of the rests before them, one after the
+        other as if in one long course."""
+        ends = np.stack([np.full(len(others), place), others], axis=1)[:, ::sense]
         course = Course(
             attitudes=self.attitudes[ends.ravel()],
             first=2 * np.arange(len(others)),
-            moves=sense * moves,
+            moves=moves,
             seconds=np.linalg.norm(moves, axis=1) / self.setup.turn_rate,
         )
         return view(course, self.setup, gyros=True).whitened()[1]
@@ -168,7 +171,7 @@ def _same(attitudes: Array, matrix: Array) -> Array:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ways:
     """Ways (q) through k places each with e legs: places (q, k), moves (q, e, 3), which are turns of the table (q, e),
-    and whitened rows (q, e, t, ·)."""
+    and whitened rows (q, e, r + t, ·)."""
 
     places: IntArray
     moves: Array

@@ -10,7 +10,8 @@ What is usual stands in `tumble.usual_setup` alone.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Literal
 
@@ -20,6 +21,7 @@ from tumble.programme.positions import Programme
 from tumble.programme.positions import programme as built_in
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
+from tumble.sensors.parameters import usual_of
 from tumble.units import DEGREE
 from tumble.usual_setup import (
     BY_HAND,
@@ -34,6 +36,9 @@ from tumble.usual_setup import (
     TABLE_ERROR_DEG,
 )
 
+Terms = Literal["linear", "full"]
+"""The parameters of an instrument: bias, scale factor and axis angles alone, or all groups of the table."""
+
 _programme = cache(built_in)
 
 
@@ -46,7 +51,8 @@ class Setup:
     about each axis; they do not apply by hand. `rest`: duration of a rest, s, the first of which lasts `first_rest` at
     least; `turn_rate`, rad/s, reached and left in `ramp`, s; `sample_rate`, Hz. `noise`, and the spreads `accel` and
     `gyro` of the parameters before calibration, are those of a `tumble.sensors.grades.Grade`; `instrument` is what
-    the instrument is called, and the start of a simulated one's serial number.
+    the instrument is called, and the start of a simulated one's serial number. `further` are the groups of parameters
+    that it has beyond the linear model, with their standard deviations over instruments, SI, which are the priors too.
     `latitude`, rad; `height`, m; `gravity`, m/s², with its standard uncertainty `gravity_u`
     (`earth.NORMAL_GRAVITY_U` if it is not measured)."""
 
@@ -63,6 +69,7 @@ class Setup:
     noise: NoiseModel = GRADES[GRADE].noise
     accel: Spread = GRADES[GRADE].accel
     gyro: Spread = GRADES[GRADE].gyro
+    further: Mapping[str, float] = field(default_factory=dict, hash=False)
     latitude: float
     height: float = HEIGHT
     gravity: float
@@ -83,10 +90,12 @@ class Setup:
         gravity: float | None = None,
         gravity_u: float = GRAVITY_U,
         noise_factor: float = 1.0,
+        terms: Terms = "linear",
     ) -> Setup:
         """The set-up of a built-in programme or, if `positions` is given, of so many positions by hand, with an
         instrument of a grade whose noise is multiplied by `noise_factor`, in the words and units of the command line.
-        What is None is usual on a table or by hand; gravity then is normal gravity.
+        What is None is usual on a table or by hand; gravity then is normal gravity. With the `terms` "full" the
+        instrument has all groups of parameters, of the usual spread of its grade.
 
         Raises InputError, one line, for a grade or programme that does not exist, and for no latitude.
 
@@ -111,10 +120,18 @@ class Setup:
             noise=kind.noise.scaled(noise_factor),
             accel=kind.accel,
             gyro=kind.gyro,
+            further=usual_of(grade) if terms == "full" else {},
             latitude=latitude,
             gravity=normal_gravity(latitude, HEIGHT) if gravity is None else gravity,
             gravity_u=gravity_u,
         )
+
+
+def with_all_groups(setup: Setup) -> Setup:
+    """A set-up whose instrument has all groups of parameters, of the usual spreads of its grade, or of navigation
+    grade where it is called otherwise."""
+    grade = setup.instrument if setup.instrument in GRADES else GRADE
+    return replace(setup, further=usual_of(grade) | dict(setup.further))
 
 
 def check_setup(setup: Setup, iterations: int) -> None:

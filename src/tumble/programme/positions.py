@@ -5,7 +5,9 @@ there: "NUE N+45" is X north, Y up, Z east, turned by +45° about north. Turns a
 U, E by the right-hand rule (N × U = E) and are applied in order.
 
 The rough-table programme is programme "A" of the turntable method, §6.3; its directions of rotation are not
-in the paper. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors.
+in the paper. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors. The body turns
+in one sense about each of its horizontal axes there, the turn about U having reversed it; with +N once more at the end
+of a series in both, which shows whether gyros have the same scale factor in both (dynamics method, §4).
 """
 
 from __future__ import annotations
@@ -187,9 +189,9 @@ _OBLIQUE = ("UEN N+45", "UNW N-45", "NUE N+45")
 """X, X, Y 45° above and Y, Z, Z 45° below the horizon, the third axis north."""
 
 
-def _rough_table() -> Programme:
-    """Three series of three turns by 180°, then three oblique rests: 15 rests, nine programmed turns."""
-    turns = ("N+180", "U+180", "N-180")
+def _rough_table(name: str, *turns: str) -> Programme:
+    """Three series of turns by 180°, then three oblique rests: with three turns a series 15 rests, nine programmed
+    turns; with four 18 and twelve."""
     codes: list[str] = []
     moves: list[Move] = []
     for start in ("NUE", "ENU", "UEN"):
@@ -200,7 +202,7 @@ def _rough_table() -> Programme:
         moves.append(ANY_MOVE)
     moves += [ANY_MOVE] * (len(_OBLIQUE) - 1)
     positions = tuple(_position(code) for code in (*codes, *_OBLIQUE))
-    return Programme(name="rough-table", positions=positions, moves=tuple(moves), ordered=True)
+    return Programme(name=name, positions=positions, moves=tuple(moves), ordered=True)
 
 
 def _nine() -> Programme:
@@ -244,7 +246,8 @@ TRIPLES = [
 
 BUILT_IN: Mapping[str, Callable[[], Programme]] = MappingProxyType(
     {
-        "rough-table": _rough_table,
+        "rough-table": lambda: _rough_table("rough-table", "N+180", "U+180", "N-180"),
+        "rough-table-18": lambda: _rough_table("rough-table-18", "N+180", "U+180", "N-180", "N+180"),
         "nine": _nine,
         "cube-14": lambda: _cube("cube-14", 1, 3),
         "cube-26": lambda: _cube("cube-26", 1, 2, 3),

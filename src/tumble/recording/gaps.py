@@ -1,8 +1,17 @@
-"""Lost samples of a log, bridged.
+"""Lost samples of a log.
 
-A lost sample is a row of NaN or a row that is not there. Runs of at most five of them are bridged: the missing rows are
-put in with evenly spaced times, and every row that is not finite is interpolated linearly in time between its sound
-neighbours. What was bridged is reported as `Gap`.
+A lost sample is a row that is not there, one that cannot be read, or one with a number that is not finite. What is done
+about a run of them depends on its length:
+
+* At most five are bridged: the missing rows are put in with evenly spaced times, and what is not finite is interpolated
+  linearly in time between its sound neighbours.
+* More are left out, and the samples go on behind them. A rest does not mind. A turn that was not recorded as a whole
+  cannot be integrated: its `Gap` is not `integrable`, and `observations` leaves the turn out.
+
+A row whose time cannot be read, or is that of the row before, is left out, and is a missing one unless the next row
+follows in time. In a log without times a row is a sample whatever it holds; where it may have been none, the gap is not
+integrable. Everything is reported as `Gap`; more gaps than a fiftieth of the rows are an error, and so are times that
+run backwards.
 
 Nothing depends on how the stream is cut: rows that cannot be judged before the next table are held back.
 """
@@ -10,78 +19,101 @@ Nothing depends on how the stream is cut: rows that cannot be judged before the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.readers import LogSource
+from tumble.recording.readers import Kind, LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 _JUMP = 1.5
 """A step in time longer than this many intervals is a gap."""
 
 _BRIDGED_SAMPLES = 5
-_BRIDGED_SHARE = 1e-3
-_BRIDGED_FREE = 3
-_BRIDGED_MOST = 10_000
-"""A gap of so many samples is bridged; in a file as many gaps as 0.1 % of its rows and 3, and never more than
-10 000."""
+_SHARE = 2e-2
+_FREE = 3
+_MOST = 100_000
+"""A gap of so many samples is bridged; in a file there may be as many gaps as 2 % of its rows and 3, and never more
+than 100 000."""
+REGULAR_HINT = "if the rows are equally spaced whatever their time stamps say, put regular = true in [log]"
 _SHORTEST_TIME = 2.0
+_HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Gap:
-    """Lost samples that were bridged: how many, the time of the first, s, and what was found. `row` is the
-    first data row, counted from 1, that is not finite or that comes after missing ones."""
+    """Lost samples: how many, the time of the first, s, and what was found; 0 samples where a line was left out and
+    nothing is missing. `row` is the first data row, counted from 1, that is lost or comes after missing ones. `stop` is
+    the time of the next sound sample, s. Across a gap that is not `integrable` no turn is known."""
 
     file: int
     row: int
     time: float
     samples: int
     what: str
+    stop: float = field(default=math.nan, compare=False)
+    integrable: bool = True
 
 
-def check_time(source: LogSource, spec: LogSpec, first: int, time: Array) -> None:
-    """Times (m,) from data row `first` on must be finite and increase."""
+def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> None:
+    """Times (m,) of these data rows must be finite and increase."""
     if not np.isfinite(time).all():
         at = int(np.argmin(np.isfinite(time)))
-        raise LogError(f"{source.place(first + at, spec.time)}: expected a time, found {time[at]}; remove the row")
+        raise LogError(
+            f"{source.place(int(numbers[at]), spec.time)}: expected a time, found {time[at]}; remove the row"
+        )
     steps = np.diff(time)
     if (steps <= 0.0).any():
         at = int(np.argmax(steps <= 0.0)) + 1
         what = "again" if steps[at - 1] == 0.0 else "running backwards"
+        advice = REGULAR_HINT if steps[at - 1] == 0.0 else "list recordings whose time restarts as separate files"
         raise LogError(
-            f"{source.place(first + at, spec.time)}: expected a time after {time[at - 1]:.9g} s, "
-            f"found {time[at]:.9g} s {what}; list recordings whose time restarts as separate files"
+            f"{source.place(int(numbers[at]), spec.time)}: expected a time after {time[at - 1]:.9g} s, "
+            f"found {time[at]:.9g} s {what}; {advice}"
         )
+
+
+def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
+    """The first times of a file without those that cannot be read or are repeated, if these are few."""
+    found = np.isfinite(time)
+    kept = time[found]
+    again = np.concatenate([[False], np.diff(kept) == 0.0])
+    if np.count_nonzero(again) > _FREE + _SHARE * len(time) or np.count_nonzero(found) < 2:
+        check_time(source, spec, np.arange(1, len(time) + 1), time)
+    check_time(source, spec, np.arange(1, len(time) + 1)[found][~again], kept[~again])
+    return np.asarray(kept[~again])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogRows:
-    """Consecutive rows of a file: the number of the first, times (m,), s, and the numbers of accelerometers
-    (m, na), gyros (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them."""
+    """Rows of a file in order: their numbers (m,), times (m,), s, and the numbers of accelerometers (m, na), gyros
+    (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them. `unread`: what was found in rows of which
+    something could not be read, by the number of the row."""
 
-    first: int
+    numbers: IntArray
     time: Array
     values: tuple[Array, ...]
+    unread: Mapping[int, Unread] = field(default_factory=dict)
 
-    def part(self, start: int, stop: int) -> LogRows:
+    def part(self, rows: slice | npt.NDArray[np.bool_]) -> LogRows:
         return LogRows(
-            first=self.first + start,
-            time=self.time[start:stop],
-            values=tuple(v[start:stop] for v in self.values),
+            numbers=self.numbers[rows],
+            time=self.time[rows],
+            values=tuple(v[rows] for v in self.values),
+            unread=self.unread,
         )
 
     def followed_by(self, other: LogRows) -> LogRows:
         return LogRows(
-            first=self.first,
+            numbers=np.concatenate([self.numbers, other.numbers]),
             time=np.concatenate([self.time, other.time]),
             values=tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True)),
+            unread={**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread},
         )
 
     def lost(self) -> npt.NDArray[np.bool_]:
@@ -91,20 +123,107 @@ class LogRows:
         return np.asarray(~np.isfinite(np.hstack(self.values)).all(axis=1))
 
 
-def rows_of(source: LogSource, spec: LogSpec) -> Iterator[LogRows]:
-    """The rows of a file; without a time column sample k, counted from 1, ends at k / rate."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Grid:
+    """Times of rows that are equally spaced: the first, s, and the interval, s."""
+
+    start: float
+    interval: float
+
+
+def rows_of(source: LogSource, spec: LogSpec, file: int, grid: Grid | None, gaps: list[Gap]) -> Iterator[LogRows]:
+    """The rows of a file that have a time; on a grid, row k, counted from 0, has its k-th time. Lines that are left out
+    are added to `gaps`."""
     groups = [spec.accel.columns]
     groups += [spec.gyro.columns] if spec.gyro else []
     groups += [spec.magnetometer.columns] if spec.magnetometer else []
     groups += [(spec.temperature,)] if spec.temperature else []
+    sieve = _Sieve(source=source, spec=spec, file=file, grid=grid, gaps=gaps)
     first = 1
-    for table in source.tables(spec.columns):
-        if spec.time is not None:
-            time = table[spec.time].to_numpy() * spec.time_factor
-        else:
-            time = np.arange(first, first + table.height) / (spec.rate or 1.0)
-        yield LogRows(first=first, time=time, values=tuple(_matrix(table, group) for group in groups))
+    for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
+        numbers = np.arange(first, first + table.height)
+        time = table[spec.time].to_numpy() * spec.time_factor if spec.time is not None else np.empty(table.height)
+        values = tuple(_matrix(table, group) for group in groups)
+        rows = LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread})
+        yield sieve.kept(rows)
         first += table.height
+    sieve.check_end(first - 1)
+
+
+@dataclass(kw_only=True, slots=True)
+class _Sieve:
+    """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
+    the last of them; `shift`: what midnights have added to a clock, s."""
+
+    source: LogSource
+    spec: LogSpec
+    file: int
+    grid: Grid | None
+    gaps: list[Gap]
+    count: int = 0
+    last: float = -math.inf
+    shift: float = 0.0
+    left_out: int = 0
+    first: Gap | None = None
+
+    def kept(self, rows: LogRows) -> LogRows:
+        lines = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or self._untimed(u)]
+        if lines:
+            keep = np.ones(len(rows.numbers), dtype=bool)
+            keep[np.array([u.row for u in lines]) - rows.numbers[0]] = False
+            rows = rows.part(keep)
+        rows = self._timed(rows)
+        for u in lines:
+            if u.row == 1 and u.kind in (Kind.ROW, Kind.VALUE):
+                raise unread_error(self.source, u)
+            if u.kind is not Kind.NO_ROW:
+                self._leave_out(u.row, u.what, rows)
+        self.count += len(rows.time)
+        self.last = float(rows.time[-1]) if len(rows.time) else self.last
+        return rows
+
+    def _untimed(self, unread: Unread) -> bool:
+        """Whether a row has lost the time that it had."""
+        return self.grid is None and (unread.column is None or unread.column == self.spec.time)
+
+    def _timed(self, rows: LogRows) -> LogRows:
+        if self.grid is not None:
+            number = np.arange(self.count, self.count + len(rows.time), dtype=float)
+            return replace(rows, time=np.asarray(self.grid.start + self.grid.interval * number, dtype=float))
+        if self.spec.clock and len(rows.time):
+            time = rows.time + self.shift
+            passed = np.cumsum(np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0]) < -_HALF_DAY)
+            self.shift += 2.0 * _HALF_DAY * float(passed[-1])
+            rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
+        again = np.diff(rows.time, prepend=self.last) == 0.0
+        if not again.any():
+            return rows
+        for number in rows.numbers[again].tolist():
+            self._leave_out(number, "the time stamp of the row before", rows)
+        return rows.part(~again)
+
+    def _leave_out(self, row: int, what: str, rows: LogRows) -> None:
+        self.left_out += 1
+        before = int(np.searchsorted(rows.numbers, row)) - 1
+        time = float(rows.time[before]) if before >= 0 else max(self.last, 0.0)
+        gap = Gap(file=self.file, row=row, time=time, samples=0, what=f"{what}: left out")
+        self.first = self.first or gap
+        if self.left_out > _MOST:
+            raise self._too_many(self.count)
+        self.gaps.append(gap)
+
+    def check_end(self, rows: int) -> None:
+        """Whether few rows were left out."""
+        if self.left_out > _FREE + _SHARE * rows:
+            raise self._too_many(rows)
+
+    def _too_many(self, rows: int) -> LogError:
+        assert self.first is not None
+        advice = f"; {REGULAR_HINT}" if "stamp" in self.first.what else "; look at the file, or record again"
+        return LogError(
+            f"{self.source.place(self.first.row)}: expected at most {_SHARE:.0%} of the rows and {_FREE} to be left "
+            f"out, found {self.left_out} of {rows}, the first here ({self.first.what}){advice}"
+        )
 
 
 def _matrix(table: pl.DataFrame, columns: Sequence[str]) -> Array:
@@ -120,7 +239,7 @@ class Bridge:
     """Bridges the gaps of one file, row stream in, sample stream out, and adds them to `gaps`.
 
     `last`: the last row that went out, always a sound one; `held`: lost rows after it, whose end is not yet
-    known."""
+    known, the first of them if they are too many to be bridged."""
 
     source: LogSource
     file: int
@@ -130,87 +249,107 @@ class Bridge:
     last: LogRows | None = None
     held: LogRows | None = None
     start: float = 0.0
-    bridged: int = 0
+    found: int = 0
+    first: Gap | None = None
+    rows: int = 0
 
     def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
         """Times, intervals, s, and numbers of all samples, those of lost ones interpolated."""
         for new in stream:
+            self.rows += len(new.time)
+            if not len(new.time):
+                continue
             rows = new if self.held is None else self.held.followed_by(new)
             lost = rows.lost()
             if self.last is None:
                 self._check_begins_sound(rows, lost)
                 self.start = float(rows.time[0])
             sound = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
-            self.held = self._hold(rows.part(sound, len(lost)))
+            held = rows.part(slice(sound, sound + _BRIDGED_SAMPLES + 1))
+            self.held = held if len(held.time) else None
             if sound:
-                yield self._repaired(rows.part(0, sound), lost[:sound])
+                yield self._repaired(rows.part(slice(0, sound)), lost[:sound])
         self._check_end()
-
-    def _hold(self, rows: LogRows) -> LogRows | None:
-        if len(rows.time) > _BRIDGED_SAMPLES:
-            raise self._too_long(rows)
-        return rows if len(rows.time) else None
 
     def _repaired(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> tuple[Array, Array, tuple[Array, ...]]:
         """Samples of rows of which the last is sound; the row before them went out already, or is none."""
-        before, self.last = self.last, rows.part(len(rows.time) - 1, len(rows.time))
-        time = rows.time if before is None else np.concatenate([before.time, rows.time])
-        check_time(self.source, self.spec, rows.first - (before is not None), time)
-        steps = np.diff(time)
-        values = rows.values
+        before, self.last = self.last, rows.part(slice(-1, None))
+        whole = rows if before is None else before.followed_by(rows)
+        check_time(self.source, self.spec, whole.numbers, whole.time)
+        steps = np.diff(whole.time)
+        time, values, broken = whole.time, rows.values, None
         if lost.any() or (steps > _JUMP * self.interval).any():
-            filled = self._filled(rows if before is None else before.followed_by(rows), steps)
-            steps = np.diff(filled.time)
-            time, values = filled.time, tuple(v[before is not None :] for v in filled.values)
+            time, filled, broken = self._filled(whole, steps)
+            steps = np.diff(time)
+            values = tuple(v[before is not None :] for v in filled)
         dt = steps if before is not None else np.concatenate([[self.interval], steps])
-        if self.spec.time is None:
+        if self.spec.time is None or self.spec.regular:
             dt = np.full(len(dt), self.interval)
+        elif broken is not None and len(broken):
+            dt[broken - (before is not None)] = self.interval
         return time[before is not None :], dt, values
 
-    def _filled(self, rows: LogRows, steps: Array) -> LogRows:
-        """Rows of which the first and the last are sound, missing rows put in and every number finite."""
-        missing = self._missing(rows, steps)
+    def _filled(self, rows: LogRows, steps: Array) -> tuple[Array, tuple[Array, ...], IntArray]:
+        """Times and numbers of rows of which the first and the last are sound: short gaps filled, every number finite,
+        long ones left out; and the places of the first samples after these."""
+        missing = self._missing(steps)
         place = np.arange(len(rows.time)) + np.concatenate([[0], np.cumsum(missing)])
         time = np.interp(np.arange(place[-1] + 1), place, rows.time)
         lost = np.ones(len(time), dtype=bool)
         lost[place] = rows.lost()
-        self._report(rows, place, lost, time)
-        return LogRows(first=rows.first, time=time, values=tuple(_interpolated(v, place, time) for v in rows.values))
-
-    def _missing(self, rows: LogRows, steps: Array) -> npt.NDArray[np.int64]:
-        """How many samples are missing before rows 1, 2, …, by their steps in time."""
-        missing = np.where(steps > _JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
-        if (missing > _BRIDGED_SAMPLES).any():
-            at = int(np.argmax(missing > _BRIDGED_SAMPLES))
-            raise LogError(
-                f"{self.source.place(rows.first + at + 1, self.spec.time)}: expected the next sample after "
-                f"{self.interval:.6g} s, found a gap of {steps[at]:.6g} s ({missing[at]:.0f} samples) "
-                f"after {rows.time[at]:.9g} s; at most {_BRIDGED_SAMPLES} are bridged: cut the log there and "
-                "list the parts in log.file"
-            )
-        return missing.astype(np.int64)
-
-    def _report(self, rows: LogRows, place: npt.NDArray[np.int64], lost: npt.NDArray[np.bool_], time: Array) -> None:
-        """Add every run of lost samples to the gaps; row i of `rows` is sample place[i]."""
+        kept = np.ones(len(time), dtype=bool)
         edges = np.flatnonzero(np.diff(lost)) + 1
         for start, stop in edges.reshape(-1, 2).tolist():
-            first, end = np.searchsorted(place, [start, stop]).tolist()
-            if stop - start > _BRIDGED_SAMPLES:
-                raise self._too_long(rows.part(first, end))
-            what = [f"{value} in '{column}'" for column, value in self._not_finite(rows.part(first, end))]
-            what += ["missing samples"] if end - first < stop - start else []
-            self.bridged += 1
-            self.gaps.append(
-                Gap(
-                    file=self.file,
-                    row=rows.first + first,
-                    time=float(time[start]),
-                    samples=stop - start,
-                    what=" and ".join(what),
-                )
-            )
-        if self.bridged > _BRIDGED_MOST:
-            raise self._too_many(f"{_BRIDGED_MOST}", "a file")
+            self._report(rows, place, time, start, stop)
+            kept[start:stop] = stop - start <= _BRIDGED_SAMPLES
+        broken = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
+        return time[kept], tuple(_interpolated(v, place, time)[kept] for v in rows.values), broken
+
+    def _missing(self, steps: Array) -> IntArray:
+        """How many samples are missing before rows 1, 2, …, by their steps in time; of too many to be bridged, one more
+        than are."""
+        missing = np.where(steps > _JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
+        return np.minimum(missing, _BRIDGED_SAMPLES + 1).astype(np.int64)
+
+    def _report(self, rows: LogRows, place: IntArray, time: Array, start: int, stop: int) -> None:
+        """Add a run of lost samples, start … stop − 1, to the gaps; row i of `rows` is sample place[i]."""
+        first, end = np.searchsorted(place, [start, stop]).tolist()
+        lost = rows.part(slice(first, end))
+        what = self._found_in(lost)
+        samples = max(stop - start, round(float(time[stop] - time[start - 1]) / self.interval) - 1)
+        what += ["missing samples"] if end - first < samples and stop - start <= _BRIDGED_SAMPLES else []
+        long = stop - start > _BRIDGED_SAMPLES
+        gap = Gap(
+            file=self.file,
+            row=int(rows.numbers[first]),
+            time=float(time[start]) if not long else float(time[start - 1]) + self.interval,
+            samples=samples,
+            what=" and ".join(what) or "missing samples",
+            stop=float(time[stop]),
+            integrable=not long and not self._doubtful(lost),
+        )
+        self.found += 1
+        self.first = self.first or gap
+        self.gaps.append(gap)
+        if self.found > _MOST:
+            raise self._too_many(f"{_MOST}", "a file")
+
+    def _doubtful(self, lost: LogRows) -> bool:
+        """Whether rows without times may have been no samples."""
+        if self.spec.time is not None and not self.spec.regular:
+            return False
+        unread = [lost.unread.get(int(n)) for n in lost.numbers]
+        return any(u is not None and u.column is None for u in unread)
+
+    def _found_in(self, rows: LogRows) -> list[str]:
+        """What was found in lost rows, in words: of the first that could not be read, and of each column the first
+        number that is not finite."""
+        unread = [rows.unread[int(n)] for n in rows.numbers if int(n) in rows.unread]
+        known = {u.column for u in unread}
+        said = [unread[0].what] if unread else []
+        return said + [
+            f"{value} in '{column}'" for column, value in self._not_finite(rows) if not known & {column, None}
+        ]
 
     def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
         """Columns with numbers that are not finite, and the first such number of each."""
@@ -221,46 +360,40 @@ class Bridge:
 
     def _check_begins_sound(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> None:
         if lost[0]:
-            column, value = self._not_finite(rows.part(0, 1))[0]
-            raise LogError(
-                f"{self.source.place(rows.first, column)}: expected a finite number in the first row, "
-                f"found {value}; remove the row"
-            )
+            raise self._unsound(rows, "a finite number in the first row", "remove the row")
+
+    def _unsound(self, rows: LogRows, expected: str, advice: str) -> LogError:
+        """A message about the first of lost rows, where it cannot be bridged."""
+        number = int(rows.numbers[0])
+        unread = rows.unread.get(number)
+        if unread is not None:
+            return unread_error(self.source, unread)
+        column, value = self._not_finite(rows)[0]
+        return LogError(f"{self.source.place(number, column)}: expected {expected}, found {value}; {advice}")
 
     def _check_end(self) -> None:
         """What can be said of a file only when it has ended."""
         if self.held is not None:
-            column, value = self._not_finite(self.held)[0]
-            raise LogError(
-                f"{self.source.place(self.held.first, column)}: expected finite numbers up to the last row, "
-                f"found {value}; remove the rows from here on"
-            )
+            raise self._unsound(self.held, "finite numbers up to the last row", "remove the rows from here on")
         if self.last is None:
             raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
         length = float(self.last.time[0]) - self.start + self.interval
         if length < _SHORTEST_TIME * (1.0 - 1e-9):
             raise LogError(f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s")
-        allowed = _BRIDGED_FREE + math.floor(_BRIDGED_SHARE * self.last.first)
-        if self.bridged > allowed:
-            raise self._too_many(f"{allowed}", f"{self.last.first} rows ({_BRIDGED_SHARE:.1%} and {_BRIDGED_FREE})")
-
-    def _too_long(self, rows: LogRows) -> LogError:
-        column, value = self._not_finite(rows)[0]
-        return LogError(
-            f"{self.source.place(rows.first, column)}: expected a finite number, found {value} and more than "
-            f"{_BRIDGED_SAMPLES} lost samples in a row, too many to bridge: cut the log there and "
-            "list the parts in log.file"
-        )
+        allowed = _FREE + math.floor(_SHARE * self.rows)
+        if self.found > allowed:
+            raise self._too_many(f"{allowed}", f"{self.rows} rows ({_SHARE:.0%} and {_FREE})")
 
     def _too_many(self, allowed: str, where: str) -> LogError:
-        first = self.gaps[-self.bridged]
+        assert self.first is not None
+        advice = f"{REGULAR_HINT}, else record again" if self.spec.time is not None else "record again"
         return LogError(
-            f"{self.source.place(first.row)}: expected at most {allowed} gaps in {where}, "
-            f"found {self.bridged}, the first here ({first.what}); record again"
+            f"{self.source.place(self.first.row)}: expected at most {allowed} gaps in {where}, "
+            f"found {self.found}, the first here ({self.first.what}); {advice}"
         )
 
 
-def _interpolated(numbers: Array, place: npt.NDArray[np.int64], time: Array) -> Array:
+def _interpolated(numbers: Array, place: IntArray, time: Array) -> Array:
     """Columns (m, n) of rows at samples `place`, as columns of all samples, linear in time between what is
     finite."""
     out = np.full((len(time), numbers.shape[1]), np.nan)

@@ -16,13 +16,14 @@ from difflib import get_close_matches
 import numpy as np
 
 from tumble.errors import LogError
-from tumble.recording.gaps import Bridge, Gap, check_time, rows_of
-from tumble.recording.readers import LINE_BYTES, LogSource, readable, source_of
+from tumble.recording.dialect import LINE_BYTES
+from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
+from tumble.recording.readers import Kind, LogSource, readable, source_of
 from tumble.recording.session import LogSpec, Session
 from tumble.units import Array
 
 _HEAD_ROWS = 1000
-"""Rows from which the interval of a file is taken, their median."""
+"""LogRows from which the interval of a file is taken, their median."""
 
 _SHORTEST_ROWS = 50
 _RATE_TOLERANCE = 0.1
@@ -51,12 +52,12 @@ class Log:
     session: Session
     rate: float
     _sources: tuple[LogSource, ...] = field(repr=False)
-    _intervals: tuple[float, ...] = field(repr=False)
+    _grids: tuple[Grid, ...] = field(repr=False)
     _gaps: list[Gap] = field(default_factory=list, repr=False)
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
-        """What was bridged in the chunks read so far by the latest `chunks()`."""
+        """What was bridged or left out in the chunks read so far by the latest `chunks()`."""
         return tuple(self._gaps)
 
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
@@ -84,9 +85,10 @@ class Log:
     def _samples(self, file: int) -> Iterator[Chunk]:
         """The samples of one file as they come from its reader, repaired and in SI."""
         spec = self.session.log
-        source, interval = self._sources[file], self._intervals[file]
-        bridge = Bridge(source=source, file=file, spec=spec, interval=interval, gaps=self._gaps)
-        for time, dt, values in bridge.samples(rows_of(source, spec)):
+        source, grid = self._sources[file], self._grids[file]
+        bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=self._gaps)
+        rows = rows_of(source, spec, file, grid if spec.time is None or spec.regular else None, self._gaps)
+        for time, dt, values in bridge.samples(rows):
             yield Chunk(
                 file=file,
                 time=time,
@@ -106,10 +108,11 @@ def open_log(session: Session) -> Log:
     """The log of a session: every file is there, has the columns the session names and a plausible time.
 
     Raises LogError for a format that cannot be read, a damaged or empty file, missing or repeated columns."""
-    sources = tuple(source_of(path) for path in session.log.files)
+    sources = tuple(source_of(path, session.log.dialect) for path in session.log.files)
     for source in sources:
         _check_columns(source, session.log)
-    intervals = tuple(_interval(source, session.log) for source in sources)
+    grids = tuple(_grid(source, session.log) for source in sources)
+    intervals = [grid.interval for grid in grids]
     for source, interval in zip(sources, intervals, strict=True):
         if abs(interval / intervals[0] - 1.0) > _RATE_TOLERANCE:
             raise LogError(
@@ -123,7 +126,7 @@ def open_log(session: Session) -> Log:
             f"{intervals[0]:.3g} s; check log.time, log.time_unit or log.rate_hz"
         )
     rate = 1.0 / intervals[0] if session.log.rate is None else session.log.rate
-    return Log(session=session, rate=rate, _sources=sources, _intervals=intervals)
+    return Log(session=session, rate=rate, _sources=sources, _grids=grids)
 
 
 def _part(chunk: Chunk, rows: slice) -> Chunk:
@@ -148,20 +151,46 @@ def _check_columns(source: LogSource, spec: LogSpec) -> None:
             near = get_close_matches(column, names, n=1, cutoff=0.5)
             hint = f"; did you mean '{near[0]}'?" if near else ""
             shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
-            raise LogError(f"{source.path}: expected a column '{column}', found {shown}{hint}")
+            raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
         if Counter(names)[column] > 1:
             raise LogError(f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one")
 
 
-def _interval(source: LogSource, spec: LogSpec) -> float:
-    """The interval of a file's samples, s: the median over its first rows, or that of the nominal rate."""
-    head = source.head(spec.time or spec.accel.columns[0], _HEAD_ROWS)
+def _grid(source: LogSource, spec: LogSpec) -> Grid:
+    """The first time of a file and the interval of its samples, s: the median over its first rows, that of the nominal
+    rate, or, of regular rows, the mean over all of them."""
+    head = source.head(spec.time or spec.accel.columns[0], _HEAD_ROWS, clock=spec.clock)
     if not len(head):
         raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
     if len(head) < _SHORTEST_ROWS:
         raise LogError(f"{source.path}: expected at least {_SHORTEST_ROWS} samples, found {len(head)}")
     if spec.rate is not None:
-        return 1.0 / spec.rate
-    time = head * spec.time_factor
-    check_time(source, spec, 1, time)
-    return float(np.median(np.diff(time)))
+        return Grid(start=1.0 / spec.rate, interval=1.0 / spec.rate)
+    if spec.regular:
+        return _regular_grid(source, spec)
+    time = check_head(source, spec, head * spec.time_factor)
+    return Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
+
+
+def _regular_grid(source: LogSource, spec: LogSpec) -> Grid:
+    """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution
+    and their delays."""
+    assert spec.time is not None
+    first, count, start = 1, 0, None
+    sums = np.zeros(5)  # of 1, k, t, k², k t
+    for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
+        keep = np.ones(table.height, dtype=bool)
+        keep[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
+        first += table.height
+        time = table[spec.time].to_numpy()[keep] * spec.time_factor
+        k = np.arange(count, count + len(time), dtype=float)
+        count += len(time)
+        sound = np.isfinite(time)
+        start = float(time[sound][0]) if start is None and sound.any() else start
+        k, t = k[sound], time[sound] - (start or 0.0)
+        sums += [len(k), k.sum(), t.sum(), (k * k).sum(), (k * t).sum()]
+    ones, k1, t1, k2, kt = sums.tolist()
+    interval = (ones * kt - k1 * t1) / (ones * k2 - k1 * k1)
+    if not interval > 0.0:
+        raise LogError(f"{source.path}: expected times that grow, found rows {interval:.3g} s apart; check log.time")
+    return Grid(start=(start or 0.0) + (t1 - interval * k1) / ones, interval=interval)

@@ -19,7 +19,9 @@ from pydantic import ValidationError
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import SessionError
 from tumble.files import whole_file
+from tumble.recording.dialect import Dialect
 from tumble.recording.session_keys import (
+    CLOCK,
     LogTable,
     MagnetometerTable,
     ProgrammeTable,
@@ -101,7 +103,9 @@ class Magnetometer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogSpec:
-    """The log's files and columns. Either `time`, a column in units of `time_factor` s, or `rate`, Hz."""
+    """The log's files and columns. Either `time`, a column in units of `time_factor` s, or `rate`, Hz. `clock`: the
+    times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever their times are; `dialect`:
+    how text files are written, None for CSV files with their names in the first line."""
 
     files: tuple[Path, ...]
     time: str | None
@@ -111,6 +115,9 @@ class LogSpec:
     gyro: Channels | None
     temperature: str | None
     magnetometer: Magnetometer | None = None
+    clock: bool = False
+    regular: bool = False
+    dialect: Dialect | None = None
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -200,6 +207,8 @@ def _parsed(path: Path) -> dict[str, Any]:
         raise SessionError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
     except tomllib.TOMLDecodeError as error:
         raise SessionError(f"{path}: expected TOML, found an error in its syntax: {error}") from None
+    except (ValueError, RecursionError):  # a number of thousands of digits, hundreds of brackets
+        raise SessionError(f"{path}: expected TOML, found a number or a nesting without measure") from None
     except OSError as error:
         raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
 
@@ -263,12 +272,15 @@ def _log(log: LogTable, folder: Path) -> LogSpec:
     return LogSpec(
         files=tuple(folder / file for file in log.files),
         time=log.time,
-        time_factor=TIME_UNITS[log.time_unit or "s"],
+        time_factor=TIME_UNITS.get(log.time_unit or "s", 1.0),
         rate=log.rate_hz,
         accel=_channels(log.accel, log.rate_hz),
         gyro=None if log.gyro is None else _channels(log.gyro, log.rate_hz),
         temperature=None if log.temperature is None else log.temperature.columns[0],
         magnetometer=None if log.magnetometer is None else _magnetometer(log.magnetometer),
+        clock=log.time_unit == CLOCK,
+        regular=bool(log.regular),
+        dialect=log.dialect(),
     )
 
 

@@ -19,7 +19,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
+from tumble.recording.dialect import DELIMITERS, Dialect
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TIME_UNITS, Array, Unit
+
+CLOCK = "iso8601"
+"""The time unit of dates with times and times of day."""
 
 _TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4}
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
@@ -186,8 +190,16 @@ class LogTable(SessionTable):
 
     file: str | list[str] = Field(min_length=1, description="a file name or a list of file names")
     time: str | None = Field(default=None, min_length=1, description="a column name")
-    time_unit: str | None = Field(default=None, description=f"one of {', '.join(TIME_UNITS)}")
+    time_unit: str | None = Field(default=None, description=f"one of {', '.join([*TIME_UNITS, CLOCK])}")
     rate_hz: float | None = Field(default=None, gt=0, description="a positive number")
+    regular: bool | None = Field(default=None, description="true or false")
+    delimiter: str | None = Field(default=None, description="a character, or a blank for one or more blanks")
+    decimal: str | None = Field(default=None, description='"." or ","')
+    comment: str | None = Field(
+        default=None, min_length=1, max_length=8, description="the mark that comments begin with"
+    )
+    header: bool | None = Field(default=None, description="true or false")
+    encoding: str | None = Field(default=None, description="the name of an encoding")
     accel: AccelTable = Field(description="the table [log.accel]")
     gyro: GyroTable | None = Field(default=None, description="the table [log.gyro]")
     magnetometer: MagnetometerTable | None = Field(default=None, description="the table [log.magnetometer]")
@@ -206,12 +218,34 @@ class LogTable(SessionTable):
         if self.time_unit is not None:
             if self.time is None:
                 raise ValueError("time_unit: expected only with log.time, found log.rate_hz")
-            _check_known("time_unit", self.time_unit, TIME_UNITS)
+            _check_known("time_unit", self.time_unit, [*TIME_UNITS, CLOCK])
+        if self.regular and self.time is None:
+            raise ValueError("regular: expected only with log.time, found log.rate_hz, which makes rows regular")
+        self._check_dialect()
         for file in _repeated(self.files):
             raise ValueError(f'file: expected different files, found "{file}" twice')
         self._check_columns()
         self._check_ranges()
         return self
+
+    def dialect(self) -> Dialect | None:
+        """How the text files are written; None where nothing is said about it."""
+        given = {key: getattr(self, key) for key in ("delimiter", "decimal", "comment", "header", "encoding")}
+        stated = {key: value for key, value in given.items() if value is not None}
+        return Dialect(**stated) if stated else None
+
+    def _check_dialect(self) -> None:
+        if self.delimiter is not None:
+            _check_known("delimiter", self.delimiter, DELIMITERS)
+        if self.decimal is not None:
+            _check_known("decimal", self.decimal, (".", ","))
+        if self.encoding is not None:
+            try:
+                known = "é".encode(self.encoding, errors="replace").decode(self.encoding) is not None
+            except (LookupError, UnicodeError, ValueError, TypeError):
+                known = False
+            if not known:
+                raise ValueError(f"encoding: expected a text encoding such as utf-16, found {_shown(self.encoding)}")
 
     def _check_columns(self) -> None:
         keys = {

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.motion_samples import MotionSamples
@@ -19,6 +20,8 @@ from tumble.sensors.model import Block
 from tumble.units import Array, IntArray
 
 BLOCK_SECONDS = 0.1
+UNRECORDED = 2.0
+"""Samples: what is left between two samples beyond their interval is a gap, not jitter."""
 HELD_SHARE = 0.2
 """Share of a log in which its channels are taken to repeat by chance, that at rest."""
 
@@ -41,13 +44,6 @@ class ChannelState:
     extreme_run: int
     """Longest row of equal samples at the minimum or the maximum, and where it ended."""
     extreme_stop: float
-
-    @property
-    def unresolved(self) -> float:
-        """Standard uncertainty of a mean from the resolution: step/√12 where more than half of the samples repeat the
-        one before, so that noise does not average it out; else 0."""
-        coarse = 2 * self.repeats > self.samples and np.isfinite(self.step)
-        return self.step / np.sqrt(12.0) if coarse else 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,6 +79,7 @@ class FileBlocks:
     gyro_tail: Tail | None
     accel_end: Array
     gyro_end: Array | None
+    magnetometer_end: Array | None
     """The last sample of each block, (K, n): what shows the resolution of the channels."""
     magnetometer: Array | None
     magnetometer_tail: Tail | None
@@ -118,6 +115,8 @@ class Reduction:
     """Samples that long intervals leave room for; those that were bridged when the log was read are not among them."""
     repeated_rows: int
     """Rows whose accelerometers and gyros all read what they read in the row before."""
+    gaps: tuple[Gap, ...] = ()
+    """Lost samples of the log, as it was read."""
 
     @property
     def held(self) -> int:
@@ -182,13 +181,11 @@ class _Channels:
         self.means.add(out / (seconds[:, None] if self.increments else float(self.size)))
         self.ends.add(values[ends])
 
-    def tail(self, edges: Array, stop: float) -> Tail:
-        """What is left after the last block; `edges` (K + 1,) are those of the blocks, `stop` the end of all."""
-        if self.increments:
-            weight = np.diff(np.append(edges, stop))
-        else:
-            weight = np.append(np.full(len(edges) - 1, float(self.size)), self.filled)
-        return Tail(total=self.sums.copy(), weight=weight)
+    def tail(self, covered: Array) -> Tail:
+        """What is left after the last block; `covered` (K + 1,): the time, s, that the samples of each block and of
+        what is left cover."""
+        counted = np.append(np.full(len(covered) - 1, float(self.size)), self.filled)
+        return Tail(total=self.sums.copy(), weight=covered if self.increments else counted)
 
     def states(self) -> tuple[ChannelState, ...]:
         return tuple(_channel_state(row) for row in self.state)
@@ -239,6 +236,7 @@ class Reducer:
         self._count = 0
         self._stop = 0.0
         self._edges, self._temperature = _Growing(1), _Growing(1)
+        self._unrecorded: dict[int, float] = {}
         self._stored = MotionSamples() if gyro else None
         self._lost = self._repeated = 0
         self._last: tuple[Array, ...] = ()
@@ -247,10 +245,11 @@ class Reducer:
         """Add the next samples of the log."""
         if chunk.file != self._file:
             self._begin_file(chunk)
+        self._note_unrecorded(chunk)
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
         before = len(self._edges.rows)
         self._edges.add(chunk.time[ends, None])
-        seconds = np.diff(self._edges.rows[before - 1 :, 0])
+        seconds = self._covered(before - 1, self._edges.rows[before - 1 :, 0])
         self._accel.feed(chunk.accel, chunk.time, chunk.dt, ends, seconds)
         if self._gyro and self._stored is not None and chunk.gyro is not None:
             self._gyro.feed(chunk.gyro, chunk.time, chunk.dt, ends, seconds)
@@ -265,6 +264,22 @@ class Reducer:
         self._lost += int(np.round(late * self.rate).sum()) - len(late)
         self._count += len(chunk.time)
         self._stop = float(chunk.time[-1])
+
+    def _note_unrecorded(self, chunk: Chunk) -> None:
+        """Keep the blocks in which time passed between two samples that no sample covers, and how much, s."""
+        before = self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
+        left = chunk.time - chunk.dt - np.concatenate([[before], chunk.time[:-1]])
+        for i in np.flatnonzero(left > UNRECORDED / self.rate).tolist():
+            block = (self._count + i) // self.size
+            self._unrecorded[block] = self._unrecorded.get(block, 0.0) + float(left[i])
+
+    def _covered(self, first: int, edges: Array) -> Array:
+        """The time (k,), s, that the samples of blocks with these edges (k + 1,) cover, from block `first` on."""
+        seconds = np.diff(edges)
+        for block, left in self._unrecorded.items():
+            if first <= block < first + len(seconds):
+                seconds[block - first] -= left
+        return seconds
 
     def _count_repeated(self, chunk: Chunk) -> None:
         """Add up the rows that are equal to the ones before; the first of a file has none before it."""
@@ -285,12 +300,14 @@ class Reducer:
                 channels.begin_file()
         self._file, self._first, self._count = chunk.file, self._first + self._count, 0
         self._edges, self._temperature, self._last = _Growing(1), _Growing(1), ()
+        self._unrecorded = {}
         self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
 
     def _blocks(self) -> FileBlocks:
         """The blocks of the present file so far."""
         edges = self._edges.rows[:, 0]
         accel, gyro, field = self._accel, self._gyro, self._magnetometer
+        covered = self._covered(0, np.append(edges, self._stop))
         return FileBlocks(
             file=self._file,
             first_sample=self._first,
@@ -301,10 +318,11 @@ class Reducer:
             temperature=self._temperature.rows[:, 0] if len(self._temperature.rows) else None,
             accel_end=accel.ends.rows,
             gyro_end=gyro.ends.rows if gyro else None,
-            accel_tail=accel.tail(edges, self._stop),
-            gyro_tail=gyro.tail(edges, self._stop) if gyro else None,
+            magnetometer_end=field.ends.rows if field else None,
+            accel_tail=accel.tail(covered),
+            gyro_tail=gyro.tail(covered) if gyro else None,
             magnetometer=field.means.rows if field else None,
-            magnetometer_tail=field.tail(edges, self._stop) if field else None,
+            magnetometer_tail=field.tail(covered) if field else None,
         )
 
     def now(self) -> Reduction:
@@ -349,7 +367,7 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
     )
     for chunk in _one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
-    return reducer.finish()
+    return replace(reducer.finish(), gaps=log.gaps)
 
 
 def _one_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.reduction.kernels import _compiled, _matrix_of
+from tumble.reduction.kernels import _compiled
 from tumble.units import Array, IntArray
 
 STRETCH = 500
@@ -39,8 +39,8 @@ COMMON = 19
 """Regressors that do not depend on the axes of the sensors: 1, ω (3), f (3), f f (6), ω ω (6)."""
 LINEAR = 7
 
-# Rows of `state`: attitude quaternion (4, scalar first), V (3), and of the sample before: Δθ (3), Δv (3), rate without
-# G f (3), dt, f (3); then the sum of Δt² |f − f'|².
+# Rows of `state`: attitude quaternion (4, scalar first), V (3), and of the sample before: Δθ (3), Δv (3), the rate
+# that moved the force (3), dt, f (3); then the sum of Δt² |f − f'|².
 _V, _BEFORE, _RATE, _FORCE, _JUMPS, _STATE_ROWS = 4, 7, 13, 17, 20, 21
 
 Samples = tuple[Array, Array, Array]
@@ -48,15 +48,15 @@ Samples = tuple[Array, Array, Array]
 Stretches = tuple[IntArray, IntArray, IntArray]
 """Piece, first sample and end."""
 Terms = tuple[Array, Array, Array, Array, Array]
-"""Matrix (3, 3) and offset (3,) of y, and of the sensors with nonlinear terms axes (n, 3), coefficients (n, 3) of
-u², u³ and |u|, and effect (n, 3) on the vector."""
+"""Matrix (3, 3) and offset (3,) of y, and of the sensors with nonlinear terms axes (n, 3), coefficients (n, 3) of u²,
+u³ and |u|, and effect (n, 3) on the vector."""
 Model = tuple[Terms, Terms, Array, float]
 """Gyros, accelerometers, what the body's rate reads of its force (3, 3), or (0, 3) where it reads none, delay (s)."""
 Work = tuple[Array, Array, Array, Array, Array, Array]
 """Tile, left, right, swept, state and total: memory for one group of lanes."""
 Sums = tuple[Array, Array, Array, Array, Array, Array, Array]
-"""Attitude (K, 4), V (K, 3), Σ C_m ⊗ regressors (K, R, 9), Σ (C_m × V) ⊗ regressors (K, Q, 9), Σ C_m [ω×] dt ⊗ f
-(K, 3, 9), Σ regressors (K, R), Σ Δt² |f − f'|² (K,)."""
+"""Attitude (K, 4), V (K, 3), Σ C_m ⊗ regressors (K, R, 9), Σ (C_m × V) ⊗ regressors (K, Q, 9), Σ C_m [ω×] dt ⊗ f (K,
+3, 9), Σ regressors (K, R), Σ Δt² |f − f'|² (K,)."""
 Ends = tuple[IntArray, IntArray, Array, Array]
 """End of the head and start of the tail of every piece, (Σ f dt, Σ dt) (K, 4) over head and tail."""
 
@@ -138,7 +138,7 @@ def _begin(
     there is none, and zero sums. Returns the length of the longest lane."""
     state[:] = 0.0
     total[:] = 0.0
-    before = np.int64(2)
+    before = int(np.int64(2))  # as a literal it would have both loops compiled a second time
     _fill(samples, first, stop, -before, before, tile)
     _compensate(tile, before, model, lanes, state)
     for lane in range(LANES):
@@ -181,24 +181,23 @@ def _fill(samples: Samples, first: IntArray, stop: IntArray, done: int, steps: i
 
 @_compiled(error_model="numpy")
 def _compensate(tile: Array, steps: int, model: Model, lanes: int, state: Array) -> None:
-    """Rates and specific forces of the body in place of the readings, in the order of Part II, A1: force; rate without
-    g-sensitivity; force moved by the delay with that rate; rate with g-sensitivity to the moved force."""
+    """Rates and specific forces of the body in place of the readings, in the order of Part II, A1: force; rate with
+    g-sensitivity to the late force; force moved by the delay with that rate; rate with g-sensitivity to the moved one.
+
+    A1 moves the force with a rate from which no G f was taken: at 0.01 °/s/(m/s²) and 4 ms that left 2·10⁻⁴ m/s in the
+    velocity of a turn of 6 s, this 10⁻⁵."""
     gyro, accel, g_sensitivity, delay = model
-    many = steps * LANES
+    many, linear, scratch = steps * LANES, tile[7 * ROW :], tile[10 * ROW :]
     _transform(tile, many, gyro[0], gyro[1], accel[0], accel[1])
-    _subtract_terms(tile[3 * ROW :], many, accel, tile[10 * ROW :])
-    again = len(g_sensitivity) > 0 and len(gyro[2]) > 0
-    if again:
-        _copy(tile, tile[7 * ROW :], many)
-    _subtract_terms(tile, many, gyro, tile[10 * ROW :])
+    _subtract_terms(tile[3 * ROW :], many, accel, scratch)
     if delay != 0.0:
-        _move(tile, steps, lanes, delay, state)
-    if again:
-        _copy(tile[7 * ROW :], tile, many)
-    if len(g_sensitivity) > 0:
+        _copy(tile, linear, many)
         _subtract_force(tile, many, g_sensitivity)
-    if again:
-        _subtract_terms(tile, many, gyro, tile[10 * ROW :])
+        _subtract_terms(tile, many, gyro, scratch)
+        _move(tile, steps, lanes, delay, state)
+        _copy(linear, tile, many)
+    _subtract_force(tile, many, g_sensitivity)
+    _subtract_terms(tile, many, gyro, scratch)
 
 
 @_compiled(error_model="numpy", fastmath={"contract"})
@@ -286,7 +285,9 @@ def _move(tile: Array, steps: int, lanes: int, delay: float, state: Array) -> No
 
 @_compiled(error_model="numpy", fastmath={"contract"})
 def _subtract_force(tile: Array, many: int, G: Array) -> None:
-    """ω ← ω − G f."""
+    """ω ← ω − G f; at once where there is no G."""
+    if len(G) == 0:
+        return
     g00, g01, g02 = G[0]
     g10, g11, g12 = G[1]
     g20, g21, g22 = G[2]
@@ -607,7 +608,29 @@ def _append_attitude(a: Array, state: Array, lane: int) -> None:
 
 
 @_compiled(error_model="numpy")
-def matrices_of(attitude: Array, C: Array) -> None:
-    """Write the matrices of unit quaternions (K, 4) to C (K, 3, 3)."""
+def finish(sums: Sums, C: Array) -> None:
+    """Write the matrices of the attitudes to C (K, 3, 3), and Ψ = Φ × V − Σ ΔΦ × V over the latter."""
+    attitude, V, products, moved, _, _, _ = sums
     for k in range(len(attitude)):
         _matrix_of(attitude[k], C[k])
+        for r in range(moved.shape[1]):
+            Phi, Psi = products[k, r if r < LINEAR else COMMON + r - LINEAR], moved[k, r]
+            for j in range(3):
+                x, y, z = Phi[j], Phi[3 + j], Phi[6 + j]
+                Psi[j] = y * V[k, 2] - z * V[k, 1] - Psi[j]
+                Psi[3 + j] = z * V[k, 0] - x * V[k, 2] - Psi[3 + j]
+                Psi[6 + j] = x * V[k, 1] - y * V[k, 0] - Psi[6 + j]
+
+
+@_compiled(error_model="numpy")
+def _matrix_of(q: Array, C: Array) -> None:
+    """Write the matrix of a unit quaternion, scalar first, to C (3, 3)."""
+    C[0, 0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
+    C[0, 1] = 2.0 * (q[1] * q[2] - q[3] * q[0])
+    C[0, 2] = 2.0 * (q[1] * q[3] + q[2] * q[0])
+    C[1, 0] = 2.0 * (q[1] * q[2] + q[3] * q[0])
+    C[1, 1] = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3])
+    C[1, 2] = 2.0 * (q[2] * q[3] - q[1] * q[0])
+    C[2, 0] = 2.0 * (q[1] * q[3] - q[2] * q[0])
+    C[2, 1] = 2.0 * (q[2] * q[3] + q[1] * q[0])
+    C[2, 2] = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])

@@ -15,21 +15,21 @@ inverse with which the readings were compensated. Then a group of parameters is 
 with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·ω|, |a_p·f| and (a_p·f)³ have sums of their own, for the axes asked for.
 
 The effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on the force through
-the delay, is left out of the columns: it is of second order, and gone when the turn is integrated about the new
-values.
+the delay, is left out of the columns: it is of second order, and gone when the turn is integrated about the new values.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from tumble.reduction import moment_kernels as _kernels
-from tumble.rotation import skew
+from tumble.rotation import onto_body, skew
 from tumble.sensors.model import SensorModel
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 REGRESSORS = 13
 END_SECONDS = 0.2
@@ -60,11 +60,11 @@ class BlockCompensation:
     def of(cls, axes: Array, model: SensorModel, terms: Array | None = None) -> BlockCompensation:
         """The compensation of sensors with nominal `axes` (n, 3) for a sensor model, and for nonlinear `terms` if
         they have any."""
-        to_body = np.linalg.pinv(axes)
+        to_body = np.asarray(onto_body(axes), dtype=float)
         return cls(
             axes=np.ascontiguousarray(axes, dtype=float),
             to_body=to_body,
-            matrix=np.linalg.inv(to_body @ model.matrix),
+            matrix=np.asarray(np.linalg.inv(to_body @ model.matrix), dtype=float),
             bias=to_body @ model.bias,
             terms=np.zeros((len(axes), 3)) if terms is None else terms,
         )
@@ -91,8 +91,8 @@ class Compensation:
     """The values a turn is integrated about: gyros and accelerometers, `g_sensitivity` G (3, 3) of the body rate, rad/s
     per m/s², and `delay` τ, s, by which the accelerometers are late.
 
-    In the order of A1: f from its readings; ω without G f; f moved by −τ ω̄×f + ½τ² ω̄×(ω̄×f), ω̄ = ω − ½τ ω̇; then
-    ω again with G times the moved f. Nonlinear terms are solved by two fixed-point steps."""
+    In the order of A1: f from its readings; ω; f moved by −τ ω̄×f + ½τ² ω̄×(ω̄×f), ω̄ = ω − ½τ ω̇; then ω again, with G
+    times the moved f. Nonlinear terms are solved by two fixed-point steps."""
 
     gyro: BlockCompensation
     accel: BlockCompensation
@@ -135,7 +135,7 @@ class Moments:
     """∫ C_ij |a_p·f| dt, and then ∫ C_ij (a_p·f)³ dt (K, 3, 3, 2, m)."""
     body: Array
     """∫ β_b dt (K, 13) in the body, without C: the first is the duration, s."""
-    body_W: Array
+    body_rates: Array
     """∫ ω_k ω_l dt (K, 6)."""
     body_gyro: Array
     """∫ |a_p·ω| dt (K, n)."""
@@ -198,28 +198,28 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
     """Moments of every piece, by the step about the middle attitude (A1).
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
-    starts, stops = np.asarray(pieces.start, dtype=np.int64), np.asarray(pieces.stop, dtype=np.int64)
+    starts, stops = (np.ascontiguousarray(x, dtype=np.int64) for x in (pieces.start, pieces.stop))
     count, n, m = len(starts), len(own.gyro), len(own.accel)
     rows, linear = _kernels.COMMON + n + 2 * m, _kernels.LINEAR + n
     attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
     products, moved, sweep = (np.zeros((count, size, 9)) for size in (rows, linear, 3))
     body, head, tail = np.zeros((count, rows)), np.zeros((count, 4)), np.zeros((count, 4))
-    samples = tuple(np.ascontiguousarray(x, dtype=float) for x in (pieces.rates, pieces.forces, pieces.intervals))
+    sums = attitude, V, products, moved, sweep, body, jumps
+    intervals = np.ascontiguousarray(pieces.intervals, dtype=float)
     _kernels.integrate_stretches(
-        samples,
+        (np.ascontiguousarray(pieces.rates, dtype=float), np.ascontiguousarray(pieces.forces, dtype=float), intervals),
         _kernels.stretches_of(starts, stops),
         compensation._kernel_model(),
         (np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)),
-        (attitude, V, products, moved, sweep, body, jumps),
-        (*_kernels.ends_of(samples[2], starts, stops, END_SECONDS * (1.0 - 1e-9)), head, tail),
+        sums,
+        (*_kernels.ends_of(intervals, starts, stops, END_SECONDS * (1.0 - 1e-9)), head, tail),
         _kernels.new_work(rows, linear),
         _kernels.LANES,
     )
     C = np.empty((count, 3, 3))
-    _kernels.matrices_of(attitude, C)
-    Phi, path = _matrices(products), _matrices(moved)
-    own_gyro, own_accel = _kernels.COMMON + np.arange(n), _kernels.COMMON + n + np.arange(2 * m)
-    Psi = _crossed(Phi[..., np.append(np.arange(_kernels.LINEAR), own_gyro)], V) - path
+    _kernels.finish(sums, C)
+    Phi, Psi = _matrices(products), _matrices(moved)
+    gyros, accels = slice(_kernels.COMMON, _kernels.COMMON + n), slice(_kernels.COMMON + n, None)
     return Moments(
         C=C,
         V=V,
@@ -227,13 +227,13 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
         Psi=Psi[..., : _kernels.LINEAR],
         W=Phi[..., REGRESSORS : _kernels.COMMON],
         sweep=_matrices(sweep),
-        Phi_gyro=Phi[..., own_gyro],
+        Phi_gyro=Phi[..., gyros],
         Psi_gyro=Psi[..., _kernels.LINEAR :],
-        Phi_accel=Phi[..., own_accel].reshape(count, 3, 3, 2, m),
+        Phi_accel=Phi[..., accels].reshape(count, 3, 3, 2, m),
         body=body[:, :REGRESSORS],
-        body_W=body[:, REGRESSORS : _kernels.COMMON],
-        body_gyro=body[:, own_gyro],
-        body_accel=body[:, own_accel].reshape(count, 2, m),
+        body_rates=body[:, REGRESSORS : _kernels.COMMON],
+        body_gyro=body[:, gyros],
+        body_accel=body[:, accels].reshape(count, 2, m),
         jumps=jumps,
         head=head,
         tail=tail,
@@ -242,7 +242,7 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
 
 def _matrices(sums: Array) -> Array:
     """(K, 3, 3, R) of the kernel's sums (K, R, 9)."""
-    return np.moveaxis(sums.reshape(len(sums), -1, 3, 3), 1, 3)
+    return np.moveaxis(sums.reshape(*sums.shape[:2], 3, 3), 1, 3)
 
 
 def _crossed(matrices: Array, V: Array) -> Array:
@@ -252,12 +252,13 @@ def _crossed(matrices: Array, V: Array) -> Array:
 
 def _turned(C: Array, matrices: Array) -> Array:
     """C (K, 3, 3) times the columns of (K, 3, …)."""
-    return np.asarray((C @ matrices.reshape(*matrices.shape[:2], -1)).reshape(matrices.shape))
+    flat = matrices.reshape(*matrices.shape[:2], math.prod(matrices.shape[2:]))
+    return np.asarray((C @ flat).reshape(matrices.shape))
 
 
 def _skews(vectors: Array) -> Array:
     """[v×] (K, 3, 3) of vectors (K, 3)."""
-    return np.einsum("kj,jab->kab", vectors, _GENERATORS)
+    return np.asarray(np.einsum("kj,jab->kab", vectors, _GENERATORS))
 
 
 _GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
@@ -282,7 +283,7 @@ def combined(first: Moments, second: Moments) -> Moments:
         Psi_gyro=first.Psi_gyro + _crossed(first.Phi_gyro, V) + _turned(C, second.Psi_gyro),
         Phi_accel=first.Phi_accel + _turned(C, second.Phi_accel),
         body=first.body + second.body,
-        body_W=first.body_W + second.body_W,
+        body_rates=first.body_rates + second.body_rates,
         body_gyro=first.body_gyro + second.body_gyro,
         body_accel=first.body_accel + second.body_accel,
         jumps=first.jumps + second.jumps,
@@ -291,9 +292,9 @@ def combined(first: Moments, second: Moments) -> Moments:
     )
 
 
-def _short(moments: Moments) -> Array:
+def _short(moments: Moments) -> BoolArray:
     """Whether (K, 1) a piece is shorter than its ends should be."""
-    return np.asarray(moments.T < END_SECONDS * (1.0 - 1e-9))[:, None]
+    return (moments.T < END_SECONDS * (1.0 - 1e-9))[:, None]
 
 
 def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
@@ -352,7 +353,7 @@ def lever_columns(moments: Moments, left_inverse: Array, axes: Array) -> Array:
 
 def delay_column(moments: Moments) -> Array:
     """∂V = −∫ C (ω × f) dt (K, 3), m/s², of the delay common to all accelerometers, Eq. (7)."""
-    return -np.einsum("kijj->ki", moments.sweep)
+    return np.asarray(-np.einsum("kijj->ki", moments.sweep))
 
 
 def single_delay_columns(moments: Moments, left_inverse: Array, axes: Array) -> Array:
@@ -369,5 +370,5 @@ def single_delay_columns(moments: Moments, left_inverse: Array, axes: Array) -> 
 
 def _contracted(moments: Array, weights: Array) -> Array:
     """Σ M_ij… w_j…m (K, 3, m) of moments (K, 3, 3, …) and weights (3, …, m)."""
-    many = weights.shape[-1]
-    return np.asarray(moments.reshape(len(moments), 3, -1) @ weights.reshape(-1, many))
+    many = math.prod(weights.shape[:-1])
+    return np.asarray(moments.reshape(len(moments), 3, many) @ weights.reshape(many, weights.shape[-1]))

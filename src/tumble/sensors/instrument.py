@@ -8,7 +8,7 @@ neither.
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -45,7 +45,7 @@ class Instrument:
 
     @staticmethod
     def of(
-        accel: Block, gyro: Block | None, names: Sequence[str] | None = None, variables: Container[str] = ("time",)
+        accel: Block, gyro: Block | None, names: Container[str] | None = None, variables: Container[str] = ("time",)
     ) -> Instrument:
         """The instrument with the further groups of these names, all of the table that fit its sensors where None;
         changes only with `variables` that are known."""
@@ -117,6 +117,31 @@ class Instrument:
         places = positions_by_group(self.names)[name]
         return slice(places[0], places[-1] + 1)
 
+    def drift(self, block: Block, values: Array) -> Array:
+        """∂K/∂t (n, 15), 1/s, of a block from the parameters that change with time."""
+        out = np.zeros((block.size, FUNCTIONS))
+        for own, base, variable in self.changes:
+            if variable == "time":
+                out += self.derivative(block, values)[:, :, base] @ values[own]
+        return out
+
+    @cached_property
+    def in_velocities(self) -> bool:
+        """Whether the velocities of turns can be predicted: lever arms and delays enter them as much as all else."""
+        return self.gyro is not None and None not in (self.in_motion("lever"), self.in_motion("delay"))
+
+    def levers(self, values: Array) -> Array:
+        """Lever arms (n, 3), m, of the accelerometers by channel; zero where there are none."""
+        out, where = np.zeros((self.accel.size, 3)), self.in_motion("lever")
+        if where is not None:
+            out[self.accel.channels[:-1]] = values[where].reshape(-1, 3)
+        return out
+
+    def delay(self, values: Array) -> float:
+        """By how much the accelerometers are late, s; zero where they have no delay."""
+        where = self.in_motion("delay")
+        return 0.0 if where is None else float(values[where][0])
+
     def model(self, block: Block, values: Array) -> SensorModel:
         """Sensitivity matrix and bias of a block."""
         return block.model(values[self.own(block)])
@@ -148,7 +173,7 @@ class Instrument:
     @cached_property
     def _constant(self) -> dict[str, Array]:
         """∂K/∂θ of each block for the parameters that K is linear in."""
-        out = {}
+        out: dict[str, Array] = {}
         for block in (self.accel, self.gyro):
             if block is None:
                 continue
@@ -160,7 +185,7 @@ class Instrument:
     @cached_property
     def used(self) -> dict[str, IntArray]:
         """Which functions the readings of each block may contain."""
-        out = {}
+        out: dict[str, IntArray] = {}
         for block in (self.accel, self.gyro):
             if block is None:
                 continue
@@ -185,14 +210,36 @@ def functions(block: Block, force: Array, rate: Array) -> Array:
     return out
 
 
+def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
+    """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
+    others, and rates (N, 3) of the body."""
+    shape = (len(rate), block.size, 3)
+    force = np.broadcast_to(force[:, None] if force.ndim == 2 else force, shape)
+    rate = np.broadcast_to(rate[:, None], shape)
+    measured, other = (force, rate) if block.kind == "accel" else (rate, force)
+    linear = _measured(block)
+    out: Array = np.einsum("npk,pk->np", measured, K[:, linear]) + K[:, CONSTANT]
+    if is_linear(block, K):
+        return out
+    own = np.einsum("npk,pk->np", measured, block.axes)
+    out += np.einsum("npk,pk->np", other, K[:, RATE if linear == FORCE else FORCE])
+    out += np.einsum("npb,pb->np", force[..., _FIRST] * force[..., _SECOND], K[:, PRODUCTS])
+    return np.asarray(out + np.abs(own) * K[:, OWN_SIZE] + own**3 * K[:, OWN_CUBE])
+
+
+def is_linear(block: Block, K: Array) -> bool:
+    """Whether the readings of a block are linear in what it measures, and of nothing else."""
+    return not np.any(np.delete(K, np.r_[CONSTANT, _measured(block)], axis=1))
+
+
 def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Array]:
     """Derivatives (N, n, 3) of the readings Σ_b K_pb β_pb with respect to specific force and rate."""
     by_force = np.broadcast_to(K[:, FORCE], (len(force), block.size, 3)).copy()
     by_rate = np.broadcast_to(K[:, RATE], (len(force), block.size, 3)).copy()
-    for b, (k, l) in enumerate(PAIRS, start=PRODUCTS.start):
+    for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start):
         if np.any(K[:, b]):
-            by_force[:, :, k] += K[:, b] * force[:, [l]]
-            by_force[:, :, l] += K[:, b] * force[:, [k]]
+            by_force[:, :, k] += K[:, b] * force[:, [other]]
+            by_force[:, :, other] += K[:, b] * force[:, [k]]
     if np.any(K[:, OWN_SIZE:]):
         by, true = (by_force, force) if block.kind == "accel" else (by_rate, rate)
         own = true @ block.axes.T

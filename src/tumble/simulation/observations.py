@@ -37,6 +37,7 @@ from tumble.reduction.observations import (
     GYRO_FLOOR,
     TURN_FLOOR,
     VELOCITY_FLOOR,
+    VELOCITY_STEP,
     Observations,
     Rests,
     TurnReadings,
@@ -44,7 +45,8 @@ from tumble.reduction.observations import (
     TurnSamples,
 )
 from tumble.rotation import onto_body, rotation_matrix, skew
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.instrument import readings
+from tumble.sensors.model import Block
 from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.units import Array, IntArray
 
@@ -71,7 +73,7 @@ def simulate_observations(
     gyro = _NoisyBlock.of(scenario.gyro, scenario, len(way.rests), noise)
     rests = _rests(scenario, way, accel, gyro, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
-    turns, samples, readings = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), accel, gyro, noise)
+    turns, samples, integrals = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), accel, gyro, noise)
     site = scenario.site
     observations = Observations(
         accel_block=scenario.accel,
@@ -82,17 +84,20 @@ def simulate_observations(
         turn_samples=samples,
         programme=scenario.course.programme if isinstance(scenario.course, OnTable) else None,
         position=np.array(way.positions) if isinstance(scenario.course, OnTable) else None,
-        turn_readings=readings if scenario.gyro.size > 3 else None,
+        turn_readings=integrals if scenario.gyro.size > 3 else None,
+        usual=scenario.usual,
     )
     return replace(observations, turns=observations.turns_about(scenario.gyro.nominal()))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _NoisyBlock:
-    """A block at work: its model, the bias (N, n) it has at each rest and in the move that follows, and the density
-    of its white noise."""
+    """A block at work: its coefficients K (n, 15) in the middle of the session and their drift, 1/s, the change (N,
+    n) that its bias has at each rest and in the move that follows, and the density of its white noise."""
 
-    model: SensorModel
+    block: Block
+    coefficients: Array
+    drift: Array
     bias: Array
     white: float
 
@@ -104,15 +109,30 @@ class _NoisyBlock:
             if block.kind == "accel"
             else (noise.gyro_white, noise.gyro_instability)
         )
-        model = block.model(np.array([scenario.truth[name] for name in block.names]))
         return _NoisyBlock(
-            model=model, bias=model.bias + instability * rng.standard_normal((rests, block.size)), white=white
+            block=block,
+            coefficients=scenario.instrument.coefficients(block, scenario.values),
+            drift=scenario.instrument.drift(block, scenario.values),
+            bias=instability * rng.standard_normal((rests, block.size)),
+            white=white,
         )
 
-    def mean(self, true: Array, seconds: Array, rng: np.random.Generator) -> Array:
-        """Mean readings (N, n) of true vectors (N, 3) over so many seconds (N,)."""
+    def mean(self, force: Array, rate: Array, when: Array, seconds: Array, rng: np.random.Generator) -> Array:
+        """Mean readings (N, n) in constant forces and rates (N, 3) over so many seconds (N,) about times (N,)."""
         noise = self.white / np.sqrt(seconds)[:, None] * rng.standard_normal(self.bias.shape)
-        return np.asarray(true @ self.model.matrix.T + self.bias + noise)
+        return self._read(force, rate, when) + self.bias + noise
+
+    def sampled(self, force: Array, rate: Array, when: Array, first: IntArray) -> Array:
+        """Readings (K, S, n) without white noise in the moves after the rests `first` (K,) about times (K,), for forces
+        (K, S, 3), or (K, S, n, 3) where those at each sensor are others, and rates (K, S, 3) of the body."""
+        K, S = rate.shape[:2]
+        flat = force.reshape(K * S, *force.shape[2:]), rate.reshape(K * S, 3)
+        return np.asarray(self._read(*flat, np.repeat(when, S)).reshape(K, S, -1) + self.bias[first][:, None])
+
+    def _read(self, force: Array, rate: Array, when: Array) -> Array:
+        """Readings (N, n) at times (N,), s, from the middle of the session."""
+        out = readings(self.block, self.coefficients, force, rate)
+        return out + when[:, None] * readings(self.block, self.drift, force, rate) if np.any(self.drift) else out
 
     def covariance(self, seconds: Array, floor: float) -> Array:
         """Covariance (N, n, n) of the means over so many seconds."""
@@ -127,15 +147,16 @@ def _rests(
     seconds = stop - start
     force = scenario.site.gravity * way.attitudes[:, 1]
     rate = np.array(earth_rate(scenario.latitude)) @ way.attitudes
+    when = way.times
     return Rests(
         file=np.zeros(len(start), dtype=np.int64),
         start=start,
         stop=stop,
-        accel=accel.mean(force, seconds, rng),
+        accel=accel.mean(force, rate, when, seconds, rng),
         accel_covariance=accel.covariance(seconds, ACCEL_FLOOR),
         accel_drift=np.zeros_like(accel.bias),
         accel_noise=np.full_like(accel.bias, accel.white),
-        gyro=gyro.mean(rate, seconds, rng),
+        gyro=gyro.mean(force, rate, when, seconds, rng),
         gyro_covariance=gyro.covariance(seconds, GYRO_FLOOR),
         gyro_drift=np.zeros_like(gyro.bias),
         gyro_noise=np.full_like(gyro.bias, gyro.white),
@@ -153,12 +174,15 @@ def _turns(
     T = way.rests[first + 1, 0] - way.rests[first, 1]
     before, after = way.attitudes[first], way.attitudes[first + 1]
     vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
-    readings = (vector / T[:, None]) @ gyro.model.matrix.T + gyro.bias[first]
     dt = T / SAMPLES
-    sampled = np.repeat(readings[:, None, :], SAMPLES + AHEAD, axis=1)
+    late, when = scenario.instrument.delay(scenario.values), 0.5 * (way.times[first] + way.times[first + 1])
+    rate = np.repeat((vector / T[:, None])[:, None], SAMPLES + AHEAD, axis=1)
+    force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
+    sampled = gyro.sampled(force, rate, when, first)
     sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
-    force = scenario.site.gravity * _mean_verticals(scenario, way.attitudes[first], vector, T)
-    felt = force @ accel.model.matrix.T + accel.bias[first][:, None]
+    if late != 0.0:
+        force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T, late)
+    felt = accel.sampled(_with_levers(scenario, way, first, force, vector, T), rate, when, first)
     felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     stored = MotionSamples()
     stored.append(
@@ -169,6 +193,8 @@ def _turns(
     start = AHEAD + (SAMPLES + AHEAD) * np.arange(K)
     to_force = np.linalg.pinv(scenario.accel.axes)
     spread = np.trace(to_force @ to_force.T) / 3.0
+    step = np.linalg.norm(vector, axis=1) / SAMPLES
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
     turns = Turns(
         first=first,
         last=first + 1,
@@ -178,7 +204,7 @@ def _turns(
         B=np.zeros((K, 3, 3)),
         covariance=gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3),
         velocity=np.zeros((K, 3)),
-        velocity_covariance=(accel.white**2 * T * spread + VELOCITY_FLOOR**2)[:, None, None] * np.eye(3),
+        velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
         jumps=np.zeros(K),
     )
     variance = gyro.white**2 * T + TURN_FLOOR**2
@@ -188,10 +214,33 @@ def _turns(
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
 
 
-def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -> Array:
-    """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample of turns from attitudes `start`
-    through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before, as if it turned
-    already.
+def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Array, vector: Array, T: Array) -> Array:
+    """Forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3); the same where no arm is known.
+
+    At a constant rate ω an arm r feels [ω×]²r, and at the two ends, where the turn begins and stops at once, its
+    velocity jumps by ±(ω − ω_rest) × r: the first and the last sample have it in them, turned by half a sample from
+    where it is to their middle, and by the delay."""
+    instrument = scenario.instrument
+    if instrument.in_motion("lever") is None:
+        return force
+    arms, late = instrument.levers(scenario.values), instrument.delay(scenario.values)
+    rate, dt = vector / T[:, None], T / SAMPLES
+    earth = np.array(earth_rate(scenario.latitude))
+    out = np.repeat(force[:, :, None], len(arms), axis=2)
+    centripetal = skew(rate) @ skew(rate) @ arms.T
+    out[:, AHEAD:] += centripetal.swapaxes(1, 2)[:, None]
+    for sample, rests, sign in ((AHEAD, first, 1.0), (-1, first + 1, -1.0)):
+        jump = skew(rate - earth @ way.attitudes[rests]) @ arms.T
+        out[:, sample] += (rotation_matrix((late - 0.5 * sign * dt)[:, None] * rate) @ jump).swapaxes(1, 2) * (
+            sign / dt
+        )[:, None, None]
+    return out
+
+
+def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, late: float = 0.0) -> Array:
+    """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample, which is `late`, of turns from
+    attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those
+    before, as if it turned already.
 
     With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
 
@@ -203,7 +252,7 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array) -
     P = _spectral(vector / np.where(angle > 0.0, angle, 1.0)[:, None])
     Q = [start.swapaxes(1, 2) @ part[0, :, 1] for part in _spectral(earth[None] / earth_norm)]
     dt = T / SAMPLES
-    middle = (np.arange(SAMPLES + AHEAD) - AHEAD + 0.5) * dt[:, None]
+    middle = (np.arange(SAMPLES + AHEAD) - AHEAD + 0.5) * dt[:, None] - late
     turned, earth_turned = np.exp(-1j * (angle / T)[:, None] * middle), np.exp(1j * earth_norm * middle)
     waves = {(0, 0): 1.0, (0, 1): earth_turned, (1, -1): turned * earth_turned.conj()}
     waves |= {(1, 0): turned, (1, 1): turned * earth_turned}  # the other four are the conjugates of these

@@ -11,7 +11,9 @@ A sample is the mean over the interval that ends at its time stamp, in the body 
 
 so that a move is three scalar series: Δθ, and the means of cos θ and sin θ. The means are Gauss–Legendre
 sums over panels that end wherever a sample ends or θ(t) is not smooth, exact to rounding; moves need not
-begin or end with a sample. `reading = matrix @ mean + bias + noise`. There are no lever arms.
+begin or end with a sample. The reading of a linear instrument is `matrix @ mean + bias + noise`; of another the mean is
+taken of the readings, with f + [ω̇×]r + [ω×]²r at an accelerometer with lever arm r, and with late accelerometers, of
+the interval so much earlier.
 """
 
 from __future__ import annotations
@@ -24,8 +26,9 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.rotation import UP
-from tumble.sensors.model import SensorModel
+from tumble.rotation import UP, skew
+from tumble.sensors.instrument import is_linear, readings
+from tumble.sensors.model import Block
 from tumble.simulation.scenario import Scenario, itinerary
 from tumble.units import Array
 
@@ -79,25 +82,31 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
 def _readings(
     scenario: Scenario, attitudes: Array, moves: Array, rests: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Time and readings of both blocks, piece by piece: rest, move, rest, …
+    """Time and readings of both blocks, of which the accelerometers may be late."""
+    fs = scenario.profile.sample_rate
+    N = math.floor(rests[-1, 1] * fs + 1e-6)
+    late = scenario.instrument.delay(scenario.values)
+    made = [
+        _block_readings(_SampledBlock.of(block, scenario, rests, own, behind), attitudes, moves, rests)
+        for block, own, behind in zip((scenario.accel, scenario.gyro), rng.spawn(2), (late, 0.0), strict=True)
+    ]
+    return np.arange(1, N + 1) / fs, made[0].T, made[1].T
+
+
+def _block_readings(sensors: _SampledBlock, attitudes: Array, moves: Array, rests: Array) -> Array:
+    """Readings (n, N) of a block, piece by piece: rest, move, rest, …
 
     A sample belongs to a rest if all of its interval does."""
-    fs = scenario.profile.sample_rate
-    edges = np.column_stack([np.ceil(rests[:, 0] * fs - 1e-6), np.floor(rests[:, 1] * fs + 1e-6)]).astype(int)
-    N = int(edges[-1, 1])
-    accel, gyro = _sensors(scenario, N, rng)
+    fs, shifted = sensors.scenario.profile.sample_rate, rests + sensors.late
+    shifted[0, 0], shifted[-1, 1] = rests[0, 0], rests[-1, 1]
+    edges = np.column_stack([np.ceil(shifted[:, 0] * fs - 1e-6), np.floor(shifted[:, 1] * fs + 1e-6)]).astype(int)
     for i, L in enumerate(attitudes):
-        accel.draw_bias()
-        gyro.draw_bias()
+        sensors.draw_bias()
         for first, last in _chunks(edges[i, 0], edges[i, 1]):
-            force, rate = _at_rest(scenario, L, first, last)
-            accel.put(first, last, force)
-            gyro.put(first, last, rate)
+            sensors.put(first, last, sensors.at_rest(L, first, last))
         for first, last in _chunks(edges[i, 1], edges[i + 1, 0]) if i < len(moves) else ():
-            force, rate = _in_move(scenario, L, moves[i], float(rests[i, 1]), first, last)
-            accel.put(first, last, force)
-            gyro.put(first, last, rate)
-    return np.arange(1, N + 1) / fs, accel.readings.T, gyro.readings.T
+            sensors.put(first, last, sensors.in_move(L, moves[i], float(shifted[i, 1]), first, last))
+    return sensors.readings
 
 
 def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
@@ -106,81 +115,116 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
         yield start, min(start + _CHUNK, int(last))
 
 
-@dataclass(kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True, eq=False)
 class _SampledBlock:
-    """One block at work: its readings (n, N) as they fill up, the noise `sigma` of a sample, and the bias it
-    has in the current rest and move."""
+    """One block at work: its coefficients K (n, 15) and their drift, 1/s, from the `middle` of the session, s, lever
+    arms (n, 3), by how much it is `late`, s, the noise `sigma` of a sample, its readings (n, N) as they fill up, and
+    the change that its bias has in the current rest and move."""
 
-    model: SensorModel
+    block: Block
+    scenario: Scenario
+    coefficients: Array
+    drift: Array
+    middle: float
+    arms: Array
+    late: float
     sigma: float
     instability: float
     rng: np.random.Generator
     bias: Array
     readings: Array
 
-    def draw_bias(self) -> None:
-        self.bias = self.model.bias + self.instability * self.rng.standard_normal(len(self.model.bias))
+    @staticmethod
+    def of(block: Block, scenario: Scenario, rests: Array, rng: np.random.Generator, late: float) -> _SampledBlock:
+        """A block, ready to fill."""
+        noise, root, instrument = scenario.noise, math.sqrt(scenario.profile.sample_rate), scenario.instrument
+        accel, samples = block.kind == "accel", math.floor(rests[-1, 1] * scenario.profile.sample_rate + 1e-6)
+        return _SampledBlock(
+            block=block,
+            scenario=scenario,
+            coefficients=instrument.coefficients(block, scenario.values),
+            drift=instrument.drift(block, scenario.values),
+            middle=0.25 * float(rests[0].sum() + rests[-1].sum()),
+            arms=instrument.levers(scenario.values) if accel else np.zeros((block.size, 3)),
+            late=late,
+            sigma=root * (noise.accel_white if accel else noise.gyro_white),
+            instability=noise.accel_instability if accel else noise.gyro_instability,
+            rng=rng,
+            bias=np.zeros(block.size),
+            readings=np.empty((block.size, samples)),
+        )
 
-    def put(self, first: int, last: int, true: Array) -> None:
-        """Readings of true body vectors, shape (last − first, 3), or (1, 3) for all of them."""
+    @property
+    def linear(self) -> bool:
+        """Whether the mean reading of a sample is that of the mean of what the block measures."""
+        return not np.any(self.arms) and is_linear(self.block, self.coefficients)
+
+    def draw_bias(self) -> None:
+        self.bias = self.instability * self.rng.standard_normal(self.block.size)
+
+    def put(self, first: int, last: int, means: Array) -> None:
+        """Samples of mean readings (last − first, n), or (1, n) for all of them."""
         out = self.readings[:, first:last]
-        out[:] = self.model.matrix @ true.T + self.bias[:, None]
+        out[:] = means.T + self.bias[:, None]
         if self.sigma > 0.0:
             out += self.sigma * self.rng.standard_normal(out.shape)
 
+    def read(self, force: Array, rate: Array, change: Array, when: Array) -> Array:
+        """Readings (N, n) in forces, rates and angular accelerations (N, 3) of the body at times (N,), s: at a lever
+        arm r the force is f + [ω̇×]r + [ω×]²r."""
+        if np.any(self.arms):
+            around = skew(change) + skew(rate) @ skew(rate)
+            force = force[:, None] + np.einsum("nij,pj->npi", around, self.arms)
+        out = readings(self.block, self.coefficients, force, rate)
+        if np.any(self.drift):
+            out = out + (when - self.middle)[:, None] * readings(self.block, self.drift, force, rate)
+        return out
 
-def _sensors(scenario: Scenario, samples: int, rng: np.random.Generator) -> tuple[_SampledBlock, _SampledBlock]:
-    """Accelerometers and gyros, ready to fill."""
-    noise, root = scenario.noise, math.sqrt(scenario.profile.sample_rate)
-    levels = ((noise.accel_white, noise.accel_instability), (noise.gyro_white, noise.gyro_instability))
-    made = []
-    for block, (white, instability), own in zip((scenario.accel, scenario.gyro), levels, rng.spawn(2), strict=True):
-        model = block.model(np.array([scenario.truth[name] for name in block.names]))
-        made.append(
-            _SampledBlock(
-                model=model,
-                sigma=white * root,
-                instability=instability,
-                rng=own,
-                bias=model.bias,
-                readings=np.empty((block.size, samples)),
+    def at_rest(self, L: Array, first: int, last: int) -> Array:
+        """Mean readings of samples [first, last) at rest: (1, n), or with vibration or drift those of every sample."""
+        scenario = self.scenario
+        site, vibration, fs = scenario.site, scenario.vibration, scenario.profile.sample_rate
+        rate = np.array(earth_rate(scenario.latitude)) @ L
+        still = vibration.amplitude == 0.0 and not np.any(self.drift)
+        middle = (np.arange(first, first + 1 if still else last) + 0.5) / fs - self.late
+        force = np.full(len(middle), site.gravity)
+        if vibration.amplitude > 0.0:
+            mean = vibration.amplitude * np.sinc(vibration.frequency / fs)
+            force = site.gravity + mean * np.sin(2.0 * np.pi * vibration.frequency * middle)
+        rates = np.broadcast_to(rate, (len(force), 3))
+        return self.read(force[:, None] * L[1], rates, np.zeros_like(rates), middle)
+
+    def in_move(self, L: Array, move: Array, start: float, first: int, last: int) -> Array:
+        """Mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`. The
+        formulas are those at the head of the module."""
+        scenario, profile = self.scenario, self.scenario.profile
+        fs, total = profile.sample_rate, float(np.linalg.norm(move))
+        n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.latitude))
+        whole = math.floor(start * fs)  # time within the move, in samples, so that nothing is lost late in a log
+        passed = (first - whole) - (start * fs - whole)
+        samples = np.arange(last - first + 1.0)
+        panels = _panels(scenario, total, passed, last - first)
+        nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
+        theta = profile.angle((nodes + passed) / fs, total)
+        waves = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)])
+        vertical = scenario.site.gravity + _vibration(scenario, nodes - self.late * fs, first)
+        if not self.linear:
+            rate, change = profile.rates((nodes + passed) / fs, total)
+            earth_b, axis_b = np.moveaxis(waves, 0, -1) @ _turning(n, earth) @ L, n @ L
+            means = self.read(
+                (np.moveaxis(vertical * waves, 0, -1) @ _turning(n, UP) @ L).reshape(-1, 3),
+                (earth_b + rate[..., None] * axis_b).reshape(-1, 3),
+                (change[..., None] * axis_b - rate[..., None] * np.cross(axis_b, earth_b)).reshape(-1, 3),
+                (first + nodes).ravel() / fs,
             )
-        )
-    return made[0], made[1]
-
-
-def _at_rest(scenario: Scenario, L: Array, first: int, last: int) -> tuple[Array, Array]:
-    """Mean specific force and rate, body frame, of samples [first, last) at rest: (1, 3), or with vibration
-    the force of every sample."""
-    site, vibration, fs = scenario.site, scenario.vibration, scenario.profile.sample_rate
-    up, rate = L.T @ UP, L.T @ np.array(earth_rate(scenario.latitude))
-    force = np.full(1, site.gravity)
-    if vibration.amplitude > 0.0:
-        middle = (np.arange(first, last) + 0.5) / fs
-        mean = vibration.amplitude * np.sinc(vibration.frequency / fs)
-        force = site.gravity + mean * np.sin(2.0 * np.pi * vibration.frequency * middle)
-    return force[:, None] * up, rate[None, :]
-
-
-def _in_move(scenario: Scenario, L: Array, move: Array, start: float, first: int, last: int) -> tuple[Array, Array]:
-    """Mean specific force and rate, body frame, (last − first, 3), of samples of a move from attitude L that
-    starts at time `start`. The formulas are those at the head of the module."""
-    profile, fs = scenario.profile, scenario.profile.sample_rate
-    total = float(np.linalg.norm(move))
-    n = move / total if total > 0.0 else UP
-    whole = math.floor(start * fs)  # time within the move, in samples, so that nothing is lost late in a log
-    passed = (first - whole) - (start * fs - whole)
-    samples = np.arange(last - first + 1.0)
-    turned = np.diff(profile.angle((samples + passed) / fs, total)) * fs
-    panels = _panels(scenario, total, passed, last - first)
-    nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
-    theta = profile.angle((nodes + passed) / fs, total)
-    ones, cosine, sine = np.ones_like(theta), np.cos(theta), np.sin(theta)
-    force = scenario.site.gravity + _vibration(scenario, nodes, first)
-    w = _means(np.stack([ones, cosine, sine]), panels, samples)
-    f = _means(force * np.stack([ones, cosine, sine]), panels, samples)
-    earth = np.array(earth_rate(scenario.latitude))
-    return f @ _turning(n, UP) @ L, (w @ _turning(n, earth) + np.outer(turned, n)) @ L
+            return _means(np.moveaxis(means.reshape(*theta.shape, -1), -1, 0), panels, samples)
+        when = (first + samples[:-1] + 0.5) / fs
+        if self.block.kind == "accel":
+            force = _means(vertical * waves, panels, samples) @ _turning(n, UP) @ L
+            return self.read(force, np.zeros_like(force), np.zeros_like(force), when)
+        turned = np.diff(profile.angle((samples + passed) / fs, total)) * fs
+        mean_rate = (_means(waves, panels, samples) @ _turning(n, earth) + np.outer(turned, n)) @ L
+        return self.read(np.zeros_like(mean_rate), mean_rate, np.zeros_like(mean_rate), when)
 
 
 def _turning(n: Array, vector: Array) -> Array:

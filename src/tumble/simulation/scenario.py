@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,7 +19,9 @@ from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
 from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vector_near
 from tumble.sensors.grades import Grade, NoiseModel, Spread
+from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE, Array
 
 _MAX_CYCLES_PER_SAMPLE = 10.0
@@ -50,6 +52,15 @@ class Profile:
         ramp = 0.5 * into - self.ramp / (2.0 * np.pi) * np.sin(np.pi * into / self.ramp)
         gone = total / (T - self.ramp) * (ramp + (s - into))
         return np.asarray(np.where(late, total - gone, gone))
+
+    def rates(self, t: Array, total: float) -> tuple[Array, Array]:
+        """Rate, rad/s, and angular acceleration, rad/s², at times t, s: the derivatives of `angle`."""
+        T = self.duration(total)
+        moving, late = (t > 0.0) & (t < T), t > 0.5 * T
+        into = np.clip(np.where(late, T - t, t), 0.0, self.ramp)
+        full, phase = total / (T - self.ramp), np.pi * into / self.ramp
+        change = 0.5 * np.pi / self.ramp * full * np.sin(phase) * np.where(late, -1.0, 1.0)
+        return np.where(moving, 0.5 * full * (1.0 - np.cos(phase)), 0.0), np.where(moving, change, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,7 +94,8 @@ class HandHeld:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scenario:
     """Everything a simulated session is made of, apart from chance. `truth`: values by parameter name of both
-    blocks; it goes into truth.json. The site has a latitude."""
+    blocks, and of the groups beyond the linear model that the instrument has; it goes into truth.json. `usual` are the
+    standard deviations of such groups over instruments like this one. The site has a latitude."""
 
     course: OnTable | HandHeld
     accel: Block
@@ -94,6 +106,7 @@ class Scenario:
     site: Site
     vibration: Vibration
     serial: str
+    usual: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     @property
     def latitude(self) -> float:
@@ -103,9 +116,19 @@ class Scenario:
         return self.site.latitude
 
     @property
+    def instrument(self) -> Instrument:
+        """The instrument whose true values are given."""
+        return Instrument.of(self.accel, self.gyro, tuple({group_name(name) for name in self.truth}))
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """Parameters of both blocks."""
-        return self.accel.names + self.gyro.names
+        """Parameters of the instrument."""
+        return self.instrument.names
+
+    @property
+    def values(self) -> Array:
+        """True values (m,) of the parameters, in the order of `names`."""
+        return np.array([self.truth[name] for name in self.names])
 
 
 def scenario_of(
@@ -113,16 +136,18 @@ def scenario_of(
 ) -> Scenario:
     """A scenario of a set-up: a triad of each kind along the body axes, with errors drawn from its spreads."""
     accel, gyro = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
+    linear = draw_parameters(setup, (accel, gyro), rng)
     return Scenario(
         course=_course_of(setup),
         accel=accel,
         gyro=gyro,
-        truth=draw_parameters(setup, (accel, gyro), rng),
+        truth=linear | draw_further(setup.further, accel, gyro, rng),
         noise=setup.noise,
         profile=profile_of(setup),
         site=Site(latitude=setup.latitude, height=setup.height, gravity=setup.gravity, gravity_u=setup.gravity_u),
         vibration=vibration,
         serial=serial,
+        usual=setup.further,
     )
 
 
@@ -153,6 +178,16 @@ def draw_parameters(instrument: Setup | Grade, blocks: Sequence[Block], rng: np.
     return values
 
 
+def draw_further(spreads: Mapping[str, float], accel: Block, gyro: Block, rng: np.random.Generator) -> dict[str, float]:
+    """True values by parameter name of groups beyond the linear model, Gaussian with these standard deviations, SI."""
+    instrument = Instrument.of(accel, gyro, tuple(spreads))
+    return {
+        name: float(spreads[group.name] * rng.standard_normal())
+        for group in instrument.further
+        for name in group.names(instrument.block(group))
+    }
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Itinerary:
     """Where a simulated device rests and how it gets there: `attitudes`, `rests`, `moves` and `positions` as in a
@@ -163,6 +198,12 @@ class Itinerary:
     moves: Array
     positions: tuple[int, ...]
     programmed: tuple[bool, ...]
+
+    @property
+    def times(self) -> Array:
+        """Times (R,) of the rests, s, from the middle of the session."""
+        middle = self.rests.mean(axis=1)
+        return np.asarray(middle - 0.5 * (middle[0] + middle[-1]))
 
 
 def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:

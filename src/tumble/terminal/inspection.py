@@ -31,13 +31,14 @@ def inspection_report(segmentation: Segmentation, observations: Observations | N
     if observations is not None:
         parts += [_rests_found(observations), Text(""), _turns_found(observations)]
         parts += _half_sums(observations)
+        parts += [Text(""), *map(Text, observations.notes)] if observations.notes else []
     if segmentation.rejected:
         table = plain_table()
         add_numbers(table, "rejected from s", "to s")
         table.add_column("because")
         for r in segmentation.rejected:
             table.add_row(f"{r.start:z.1f}", f"{r.stop:z.1f}", r.reason)
-        parts += [Text(""), table]
+        parts += [Text(""), table, *map(Text, segmentation.passed_over())]
     return Group(*parts)
 
 

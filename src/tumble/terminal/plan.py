@@ -16,33 +16,62 @@ from tumble.planning.bounds import Bound
 from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme, duration
 from tumble.programme.sheet_words import clock, move_text
+from tumble.sensors.parameters import group_of, positions_by_group
 from tumble.units import DEGREE, engineering
 from tumble.usual_setup import MOVE
 
 LARGEST = 4
 """So many parameters of a combination are named."""
 
+LITTLE, MOSTLY = 0.05, 0.75
+"""Learned fractions below which a programme leaves a group to what is usual, and above which it is determined: u is
+97 % and half of the prior."""
 
-def bound_report(setup: Setup, bound: Bound) -> RenderableType:
-    """What a set-up's programme can show at best: rank, condition, the worst combination, every parameter."""
+
+def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
+    """What a set-up's programme can show at best: rank, condition, the worst combination, every linear parameter with
+    others known and as the `whole` instrument allows, then a line for each group of others."""
     programme = setup.programme
     lines = [
         f"{programme.name}: {len(programme.positions)} positions in {_time(programme, setup)}, "
         f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s",
-        f"rank {bound.rank} of {len(bound.names)}, condition {_condition(bound)}",
+        f"rank {bound.rank} of {bound.linear}, condition {_condition(bound)}",
         *_not_determined(bound),
     ]
     if not len(bound.null):
         lines.append(f"worst determined: {_worst(bound)} (of gravity, of the rate of turns, rad)")
     table = Table(box=None, pad_edge=False)
     table.add_column("parameter")
-    for heading in ("bound of u", "of the spread"):
+    for heading in ("bound of u", "of the spread", "with all groups"):
         table.add_column(heading, justify="right")
-    for name, u in zip(bound.names, bound.u, strict=True):
+    linear = slice(bound.linear)
+    for name, u, with_all in zip(bound.names[linear], bound.u[linear], whole.u[linear], strict=True):
         kind, what, _ = name.split(".")
         share = f"{u / getattr(getattr(setup, kind), what):.2%}" if math.isfinite(u) else ""
-        table.add_row(name, _shown(bound, f"{kind}.{what}", u), share)
-    return Group(*map(Text, lines), Text(""), table)
+        table.add_row(name, _shown(bound, f"{kind}.{what}", u), share, _shown(bound, f"{kind}.{what}", with_all))
+    return Group(*map(Text, lines), Text(""), table, Text(""), _further(whole))
+
+
+def _further(whole: Bound) -> RenderableType:
+    """A line for each group beyond the linear model: what is usual, and what the programme finds out about it."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("group")
+    for heading in ("usual", "bound of u", "learned"):
+        table.add_column(heading, justify="right")
+    table.add_column("")
+    places = positions_by_group(whole.names)
+    for group in whole.further:
+        u, learned = float(whole.u[places[group.name]].max()), min(group.learned)
+        said = "left to what is usual" if learned < LITTLE else "" if learned > MOSTLY else "in part"
+        table.add_row(group.name, *(_in_unit(group.name, value) for value in (group.prior, u)), f"{learned:.1%}", said)
+    return table
+
+
+def _in_unit(name: str, value: float) -> str:
+    """A value in the unit its group is shown in: the largest that leaves no less than 1, or the smallest."""
+    shown = group_of(name).shown or ((1.0, group_of(name).unit),)
+    size, unit = next(((s, u) for s, u in reversed(shown) if value >= s), shown[0])
+    return f"{value / size:.3g} {unit}"
 
 
 def next_report(before: Bound, found: Sequence[Next], aim: Aim) -> RenderableType:

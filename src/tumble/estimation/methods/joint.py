@@ -64,9 +64,11 @@ from tumble.estimation.likelihood import (
     solve,
     variables_of,
 )
+from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
+from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray, IntArray
@@ -87,6 +89,7 @@ WIDENED = 1.01  # λ of a step that counts as settled
 KEPT = 1e-3  # learned fraction of a group that the session says anything of
 LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
 FREE = 0.01  # of the variance of the noise: directions in which residuals have less say nothing
+ROUNDED = 1e-9  # of the largest: directions of a projector below it are rounding
 STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 without a bad one, 1 % have such a one
 MOST_LEFT_OUT = 6
 LEAST_CHANCE = 1e-300
@@ -104,11 +107,11 @@ TOTAL = "noise within rests"
 def joint(
     observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool = False, instrument: Instrument | None = None
 ) -> Estimate:
-    """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which; all
-    groups of the table where None. With `robust`, the estimate is that without the rests and turns that do not fit;
-    their sigmas say which they are."""
+    """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
+    where None, the groups whose usual size the observations know. With `robust`, the estimate is that without the
+    rests and turns that do not fit; their sigmas say which they are."""
     accel, gyro = observations.accel_block, observations.gyro_block
-    instrument = instrument or Instrument.of(accel, gyro, variables=variables_of(observations))
+    instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables_of(observations))
     problem = Problem.of(observations, prior, instrument=instrument, usual=observations.usual)
     at, first = _started(problem)
     everything = _fitted(problem, at, _Out.nothing(problem))
@@ -287,10 +290,9 @@ class _Fitted:
 
 def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
     """The solution with the scatter that it shows."""
-    scatter = Scatter()
-    solved, increments, wide = start, (), problem
-    first = _iterated(problem, start, out, scatter)
-    solved, increments = first, first.increments
+    scatter, components, wide = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem
+    solved = _iterated(problem, start, out, scatter)
+    increments = solved.increments
     without = _left(problem, solved, out, scatter)
     for _ in range(ROUNDS):
         found, components = _scattered(wide, solved.last.rows, out, scatter)
@@ -371,6 +373,8 @@ def _integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Tur
         return None
     noise = np.sqrt(np.trace(turns.covariance, axis1=1, axis2=2) / 3.0)
     velocity = np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
+    if not problem.instrument.in_velocities:
+        velocity = np.full_like(velocity, np.inf)
     if about.good_for(problem.instrument, point.values, (noise, velocity)):
         return about
     return TurnsAbout.of(problem.observations, problem.instrument, point.values)
@@ -489,9 +493,8 @@ def _parts(problem: Problem, after: Left) -> Iterator[list[tuple[Array, Array]]]
             (residual[:, part], covariance[:, part, part])
             for residual, covariance in ((after.rest[0][last], after.rest[1][last]), after.merged)
         ]
-    rotation = np.r_[r : r + 3, r + 6 : after.merged[0].shape[1]] if len(after.merged[0]) else np.arange(0)
-    velocity = np.arange(r + 3, r + 6) if len(after.merged[0]) else np.arange(0)
-    for rows in (rotation, velocity):
+    v = r + 6 if problem.instrument.in_velocities else r + 3
+    for rows in (np.r_[r : r + 3, v : after.merged[0].shape[1]], np.arange(r + 3, v)):
         yield [(after.merged[0][:, rows], after.merged[1][:, rows[:, None], rows])]
 
 
@@ -501,8 +504,8 @@ def _fits(problem: Problem, after: Left, scatter: Scatter, without: Left) -> dic
         (name, _fit(part, getattr(scatter, component), unit))
         for name, component, unit, part in zip(GROUPS, SCATTER_OF, SCATTER_UNITS, _parts(problem, after), strict=True)
     ]
-    gyros = problem.observations.gyro_block is not None
-    out = {name: fit for name, fit in found if gyros or name == GROUPS[0]}
+    there = 1 if problem.observations.gyro_block is None else 4 if problem.instrument.in_velocities else 3
+    out = dict(found[:there])
     return out | {TOTAL: _fit([one for part in _parts(problem, without) for one in part], 0.0, "")}
 
 
@@ -515,29 +518,55 @@ def _fit(parts: list[tuple[Array, Array]], scatter: float, unit: str) -> Fit:
 # Which rests and turns fit
 
 
-def _judged(problem: Problem, after: Left, weight: Weights, out: _Out) -> Iterator[tuple[Array, Array]]:
+def _judged(fitted: _Fitted, after: Left, weight: Weights) -> Iterator[tuple[Array, Array]]:
     """Of accelerometers and gyros at rest, by rest, and of the turns, by turn: by how much chi-square falls without
     them, and in how many directions they have residuals."""
+    problem, out = fitted.problem, fitted.out
     n = problem.observations.accel_block.size
     stop = n + problem.observations.rests.gyro.shape[1]
     r, linked = after.rest[0].shape[1], problem.link >= 0
-    pulls = []
-    for W, (residual, covariance) in ((weight.rest, after.rest), (weight.merged, after.merged)):
-        back = np.swapaxes(W, 1, 2)
-        pulls.append((np.einsum("kab,kb->ka", back, residual), back @ covariance @ W, np.linalg.inv(back @ W)))
+    noise = noise_of(problem, fitted.solved.last.rows)
+    at_rest, merged = (
+        _pulls(*found) for found in ((weight.rest, after.rest, noise.rest), (weight.merged, after.merged, noise.merged))
+    )
     for part in (slice(0, n), slice(n, stop)):
-        pull, Q, noise = ((a[:, part], b[:, part, part], c[:, part, part]) for a, b, c in pulls[:1]).__next__()
-        if linked.any():
-            of_turn = problem.link[linked]
-            pull[linked], Q[linked] = pulls[1][0][of_turn, part], pulls[1][1][of_turn, part, part]
-            noise[linked] = pulls[1][2][of_turn, part, part]
-        yield _falls(pull, Q, noise, out.rest)
-    yield _falls(pulls[1][0][:, r:], pulls[1][1][:, r:, r:], pulls[1][2][:, r:, r:], out.turn)
+        rows = at_rest.part(part)
+        for own, of_turn in zip(rows, merged.part(part), strict=True):
+            own[linked] = of_turn[problem.link[linked]]
+        yield _falls(rows, out.rest)
+    yield _falls(merged.part(slice(r, None)), out.turn)
 
 
-def _falls(pull: Array, Q: Array, noise: Array, left_out: BoolArray) -> tuple[Array, Array]:
-    """Falls of chi-square (N,) without rows of pull P r and projector P, and directions (N,) in which they have
-    residuals; of those that are left out, the chi-square of their readings about what all others predict."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Pulls:
+    """Of rows (N, r): the pull P r on them, the block of P, their covariance, and what is added to its diagonal where
+    they are left out."""
+
+    pull: Array
+    projector: Array
+    noise: Array
+    left_out: Array
+
+    def part(self, rows: slice) -> tuple[Array, Array, Array, Array]:
+        """The same of some of the rows."""
+        of = self.projector[:, rows, rows].copy(), self.noise[:, rows, rows].copy()
+        return self.pull[:, rows].copy(), *of, self.left_out[:, rows].copy()
+
+
+def _pulls(W: Array, left_of: tuple[Array, Array], noise: Array) -> _Pulls:
+    back = np.swapaxes(W, 1, 2)
+    return _Pulls(
+        pull=np.einsum("kab,kb->ka", back, left_of[0]),
+        projector=back @ left_of[1] @ W,
+        noise=np.asarray(np.linalg.inv(back @ W)),
+        left_out=LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2),
+    )
+
+
+def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tuple[Array, Array]:
+    """Falls of chi-square (N,) without rows, see `_Pulls`, and directions (N,) in which they have residuals; of those
+    that are left out, the chi-square of their readings about what all others predict."""
+    pull, Q, noise, inflation = rows
     if not pull.size:
         return np.zeros(len(left_out)), np.zeros(len(left_out), dtype=np.int64)
     size = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
@@ -547,9 +576,11 @@ def _falls(pull: Array, Q: Array, noise: Array, left_out: BoolArray) -> tuple[Ar
     fall = np.where(seen, square / np.where(seen, variance, 1.0), 0.0).sum(axis=1)
     count = seen.sum(axis=1)
     for i in np.flatnonzero(left_out):
-        predicted = np.linalg.inv(Q[i])
-        difference = predicted @ pull[i]
-        own = predicted - np.diag(np.diag(noise[i]) * LEFT_OUT / (1.0 + LEFT_OUT))
+        kept = variance[i] > ROUNDED * variance[i].max()
+        along = directions[i][:, kept]
+        spread = np.diag(1.0 / variance[i][kept])
+        own = spread - along.T @ np.diag(inflation[i] / size[i] ** 2) @ along
+        difference = spread @ along.T @ (pull[i] * size[i])
         fall[i], count[i] = difference @ np.linalg.solve(own, difference), len(difference)
     return fall, count
 
@@ -559,7 +590,7 @@ def _sigmas(fitted: _Fitted, scatter: Scatter) -> tuple[Array, Array]:
     have a `scatter` when nothing is left out are judged by their own scale: that they have none without some of them
     may be by choice of these."""
     out, found = fitted.out, []
-    judged = _judged(fitted.problem, fitted.left, fitted.weights, out)
+    judged = _judged(fitted, fitted.left, fitted.weights)
     scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
     for (fall, count), left_out, name, scale in zip(
         judged, (out.rest, out.rest, out.turn), GROUPS[:3], scales, strict=True
@@ -578,7 +609,7 @@ def _suspect(fitted: _Fitted) -> _Out | None:
     is allowed for; None where none does."""
     most, found, out, scatter = STANDS_OUT, None, fitted.out, fitted.scatter
     scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
-    judged = _judged(fitted.problem, *fitted.without, out)
+    judged = _judged(fitted, *fitted.without)
     for group, ((fall, count), left_out, scale) in enumerate(
         zip(judged, (out.rest, out.rest, out.turn), scales, strict=True)
     ):
@@ -634,7 +665,7 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
     variance, combinations = np.linalg.eigh(covariance[:linear, :linear] / np.outer(spread, spread))
     observable = np.ones(len(values), dtype=bool)
     observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
-    findings = tuple(_findings(fitted, values, covariance))
+    findings = tuple(_findings(fitted, covariance))
     for finding in findings:
         observable[instrument.members[finding.name]] = finding.kept
     accel = problem.accel_model(values)
@@ -657,6 +688,13 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
         instrument=instrument,
         groups=findings,
         degrees=_degrees(fitted, covariance),
+        prediction=prediction(
+            instrument,
+            values,
+            covariance,
+            gravity=observations.site.gravity,
+            rate=_usual_rate(fitted.solved.last.about),
+        ),
         linearised=_linearised(fitted),
     )
 
@@ -674,14 +712,20 @@ def _linearised(fitted: _Fitted) -> Linearised:
     )
 
 
+def _usual_rate(about: TurnsAbout | None) -> float | None:
+    """The rate of the session's turns, rad/s, root mean square; None without turns."""
+    if about is None or not len(about.moments):
+        return None
+    moments = about.moments
+    return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
+
+
 def _force(problem: Problem, values: Array) -> Array:
     """Specific forces (N, 3) at rest by the whole model."""
-    from tumble.sensors.compensation import specific_force
-
     return specific_force(problem.instrument, values, problem.observations.rests.accel)
 
 
-def _findings(fitted: _Fitted, values: Array, covariance: Array) -> Iterator[GroupFinding]:
+def _findings(fitted: _Fitted, covariance: Array) -> Iterator[GroupFinding]:
     """What the session says of each further group."""
     instrument, widened = fitted.problem.instrument, fitted.problem.measured[1][1:]
     usual = fitted.problem.observations.usual
@@ -711,4 +755,4 @@ def _degrees(fitted: _Fitted, covariance: Array) -> Array:
         more = noise.weights(Scatter.of_variances(variance + step * np.eye(len(variance))[a]))
         slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - np.diag(covariance)) / step
     of_u = np.einsum("am,ab,bm->m", slopes, fitted.components, slopes)
-    return np.minimum(2.0 * np.diag(covariance) ** 2 / np.maximum(of_u, 1e-300), MOST_DEGREES)
+    return np.asarray(np.minimum(2.0 * np.diag(covariance) ** 2 / np.maximum(of_u, 1e-300), MOST_DEGREES))

@@ -1,7 +1,7 @@
 """MATLAB files and HDF5: arrays of numbers, found by their names.
 
-Every array is named by its path (`imu/gyro`); one of three columns (or rows) is a triad `imu/gyro[0]` … `imu/gyro[2]`.
-Arrays of one length make a table, of which the sensors are taken by name.
+Every array is named by its path (`imu/gyro`); one of three columns (or rows) is a triad `imu/gyro[0]` … `imu/gyro[2]`,
+one of more a table. Arrays of one length make a table, of which the sensors are taken by name, else by their numbers.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
+from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.recording.formats.message import TIME, Message
 from tumble.units import TIME_UNITS
 
@@ -25,6 +26,8 @@ NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
 
 _ROWS = 1 << 15
 _SHORTEST = 10
+_WIDEST = 32
+_MOST_ROWS = 1 << 21
 Columns = Mapping[str, tuple[str, int | None]]
 """Columns of a table by name: the array, and which of its columns."""
 
@@ -36,6 +39,8 @@ def messages(path: Path) -> list[Message]:
     for length in sorted({max(shape) for shape in shapes.values()}, reverse=True):
         columns = dict(_columns({name: s for name, s in shapes.items() if max(s) == length}))
         known = columns_by_name(columns)
+        if ACCEL not in known.triads and len(columns) <= _WIDEST:
+            known = columns_by_data(list(columns), _read_whole(path, columns))
         if length < _SHORTEST or not known.triads:
             continue
         factor = TIME_UNITS[known.time_unit or "s"]
@@ -58,8 +63,8 @@ def _columns(shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, tuple
     for name, shape in shapes.items():
         if min((*shape, 1)) == 1 and np.prod(shape) == max(shape):
             yield name, (name, None)
-        elif min(shape) == 3:
-            yield from ((f"{name}[{axis}]", (name, axis)) for axis in range(3))
+        elif 3 <= min(shape) <= _WIDEST:
+            yield from ((f"{name}[{axis}]", (name, axis)) for axis in range(min(shape)))
 
 
 def _shapes(path: Path) -> dict[str, tuple[int, ...]]:
@@ -79,6 +84,13 @@ def _rows(path: Path, columns: Columns, time: str | None, factor: float) -> Iter
 
 
 Read = Callable[[Any], Any]
+
+
+def _read_whole(path: Path, columns: Columns) -> Any:
+    """The columns of a table side by side, some million rows of them at most."""
+    arrays = _arrays(path)
+    part = slice(0, _MOST_ROWS)
+    return np.column_stack([_part(*arrays[array], part, axis) for array, axis in columns.values()])
 
 
 def _part(shape: tuple[int, ...], read: Read, part: slice, axis: int | None) -> Any:

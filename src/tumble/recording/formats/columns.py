@@ -11,15 +11,26 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from tumble.recording.formats.message import Sensors
+from tumble.recording.formats.native_words import in_english
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "magnetometer", "time"
 
 _KINDS: Mapping[str, re.Pattern[str]] = {
-    ACCEL: re.compile(r"^(?!.*(angular|gravity)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)$"),
-    GYRO: re.compile(r"gyr|angular_?vel|ang_?vel|angular_?rate|omega|delta_?ang|dtheta|(^|_)(w|g|rate|w_rs_s)$"),
+    ACCEL: re.compile(r"^(?!.*(angular|gravity|free|user)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)\d*$"),
+    GYRO: re.compile(
+        r"gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|omega|delta_?ang|dtheta|(^|_)(w|g|as|rate|w_rs_s)\d*$"
+    ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
 }
-_TIME = re.compile(r"(^|_)(t|times?|time_?stamps?|stamp|seconds?|sec|time_boot|header_stamp)$")
+_TIME = re.compile(
+    r"(^|_)(t|times?|time_?stamps?|stamp|seconds?|sec|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
+    r"micros(econds)?|time_?startup|(sensor|chip|sys|system|gps|sample|date|utc)_?time(_?fine)?|sample_?time_?fine)$|"
+    r"^time_(since|elapsed|from)"
+)
+_TIME_WORDS = {"ms": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "micros": "us", "microseconds": "us"}
+_COUNTER = re.compile(
+    r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$"
+)
 _TEMPERATURE = re.compile(r"(^|_)(t|temp|temperature)(_(deg)?c)?$")
 
 _LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
@@ -27,31 +38,42 @@ _COUNTED = {"1": "x", "2": "y", "3": "z"}
 
 _UNITS: Mapping[str, Mapping[str, str]] = {
     ACCEL: {
-        "m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m s^-2": "m/s^2", "mps2": "m/s^2", "ms2": "m/s^2",
-        "m_s2": "m/s^2", "g": "g", "mg": "mg", "m/s": "m/s", "count": "count", "counts": "count", "lsb": "count",
-        "raw": "count", "v": "V",
+        "m/s2": "m/s^2", "ms-2": "m/s^2", "m/s/s": "m/s^2", "mps2": "m/s^2", "ms2": "m/s^2", "m_s2": "m/s^2",
+        "g": "g", "mg": "mg", "m/s": "m/s", "count": "count", "counts": "count", "lsb": "count", "raw": "count",
+        "adc": "count", "v": "V",
     },
     GYRO: {
-        "rad/s": "rad/s", "rad s^-1": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "radps": "rad/s", "deg/s": "deg/s",
-        "°/s": "deg/s", "deg s^-1": "deg/s", "dps": "deg/s", "deg_s": "deg/s", "degps": "deg/s", "deg/h": "deg/h",
-        "°/h": "deg/h", "dph": "deg/h", "rad": "rad", "deg": "deg", "arcsec": "arcsec", "count": "count",
-        "counts": "count", "lsb": "count", "raw": "count", "v": "V",
+        "rad/s": "rad/s", "rads-1": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "radps": "rad/s", "rps": "rad/s",
+        "deg/s": "deg/s", "°/s": "deg/s", "degs-1": "deg/s", "degree/s": "deg/s", "degrees/s": "deg/s", "dps": "deg/s",
+        "deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "deg/h": "deg/h", "°/h": "deg/h", "dph": "deg/h",
+        "mdps": "mdps", "mdeg/s": "mdps", "rad": "rad", "deg": "deg", "arcsec": "arcsec", "count": "count",
+        "counts": "count", "lsb": "count", "raw": "count", "adc": "count", "v": "V",
     },
     MAGNETOMETER: {"nt": "nT", "ut": "uT", "µt": "uT", "gauss": "gauss", "ga": "gauss"},
     TIME_KIND: {"s": "s", "sec": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"},
 }  # fmt: skip
 
 
+def _unit(text: str) -> str:
+    """A unit as `_UNITS` has it: `m·s⁻²`, `m/sec^2` and `m / s²` are ms-2, m/s2 and m/s2."""
+    out = re.sub(
+        r"(?<!arc)sec", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
+    )
+    return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Columns:
     """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
-    and the temperature. `others` are the names of triads of the same kinds that were not taken."""
+    the temperature, and a column that counts the samples. `others` are the names of triads of the same kinds that were
+    not taken."""
 
     time: str | None
     time_unit: str | None
     triads: Mapping[str, Sensors]
     temperature: str | None
     others: tuple[str, ...]
+    counter: str | None = None
 
 
 def columns_by_name(names: Iterable[str]) -> Columns:
@@ -67,14 +89,22 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         else:
             three = axes["x"], axes["y"], axes["z"]
             triads[kind] = Sensors(columns=three, unit=_UNITS[kind].get(_split(three[0])[1]))
-    time = next((name for name in names if name != "T" and _TIME.search("_".join(_split(name)[0]))), None)
+    taken = {column for triad in triads.values() for column in triad.columns}
+    free = [name for name in names if name and name not in taken]
+    time = next((name for name in free if name != "T" and _TIME.search("_".join(_split(name)[0]))), None)
     return Columns(
         time=time,
-        time_unit=None if time is None else _UNITS[TIME_KIND].get(_split(time)[1]),
+        time_unit=None if time is None else _time_unit(time),
+        counter=next((n for n in free if n != time and _COUNTER.search("_".join(_split(n)[0]))), None),
         triads=triads,
         temperature=next((n for n in names if n != time and _TEMPERATURE.search("_".join(_split(n)[0]))), None),
         others=tuple(others),
     )
+
+
+def _time_unit(name: str) -> str | None:
+    words, unit = _split(name)
+    return _UNITS[TIME_KIND].get(unit) or (_TIME_WORDS.get(words[-1]) if words else None)
 
 
 def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
@@ -108,9 +138,13 @@ def _axes(words: list[str]) -> list[tuple[str, str]]:
 def _split(name: str) -> tuple[list[str], str]:
     """The words of a name in small letters and its unit, if it has one: `AccX (m/s²)` is acc, x and m/s²; `gyr_x_dps`
     gyr, x and dps; `TimeUS` time and us; `gyro[0]` gyro and 0."""
+    name = in_english(name)
     bracketed = re.search(r"[\[(]\s*([^\])]*[^\])\d\s][^\])]*?)\s*[\])]", name)
     if bracketed:
-        return _words(name.replace(bracketed[0], "")), bracketed[1].lower()
+        return _words(name.replace(bracketed[0], " ")), _unit(bracketed[1])
+    behind = re.fullmatch(r"(.*\w)\s*(?:,\s*|\s/\s|\sin\s)([^,]+)", name)
+    if behind and _unit(behind[2]) in _ALL_UNITS:
+        return _words(behind[1]), _unit(behind[2])
     words = _words(name)
     for count in (2, 1):
         unit = "_".join(words[-count:])

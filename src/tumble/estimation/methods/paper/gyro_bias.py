@@ -1,4 +1,4 @@
-"""Gyro biases from rests, stage 3: four ways to compare what gyros read with the Earth's rate.
+"""Gyro biases from rests, stage 3: three ways to compare what gyros read with the Earth's rate.
 
 All of them take any leading axes: rates ω̂ and specific forces (..., N, 3) of N rests in the body frame,
 `earth_rate` (3,) Ω in N, U, E. Bias is the reading minus the true rate.
@@ -6,7 +6,6 @@ All of them take any leading axes: rates ω̂ and specific forces (..., N, 3) of
     vector          ω̂ − L̂ᵀΩ, L̂ by TRIAD                  Eq. (16); at the pole (17), vertical (18)
     scalar          (ω̂² − Ω²)/2Ω = û^Ω·δω                 after (12), (13)
     dot product     û·ω̂ − Ω sin B = û·δω                  not in the paper
-    two positions   half sums over a turn by 180°          after [12] of the paper
 
 What levels them is the accelerometers: an error δw of theirs leaves Ω cos B δw/g in every one.
 """
@@ -55,25 +54,6 @@ def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     without an azimuth. Not in the paper, where the scalar method has to take its place."""
     u = vertical(force)
     return _solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
-
-
-def two_position_bias(rates: Array, forces: Array, earth_rate: Array) -> Array:
-    """Bias (..., 3) by two-position gyrocompassing: half the sum of the rates (..., 2, 3) before and after a turn by
-    exactly 180° about the vertical, less Ω sin B times the levelled vertical. It holds for the horizontal gyros; a
-    turn by 180° + Δ leaves them ±½ Ω cos B Δ, which on a rough table is as large as the bias."""
-    return np.asarray(rates.mean(axis=-2) - earth_rate[1] * vertical(forces).mean(axis=-2))
-
-
-def turned_bias(rates: Array, forces: Array, C: Array, earth_rate: Array) -> Array:
-    """Bias (..., 3) by two-position gyrocompassing with the turn C (..., 3, 3) as the gyros integrated it, body after
-    it → body before it: (I − C) δω = ω̂₁ − C ω̂₂, and along the axis of the turn, where that says nothing, the
-    dot-product invariant. Not in the paper: it needs no exact 180°.
-
-    It is exact that ω₁ = C ω₂ in the non-rotating frame, since the Earth's rate is the axis of the Earth's turn."""
-    u = vertical(forces)
-    rows = np.concatenate([np.eye(3) - C, u], axis=-2)
-    turned = rates[..., 0, :] - (C @ rates[..., 1, :, None])[..., 0]
-    return _solved(rows, np.concatenate([turned, (u * rates).sum(axis=-1) - earth_rate[1]], axis=-1))
 
 
 def _solved(rows: Array, right: Array) -> Array:

@@ -11,9 +11,8 @@ A turn by Θ about the geographic unit vector n adds Eq. (6.2)
 
     Δψ = [Θ nnᵀ + sin Θ (I − nnᵀ) + (1 − cos Θ)[n×]] F n,   F = L₀ E L₀ᵀ,   E = S_G − I.
 
-`programme_matrix` says it for the programmed attitudes, Eq. (6.3); `logged_jacobian` for the turns as they were,
-from the logged rate, §6.6. The paper has the first and does not say in which directions it turns; they decide
-whether biases of the accelerometers pass for scale-factor errors of the gyros: `check_directions`.
+`programme_matrix` says it for the programmed attitudes, Eq. (6.3). The paper does not say in which directions it turns;
+they decide whether biases of the accelerometers pass for scale-factor errors of the gyros: `check_directions`.
 
 Arrays may have leading axes, for many launches at once. Columns of the gyros are k_x, k_y, k_z, γ_xy, γ_xz, γ_yx,
 γ_yz, γ_zx, γ_zy; of the accelerometers b_x, b_y, b_z (rad), k_x, k_y, k_z, γ_yx, γ_zx, γ_zy.
@@ -35,8 +34,6 @@ from tumble.estimation.methods.paper.accuracy_formulas import (
 )
 from tumble.estimation.methods.paper.levelling import carried, vertical
 from tumble.programme.positions import Programme
-from tumble.reduction.observations import Turns
-from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, Array
 
 GYRO_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
@@ -46,7 +43,6 @@ ACCEL_ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
 LEAK = 1e-6
 """Biases that enter scale factors with less than this coefficient cancel."""
 
-_TILT = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """What of ψ and of α the two rows y_N, y_E are."""
 
@@ -171,49 +167,3 @@ def horizontal_differences(
                 change = L[j + 1] @ f[..., t.last, :, None] - L[j] @ f[..., t.first, :, None]
                 rows.append((_LEVEL @ change)[..., 0])
     return np.concatenate(rows, axis=-1)
-
-
-def logged_jacobian(
-    course: Sequence[Series], attitude: Array, force: Array, rate: Array, turns: Turns, earth_rate: Array
-) -> Array:
-    """Derivatives (..., 2T, 21) of y with respect to b (rad), k, γ of the accelerometers and δω, k, γ of the gyros,
-    from the logged rate, §6.6: the sensitivities M and B of the turns as they were, with what the errors do to
-    the start of the series by TRIAD. `turns` may have leading axes before the turns.
-
-    It uses measured quantities, so that one pass errs in second order of the sensor errors, whatever the table did."""
-    rows = []
-    u = vertical(force)
-    accel = accelerometer_errors(u)
-    for series in course:
-        L = carried_attitudes(series, attitude, turns.C, turns.duration, earth_rate)
-        start = series[0].first
-        Ψ = _start_errors(L[0], accel[..., start, :, :], rate[..., start, :], earth_rate)
-        for j, t in enumerate(series):
-            turned = L[j] @ _turn_errors(turns, t.turn)
-            Φ = rotation_matrix(-earth_rate * float(turns.duration[t.turn]))
-            after = Φ @ (Ψ + turned)
-            if t.counts:
-                change = _TILT @ (after - Ψ)
-                change[..., :9] += _LEVEL @ (L[j + 1] @ accel[..., t.last, :, :] - L[j] @ accel[..., t.first, :, :])
-                rows.append(change)
-            Ψ = after
-    return np.concatenate(rows, axis=-2)
-
-
-def _start_errors(L: Array, accel: Array, rate: Array, earth_rate: Array) -> Array:
-    """Ψ (..., 3, 21) of TRIAD: ψ_N = −α_E, ψ_E = α_N, ψ_U = (L δω)_E/Ω_N − α_E tan B."""
-    Ω_N, Ω_U, _ = earth_rate
-    bias = np.broadcast_to(np.eye(3), (*rate.shape[:-1], 3, 3))
-    α = L @ accel
-    ω = L @ np.concatenate([bias, gyro_errors(rate)], axis=-1)
-    by_accel = np.stack([-α[..., 2, :], -α[..., 2, :] * Ω_U / Ω_N, α[..., 0, :]], axis=-2)
-    by_gyro = np.stack([np.zeros_like(ω[..., 2, :]), ω[..., 2, :] / Ω_N, np.zeros_like(ω[..., 2, :])], axis=-2)
-    return np.concatenate([by_accel, by_gyro], axis=-1)
-
-
-def _turn_errors(turns: Turns, k: int) -> Array:
-    """∫ C (E ω + δω) dt (..., 3, 21) in the body at the start of turn k: none from the accelerometers, then B for the
-    bias, then columns of M."""
-    B, M = turns.B[..., k, :, :], turns.M[..., k, :, :, :]
-    by_matrix = np.stack([M[..., :, p, q] for p, q in GYRO_ENTRIES], axis=-1)
-    return np.concatenate([np.zeros_like(by_matrix), B, by_matrix], axis=-1)

@@ -74,13 +74,6 @@ def angle_between(above: Array, below: Array, across: Array | float, gravity: Ar
     return np.asarray(np.abs(np.arccos(below / in_plane) - np.arccos(above / in_plane)))
 
 
-def angle_astride(left: Array, right: Array, across: Array | float, gravity: Array | float) -> Array:
-    """As `angle_between` for two sensing axes on either side of the vertical, which is best for φ > π/2: the sum of
-    the angles. The paper prints the difference only."""
-    in_plane = np.sqrt(gravity**2 - np.asarray(across) ** 2)
-    return np.asarray(np.arccos(left / in_plane) + np.arccos(right / in_plane))
-
-
 def axis_angles(between_xy: Array, between_xz: Array, between_yz: Array) -> Array:
     """Axis angles γ_yx, γ_zx, γ_zy (..., 3), rad, from the angles between the axes, Eq. (2) inverted, with the third
     line in full: the approximation beside it errs by γ_yx γ_zx."""

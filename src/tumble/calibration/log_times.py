@@ -1,0 +1,141 @@
+"""When the rows of a log were taken: its time column and unit, whether the stamps can be believed, or its rate.
+
+Stamps that repeat, bunch or jitter while the rows go on evenly are those of a slow clock or of a busy computer; the
+rows are then the better clock (`regular`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tumble.units import TIME_UNITS, Array
+
+ASSUMED_RATE = 100.0
+_RATES = 2.0, 20_000.0  # Hz, of a log
+_SHARE, _FREE = 2e-2, 3
+_JITTER = 0.25
+_UNEVEN = 3.0
+_RATE_IN_TEXT = re.compile(
+    r"(?:rate|frequency|freq|fs|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Times:
+    """Keys of [log] that say when rows were taken, what is said about it, the rate, Hz, and whether that is a guess."""
+
+    keys: dict[str, Any]
+    said: tuple[str, ...]
+    rate: float
+    guessed: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stamps:
+    """All time stamps of a log, as they are; `clock`: s, from times of day."""
+
+    column: str
+    values: Array
+    unit: str | None
+    clock: bool = False
+    ticks: float | None = field(default=None)
+    """Ticks per second, where a format says so."""
+
+
+def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
+    """The rate of a log without times: as given, as its text says, or a guess."""
+    if rate is not None:
+        return Times(keys={"rate_hz": rate}, said=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
+    for line in remarks:
+        found = _RATE_IN_TEXT.search(line)
+        if found and float(found[1].replace(",", ".")) >= _RATES[0]:
+            stated = float(found[1].replace(",", "."))
+            said = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
+            return Times(keys={"rate_hz": stated}, said=(said,), rate=stated)
+    said = (
+        f"no time column was found: rate_hz = {ASSUMED_RATE:g} is a guess, put the log's rate there (--rate); every "
+        "gyro scale factor depends on it"
+    )
+    return Times(keys={"rate_hz": ASSUMED_RATE}, said=(said,), rate=ASSUMED_RATE, guessed=True)
+
+
+def times_of_column(stamps: Stamps) -> Times | None:
+    """Unit and rate of a time column; None where it is none."""
+    values = stamps.values[np.isfinite(stamps.values)]
+    if len(values) < 3 or values[-1] <= values[0]:
+        return None
+    typical = _typical_step(values)
+    taken, how, sure = _unit(stamps, typical)
+    interval = typical * (1.0 if stamps.clock else TIME_UNITS[taken])
+    keys: dict[str, Any] = {"time": stamps.column}
+    if stamps.clock or taken != "s":
+        keys["time_unit"] = "iso8601" if stamps.clock else taken
+    uneven = _unevenness(values, typical)
+    said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
+    if uneven is None:
+        return Times(keys=keys, said=(f"{said}, {1.0 / interval:.6g} samples per second", *sure), rate=1.0 / interval)
+    if not _even(values):
+        more = f"time: {uneven}, and the rows are not equally spaced either: look at the log"
+        return Times(
+            keys=keys, said=(f"{said}, {1.0 / interval:.6g} samples per second", more, *sure), rate=1.0 / interval
+        )
+    slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
+    mean = float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken])
+    more = f"time: {uneven}, but the rows are equally spaced: regular = true, {1.0 / mean:.6g} samples per second"
+    return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean)
+
+
+def _typical_step(values: Array) -> float:
+    """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts."""
+    steps = np.diff(values)
+    median, mean = float(np.median(steps)), float((values[-1] - values[0]) / (len(values) - 1))
+    again = np.mean(steps <= 0.0)
+    burst = np.mean(steps < 0.5 * mean)
+    return mean if median <= 0.0 or again > _SHARE or burst > 0.3 else median
+
+
+def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
+    """The unit of time stamps, how it was found, and what is to be said where another is as likely."""
+    if stamps.clock:
+        return "s", "of a clock", ()
+    if stamps.unit is not None:
+        return stamps.unit, "by its name", ()
+    likely = [name for name, size in TIME_UNITS.items() if _RATES[0] <= 1.0 / (step * size) <= _RATES[1]]
+    usual = [name for name in likely if 10.0 <= 1.0 / (step * TIME_UNITS[name]) <= 2000.0] or likely
+    taken = usual[0] if usual else "s"
+    others = [f"{name}: {1.0 / (step * TIME_UNITS[name]):.4g} Hz" for name in likely if name != taken]
+    sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
+    return taken, "by its steps", sure
+
+
+def _unevenness(values: Array, typical: float) -> str | None:
+    """What is wrong with time stamps as a clock; None where they will do."""
+    steps = np.diff(values) / typical
+    few = _FREE + _SHARE * len(steps)
+    again, long = int(np.count_nonzero(steps <= 0.0)), int(np.count_nonzero(steps > 1.5))
+    if again > few:
+        return f"time stamps repeat ({again / len(steps):.0%} of them)"
+    jitter = float(1.4826 * np.median(np.abs(steps - np.median(steps))))
+    if long > few and np.mean(steps < 0.5) > _SHARE:
+        return "time stamps come in bursts" if np.mean(steps < 0.3) > 0.3 else "time stamps jitter"
+    return f"time stamps jitter by {jitter:.0%} of the interval" if jitter > _JITTER else None
+
+
+def _even(values: Array) -> bool:
+    """Whether rows are equally spaced: their stamps keep to a straight line, without steps, within what the worst delay
+    of a stamp explains."""
+    index = np.arange(len(values), dtype=float)
+    step = (values[-1] - values[0]) / (len(values) - 1)
+    late = (values - values[0]) / step - index
+    delay = float(np.max(np.diff(values)) / step)
+    window = max(10, int(4 * delay))
+    if len(values) < 3 * window:
+        return bool(np.ptp(late) <= 2.0 * delay + _UNEVEN)
+    blocks = late[: len(late) // window * window].reshape(-1, window).mean(axis=1)
+    return bool(np.ptp(late) <= 4.0 * delay + 2.0 * _UNEVEN and np.abs(np.diff(blocks)).max() <= delay + _UNEVEN)

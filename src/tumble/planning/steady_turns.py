@@ -1,0 +1,95 @@
+"""Moments of turns at a constant rate about an axis fixed in inertial space, as perfect sensors give them.
+
+With v the rotation vector of a turn in the body at its start, ω = v/T, L₀ the attitude there and Ω the Earth's rate,
+
+    C(t) = exp([ω×]t),   f(t) = g C(t)ᵀ L₀ᵀ exp([Ω×]t) e_U
+
+Everything is smooth in t but |f_p|: Gauss–Legendre sums over the whole turn are exact to rounding for turns up to a
+revolution, and right to some 1e-3 for |f_p|. The integrals ∫ Φ × dV of `tumble.reduction.moments` are, in another
+order,
+
+    Ψ_jb = ∫ C_j β_b × (V(T) − V(t)) dt
+
+and the velocity V(t) at the nodes comes from the integrals of the polynomials through them.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from tumble.earth import earth_rate
+from tumble.planning.setup import Setup
+from tumble.reduction.moments import REGRESSORS, Moments, OwnAxes
+from tumble.rotation import rotation_matrix, skew
+from tumble.sensors.parameters import PAIRS
+from tumble.units import Array
+
+NODES = 24
+_FIRST, _SECOND = np.array(PAIRS).T
+_LINEAR = 7
+"""Functions β that are no products."""
+
+
+@cache
+def _gauss() -> tuple[Array, Array, Array]:
+    """Nodes and weights on 0…1, and the integrals (NODES, NODES) from each node to 1 of the polynomials that are 1
+    at one node and 0 at the others."""
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    values = np.polynomial.legendre.legvander(nodes, NODES)
+    coefficients = (values[:, :-1] * weights[:, None] * (np.arange(NODES) + 0.5)).T  # of each cardinal polynomial
+    degree = np.arange(1, NODES)
+    # ∫_x^1 P_n = (P_{n−1}(x) − P_{n+1}(x)) / (2n + 1),  ∫_x^1 P_0 = 1 − x
+    to_end = np.empty((NODES, NODES))
+    to_end[:, 0] = 1.0 - nodes
+    to_end[:, 1:] = (values[:, degree - 1] - values[:, degree + 1]) / (2.0 * degree + 1.0)
+    return 0.5 * (nodes + 1.0), 0.5 * weights, 0.5 * to_end @ coefficients
+
+
+def steady_moments(vector: Array, T: Array, start: Array, setup: Setup, own: OwnAxes) -> Moments:
+    """Moments of turns through rotation vectors (K, 3), body, inertial, in T (K,) s from attitudes (K, 3, 3)."""
+    K = len(T)
+    nodes, weights, to_end = _gauss()
+    C = rotation_matrix(nodes[None, :, None] * vector[:, None])
+    earth = np.array(earth_rate(setup.latitude))
+    up = rotation_matrix(nodes[None, :, None] * (T[:, None] * earth)[:, None])[..., 1]
+    force = setup.gravity * np.einsum("knij,kni->knj", C, np.einsum("kji,knj->kni", start, up))
+    rate = np.broadcast_to((vector / T[:, None])[:, None], force.shape)
+    felt = np.einsum("knij,knj->kni", C, force)
+    dt = weights * T[:, None]
+    beta = np.concatenate([np.ones((K, NODES, 1)), rate, force, force[..., _FIRST] * force[..., _SECOND]], axis=2)
+    of_gyro, of_accel = np.abs(rate @ own.gyro.T), force @ own.accel.T
+    own_accel = np.concatenate([np.abs(of_accel), of_accel**3], axis=2)
+    squares = rate[..., _FIRST] * rate[..., _SECOND]
+    to_go = T[:, None, None] * np.einsum("nm,kmi->kni", to_end, felt)  # V(T) − V(t)
+    crossed = -skew(to_go) @ C
+    V = np.einsum("kn,kni->ki", dt, felt)
+    m = len(own.accel)
+    ends = np.concatenate([np.zeros((K, 3)), np.ones((K, 1))], axis=1)
+    first, last = ends.copy(), ends.copy()
+    first[:, :3], last[:, :3] = force[:, 0], force[:, -1]
+    return Moments(
+        C=rotation_matrix(vector),
+        V=V,
+        Phi=_sums(dt, C, beta),
+        Psi=_sums(dt, crossed, beta[..., :_LINEAR]),
+        W=_sums(dt, C, squares),
+        sweep=_sums(dt, C @ skew(rate), force),
+        Phi_gyro=_sums(dt, C, of_gyro),
+        Psi_gyro=_sums(dt, crossed, of_gyro),
+        Phi_accel=_sums(dt, C, own_accel).reshape(K, 3, 3, 2, m),
+        body=np.einsum("kn,knb->kb", dt, beta).reshape(K, REGRESSORS),
+        body_rates=np.einsum("kn,knb->kb", dt, squares),
+        body_gyro=np.einsum("kn,knb->kb", dt, of_gyro),
+        body_accel=np.einsum("kn,knb->kb", dt, own_accel).reshape(K, 2, m),
+        jumps=np.zeros(K),
+        head=first,
+        tail=last,
+    )
+
+
+def _sums(dt: Array, matrices: Array, functions: Array) -> Array:
+    """∫ M_ij β_b dt (K, 3, 3, R) of matrices (K, n, 3, 3) and functions (K, n, R) at the nodes."""
+    flat = (matrices * dt[:, :, None, None]).reshape(*dt.shape, 9)
+    return np.asarray((flat.swapaxes(1, 2) @ functions).reshape(len(dt), 3, 3, -1))

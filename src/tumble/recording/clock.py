@@ -1,0 +1,33 @@
+"""Times of day and dates as seconds: ISO 8601, 31.12.2025 23:59:59,5 and 23:59:59.5."""
+
+from __future__ import annotations
+
+import polars as pl
+
+_DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[-./](\d{4}))"
+_TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
+_DAY = 86400
+
+
+def day_of(text: str) -> int:
+    """The day of a text's date, counted from 1970-01-01; 0 without a date."""
+    return int(_days(pl.Series([text], dtype=pl.String)).fill_null(0)[0])
+
+
+def seconds_of(text: pl.Series, day: int) -> pl.Series:
+    """Seconds since midnight of a day (`day_of`); null where the text is no time."""
+    parts = {k: text.str.extract(_TIME, k) for k in range(1, 6)}
+    whole = [parts[k].cast(pl.Float64, strict=False) for k in (1, 2)]
+    second = parts[3].fill_null("0") + "." + parts[4].fill_null("0")
+    zone = parts[5].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
+    east = zone.sign() * (zone.abs() // 100 * 60 + zone.abs() % 100) * 60
+    days = (_days(text).fill_null(day) - day) * _DAY
+    return (days - east) + whole[0] * 3600 + whole[1] * 60 + second.cast(pl.Float64, strict=False)
+
+
+def _days(text: pl.Series) -> pl.Series:
+    """Days since 1970-01-01; null without a date."""
+    found = [text.str.extract(_DATE, k) for k in range(1, 7)]
+    year, month, day = (found[i].zip_with(found[i].is_not_null(), found[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
+    written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
+    return written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)

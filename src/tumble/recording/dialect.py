@@ -1,0 +1,252 @@
+"""Text logs as instruments, phones and laboratories write them: what stands between the numbers, and where they begin.
+
+`Dialect` is what session.toml says of a text log (`delimiter`, `decimal`, `comment`, `header`, `encoding`);
+`dialect_of` finds it in the first lines of a file. `Top` is what stands above the first row of numbers: the names of
+the columns are in the last line there that has as many of them as the rows have numbers; a line of units below it
+belongs to the names.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+LINE_BYTES = 1 << 20
+BLANKS = " "
+"""The delimiter that stands for one or more blanks or tabs."""
+
+DELIMITERS = (",", ";", "\t", "|", BLANKS)
+COMMENTS = ("#", "//", "%", "!", ";", "*")
+
+_TOP_LINES = 2000
+_SEEN_BYTES = 1 << 18
+_LEAST_NUMBERS = 3
+_GUESSED_ENCODINGS = ("cp1251", "gb18030")
+_BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+
+_POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
+_COMMA = re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
+_CLOCK = re.compile(
+    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
+)
+_UNIT_CELL = re.compile(r"[\[(]?\s*[\w°µμ²/^*·%⋅. -]{0,12}\s*[\])]?")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Dialect:
+    """How a text log is written; the default is a CSV file with its names in the first line."""
+
+    delimiter: str = ","
+    decimal: str = "."
+    comment: str | None = None
+    header: bool = True
+    encoding: str = "utf-8"
+
+    def cells(self, line: str) -> list[str]:
+        """What stands in a line, without blanks about it. A line that is no CSV is one cell."""
+        if self.delimiter == BLANKS:
+            return line.split()
+        try:
+            return [cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter), [])]
+        except csv.Error:
+            return [line]
+
+    def is_number(self, cell: str) -> bool:
+        """Whether a cell is a number with the decimal mark of the dialect."""
+        return bool((_POINT if self.decimal == "." else _COMMA).fullmatch(cell))
+
+    def is_comment(self, line: str) -> bool:
+        """Whether a line begins with the mark of comments."""
+        return self.comment is not None and line.lstrip().startswith(self.comment)
+
+    def is_row(self, cells: Sequence[str]) -> bool:
+        """Whether cells are a row of numbers: at least three, and as many as everything else."""
+        numbers = sum(map(self.is_number, cells))
+        return numbers >= _LEAST_NUMBERS and 2 * (numbers + sum(map(is_clock, cells))) >= sum(map(bool, cells))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Top:
+    """The names of the columns, how many lines stand above the first row of numbers, and those of them that are
+    neither names nor units."""
+
+    names: tuple[str, ...]
+    lines: int
+    remarks: tuple[str, ...] = ()
+
+
+def is_clock(cell: str) -> bool:
+    """Whether a cell is a time of day or a date with one."""
+    return ":" in cell and bool(_CLOCK.fullmatch(cell))
+
+
+class Recoded(io.BufferedIOBase):
+    """A stream of another encoding as one of UTF-8."""
+
+    def __init__(self, stream: io.BufferedIOBase, encoding: str) -> None:
+        self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        return self._text.read(size).encode("utf-8", errors="replace")
+
+    def readline(self, size: int | None = -1, /) -> bytes:
+        return self._text.readline(-1 if size is None else size).encode("utf-8", errors="replace")
+
+    def close(self) -> None:
+        self._text.close()
+        super().close()
+
+
+# -------------------- what stands above the numbers --------------------
+
+
+def top_of(lines: Sequence[str], dialect: Dialect) -> Top | None:
+    """What stands above the first row of numbers in the first lines of a file; None where no such row is."""
+    cells = [dialect.cells(line) for line in lines]
+    first = _first_row(lines, cells, dialect)
+    if first is None:
+        return None
+    widths = [len(c) for line, c in zip(lines[first:], cells[first:], strict=True) if dialect.is_row(c)]
+    width = Counter(widths).most_common(1)[0][0]
+    if not dialect.header:
+        return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
+    above = [(i, _uncommented(line, dialect)) for i, line in enumerate(lines[:first])]
+    named = [(i, n) for i, line in reversed(above) if (n := _names(dialect.cells(line), width, dialect)) is not None]
+    if not named:
+        return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
+    at, names = named[0]
+    used = {at}
+    if len(named) > 1 and named[1][0] == at - 1 and _are_units(names):
+        at, names = (
+            at - 1,
+            tuple(f"{name} [{unit.strip('[]() ')}]" for name, unit in zip(named[1][1], names, strict=True)),
+        )
+        names = tuple(name.removesuffix(" []") for name in names)
+        used.add(at)
+    rest = [line for i, line in enumerate(lines[:first]) if i not in used]
+    return Top(names=names, lines=first, remarks=_said(rest, dialect))
+
+
+def _first_row(lines: Sequence[str], cells: Sequence[Sequence[str]], dialect: Dialect) -> int | None:
+    """The first row of numbers that the next row is as wide as, or that nothing follows."""
+    rows = [i for i, c in enumerate(cells) if not dialect.is_comment(lines[i]) and dialect.is_row(c)]
+    for i, following in zip(rows, [*rows[1:], None], strict=True):
+        if following is None or len(cells[i]) == len(cells[following]):
+            return i
+    return None
+
+
+def _uncommented(line: str, dialect: Dialect) -> str:
+    if dialect.comment is None or not dialect.is_comment(line):
+        return line
+    return line.lstrip().lstrip(dialect.comment)
+
+
+def _names(cells: Sequence[str], width: int, dialect: Dialect) -> tuple[str, ...] | None:
+    """The names in a line, as many as there are columns; None where it has none."""
+    cells = [cell.strip().strip('"') for cell in cells]
+    while len(cells) > width and not cells[-1]:
+        cells = cells[:-1]
+    if (
+        not width - 1 <= len(cells) <= width
+        or not all(cells[: min(2, width)])
+        or sum(map(bool, cells)) < _LEAST_NUMBERS
+    ):
+        return None
+    if sum(map(dialect.is_number, cells)) > len(cells) // 2:
+        return None
+    return (*cells, *[""] * (width - len(cells)))
+
+
+_UNIT_WORDS = re.compile(
+    r"s|sec|seconds?|ms|us|µs|μs|ns|g|mg|m/s/s|m/s\W?[2²]?|m\W?s\W{0,3}[2²]|rad|rad/s(ec)?|deg|deg/s(ec)?|dps|mdps|°/s|°/h|°|"
+    r"deg/h|lsb|counts?|raw|°?c|degc|ut|µt|μt|nt|gauss|-|1|#|hz|v|м/с\W?[2²]?|рад/с|град/с|°/с|с|мс|мкс|hpa|pa|k|%",
+    re.IGNORECASE,
+)
+
+
+def _are_units(names: Sequence[str]) -> bool:
+    """Whether all that stands in a line are units."""
+    return all(not name or _UNIT_WORDS.fullmatch(name.strip("[]() ")) for name in names)
+
+
+def _said(lines: Sequence[str], dialect: Dialect) -> tuple[str, ...]:
+    return tuple(text for line in lines if (text := " ".join(_uncommented(line, dialect).split())))
+
+
+def head_lines(stream: io.BufferedIOBase) -> list[str]:
+    """The first lines of a stream, whole and without their ends."""
+    seen = stream.read(_SEEN_BYTES)
+    text = seen.decode("utf-8", errors="replace").removeprefix("\ufeff")
+    lines = text.split("\n")
+    if len(seen) == _SEEN_BYTES and len(lines) > 1:
+        lines = lines[:-1]
+    return [line.rstrip("\r") for line in lines[:_TOP_LINES]]
+
+
+# -------------------- which dialect --------------------
+
+
+def encoding_of(seen: bytes) -> str:
+    """The encoding of text by its first bytes."""
+    for bom, name in _BOMS.items():
+        if seen.startswith(bom):
+            return name
+    zeros = [seen[k:4096:2].count(0) for k in (0, 1)]
+    if max(zeros) > len(seen[:4096]) // 4:
+        return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
+    if _decodes(seen, "utf-8"):
+        return "utf-8"
+    return next((name for name in _GUESSED_ENCODINGS if _decodes(seen, name) and _in_words(seen, name)), "latin-1")
+
+
+def _decodes(seen: bytes, encoding: str) -> bool:
+    try:
+        codecs.getincrementaldecoder(encoding)().decode(seen)
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _in_words(seen: bytes, encoding: str) -> bool:
+    """Whether text has words of the letters that an encoding is for: a degree sign alone is Latin."""
+    text = seen.decode(encoding, errors="replace")
+    return bool(re.search("[а-яё]{3}" if encoding == "cp1251" else "[\u4e00-\u9fff]{2}", text))
+
+
+def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
+    """How a text log is written, by its first bytes, and what stands above its numbers; None where it has no rows of
+    numbers."""
+    encoding = encoding_of(seen)
+    text = seen.decode(encoding, errors="replace").removeprefix("\ufeff")
+    lines = [line.rstrip("\r") for line in text.split("\n")]
+    lines = (lines[:-1] if len(lines) > 1 else lines)[:_TOP_LINES]
+    comment = _comment(lines)
+    best: tuple[int, Dialect] | None = None
+    for delimiter in DELIMITERS:
+        for decimal in (".", ","):
+            mark = comment if comment != delimiter else None
+            trial = Dialect(delimiter=delimiter, decimal=decimal, comment=mark, encoding=encoding)
+            rows = Counter(len(c) for line in lines if trial.is_row(c := trial.cells(line)))
+            count = max(rows.values(), default=0)
+            if count and (best is None or count > best[0]):
+                best = count, trial
+    if best is None:
+        return None
+    dialect = best[1]
+    top = top_of(lines, dialect)
+    if top is None:
+        return None
+    named = any(not name.isdecimal() for name in top.names)
+    return replace(dialect, header=named), top
+
+
+def _comment(lines: Sequence[str]) -> str | None:
+    """The mark with which lines begin that are no rows; None where there are none."""
+    counted = Counter(mark for line in lines for mark in COMMENTS if line.lstrip().startswith(mark))
+    return counted.most_common(1)[0][0] if counted else None

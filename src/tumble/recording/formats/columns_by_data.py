@@ -1,0 +1,86 @@
+"""What columns without telling names are, by their numbers.
+
+Where the body rests, accelerometers read a vector of one length in many directions, and gyros one and the same small
+vector. So of three columns side by side the means over quiet stretches spread as far as the readings themselves for
+accelerometers, and hardly at all for gyros. A time grows from row to row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tumble.recording.formats.columns import ACCEL, GYRO, Columns
+from tumble.recording.formats.message import Sensors
+from tumble.units import Array, BoolArray
+
+_BLOCK = 25
+_QUIET_SHARE = 0.4
+_SAME_LENGTH = 0.15
+_STEADY = 0.25
+_FEWEST_ROWS = 200
+
+
+def columns_by_data(names: Sequence[str], read: Array) -> Columns:
+    """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers."""
+    time = next((j for j in range(len(names)) if _grows(read[:, j])), None)
+    numbers = [
+        j for j in range(len(names)) if j != time and np.isfinite(read[:, j]).mean() > 0.5 and np.ptp(read[:, j]) > 0
+    ]
+    runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
+    triads: dict[str, Sensors] = {}
+    if len(read) >= _FEWEST_ROWS:
+        quiet = _quiet(read[:, numbers])
+        used: set[int] = set()
+        for run in runs:
+            kind = None if used & set(run) else _kind(read[:, run], quiet)
+            if kind is not None and kind not in triads:
+                x, y, z = (names[j] for j in run)
+                triads[kind] = Sensors(columns=(x, y, z), unit=None)
+                used |= set(run)
+    return Columns(
+        time=None if time is None else names[time], time_unit=None, triads=triads, temperature=None, others=()
+    )
+
+
+def _grows(column: Array) -> bool:
+    """Whether a column is a time: it hardly ever falls, and grows at an even pace."""
+    steps = np.diff(column[np.isfinite(column)])
+    if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < 0.02:
+        return False
+    r = np.corrcoef(np.arange(len(steps) + 1), np.concatenate([[0.0], np.cumsum(steps)]))[0, 1]
+    return bool(r > 0.95)
+
+
+def _means(columns: Array) -> tuple[Array, Array]:
+    """Means and scatters of blocks of rows."""
+    blocks = columns[: len(columns) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, columns.shape[1])
+    with np.errstate(invalid="ignore"):
+        return blocks.mean(axis=1), blocks.std(axis=1)
+
+
+def _quiet(columns: Array) -> BoolArray:
+    """The blocks of rows in which all columns scatter least."""
+    _, scatter = _means(columns)
+    size = np.nanmedian(scatter, axis=0)
+    largest = np.nanmax(scatter / np.where(size > 0.0, size, 1.0), axis=1)
+    return np.asarray(largest <= np.nanquantile(largest, _QUIET_SHARE))
+
+
+def _kind(columns: Array, quiet: BoolArray) -> str | None:
+    """What three columns side by side are."""
+    means = _means(columns)[0][quiet]
+    means = means[np.isfinite(means).all(axis=1)]
+    everything = columns[np.isfinite(columns).all(axis=1)]
+    spread = np.linalg.norm(means.std(axis=0))
+    if spread < _STEADY * np.linalg.norm(everything.std(axis=0)):
+        return GYRO
+    length = np.linalg.norm(means - _centre(means), axis=1)
+    return ACCEL if length.std() < _SAME_LENGTH * length.mean() else None
+
+
+def _centre(means: Array) -> Array:
+    """Centre (3,) of the sphere through points (m, 3)."""
+    rows = np.column_stack([2.0 * means, np.ones(len(means))])
+    return np.asarray(np.linalg.lstsq(rows, (means**2).sum(axis=1), rcond=None)[0][:3])

@@ -1,0 +1,97 @@
+"""Variants of the paper's methods that published figures are checked with, and that no command uses: the indirect
+method with the logged Jacobian (§6.6 of the turntable method), gyro biases from two positions, and the angle between
+two axes astride the vertical."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tumble.estimation.methods.paper.indirect import (
+    _LEVEL,
+    GYRO_ENTRIES,
+    Series,
+    accelerometer_errors,
+    carried_attitudes,
+    gyro_errors,
+)
+from tumble.estimation.methods.paper.levelling import vertical
+from tumble.reduction.observations import Turns
+from tumble.rotation import rotation_matrix
+from tumble.units import Array
+
+_TILT = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+def logged_jacobian(
+    course: Sequence[Series], attitude: Array, force: Array, rate: Array, turns: Turns, earth_rate: Array
+) -> Array:
+    """Derivatives (..., 2T, 21) of y with respect to b (rad), k, γ of the accelerometers and δω, k, γ of the gyros,
+    from the logged rate, §6.6: the sensitivities M and B of the turns as they were, with what the errors do to
+    the start of the series by TRIAD. `turns` may have leading axes before the turns.
+
+    It uses measured quantities, so that one pass errs in second order of the sensor errors, whatever the table did."""
+    rows = []
+    u = vertical(force)
+    accel = accelerometer_errors(u)
+    for series in course:
+        L = carried_attitudes(series, attitude, turns.C, turns.duration, earth_rate)
+        start = series[0].first
+        Ψ = _start_errors(L[0], accel[..., start, :, :], rate[..., start, :], earth_rate)
+        for j, t in enumerate(series):
+            turned = L[j] @ _turn_errors(turns, t.turn)
+            Φ = rotation_matrix(-earth_rate * float(turns.duration[t.turn]))
+            after = Φ @ (Ψ + turned)
+            if t.counts:
+                change = _TILT @ (after - Ψ)
+                change[..., :9] += _LEVEL @ (L[j + 1] @ accel[..., t.last, :, :] - L[j] @ accel[..., t.first, :, :])
+                rows.append(change)
+            Ψ = after
+    return np.concatenate(rows, axis=-2)
+
+
+def _start_errors(L: Array, accel: Array, rate: Array, earth_rate: Array) -> Array:
+    """Ψ (..., 3, 21) of TRIAD: ψ_N = −α_E, ψ_E = α_N, ψ_U = (L δω)_E/Ω_N − α_E tan B."""
+    Ω_N, Ω_U, _ = earth_rate
+    bias = np.broadcast_to(np.eye(3), (*rate.shape[:-1], 3, 3))
+    α = L @ accel
+    ω = L @ np.concatenate([bias, gyro_errors(rate)], axis=-1)
+    by_accel = np.stack([-α[..., 2, :], -α[..., 2, :] * Ω_U / Ω_N, α[..., 0, :]], axis=-2)
+    by_gyro = np.stack([np.zeros_like(ω[..., 2, :]), ω[..., 2, :] / Ω_N, np.zeros_like(ω[..., 2, :])], axis=-2)
+    return np.concatenate([by_accel, by_gyro], axis=-1)
+
+
+def _turn_errors(turns: Turns, k: int) -> Array:
+    """∫ C (E ω + δω) dt (..., 3, 21) in the body at the start of turn k: none from the accelerometers, then B for the
+    bias, then columns of M."""
+    B, M = turns.B[..., k, :, :], turns.M[..., k, :, :, :]
+    by_matrix = np.stack([M[..., :, p, q] for p, q in GYRO_ENTRIES], axis=-1)
+    return np.concatenate([np.zeros_like(by_matrix), B, by_matrix], axis=-1)
+
+
+def angle_astride(left: Array, right: Array, across: Array | float, gravity: Array | float) -> Array:
+    """As `angle_between` for two sensing axes on either side of the vertical, which is best for φ > π/2: the sum of
+    the angles. The paper prints the difference only."""
+    in_plane = np.sqrt(gravity**2 - np.asarray(across) ** 2)
+    return np.asarray(np.arccos(left / in_plane) + np.arccos(right / in_plane))
+
+
+def two_position_bias(rates: Array, forces: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) by two-position gyrocompassing: half the sum of the rates (..., 2, 3) before and after a turn by
+    exactly 180° about the vertical, less Ω sin B times the levelled vertical. It holds for the horizontal gyros; a
+    turn by 180° + Δ leaves them ±½ Ω cos B Δ, which on a rough table is as large as the bias."""
+    return np.asarray(rates.mean(axis=-2) - earth_rate[1] * vertical(forces).mean(axis=-2))
+
+
+def turned_bias(rates: Array, forces: Array, C: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) by two-position gyrocompassing with the turn C (..., 3, 3) as the gyros integrated it, body after
+    it → body before it: (I − C) δω = ω̂₁ − C ω̂₂, and along the axis of the turn, where that says nothing, the
+    dot-product invariant. Not in the paper: it needs no exact 180°.
+
+    It is exact that ω₁ = C ω₂ in the non-rotating frame, since the Earth's rate is the axis of the Earth's turn."""
+    u = vertical(forces)
+    rows = np.concatenate([np.eye(3) - C, u], axis=-2)
+    turned = rates[..., 0, :] - (C @ rates[..., 1, :, None])[..., 0]
+    right = np.concatenate([turned, (u * rates).sum(axis=-1) - earth_rate[1]], axis=-1)
+    return np.asarray((np.linalg.pinv(rows) @ right[..., None])[..., 0])

@@ -1,0 +1,267 @@
+"""Text logs in the dialects of the world: each through `tumble new` and `calibrate` without editing, to the result of
+the clean file within its u."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+from corpus import dialects as d
+from corpus.dialects import Case
+
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.cli import main
+from tumble.planning.setup import Setup
+from tumble.recording.session import Channels, read_session
+from tumble.sensors.model import SensorModel
+from tumble.simulation.session import simulate_session
+from tumble.units import DEGREE, G_STANDARD, Array
+
+LATITUDE = "56.84"
+DEG = 1.0 / DEGREE
+G = 1.0 / G_STANDARD
+WORDS = ("--latitude", LATITUDE, "--serial", "mems-3")
+PHYPHOX = ["Time (s)", *(f"Acceleration {a} (m/s^2)" for a in "xyz"), *(f"Gyroscope {a} (rad/s)" for a in "xyz")]
+WIT = ["Time(s)", *(f"Acc{a}(g)" for a in "XYZ"), *(f"As{a}(deg/s)" for a in "XYZ")]
+WIT_CN = ["时间(秒)", *(f"加速度{a}(g)" for a in "XYZ"), *(f"角速度{a}(°/s)" for a in "XYZ")]
+VECTORNAV = ["TimeStartup [ns]", *(f"Accel{a} [m/s^2]" for a in "XYZ"), *(f"Gyro{a} [rad/s]" for a in "XYZ")]
+SBG = [
+    "Time since reset (us)",
+    *(f"Accelerometer {a} (m.s^-2)" for a in "XYZ"),
+    *(f"Gyroscope {a} (rad.s^-1)" for a in "XYZ"),
+]
+OPENAXES = ["TIMESTAMP", *(f"ACCELEROMETER_{a}" for a in "XYZ"), *(f"GYROSCOPE_{a}" for a in "XYZ")]
+GERMAN = ["Zeit [s]", *(f"Beschleunigung {a} [m/s²]" for a in "XYZ"), *(f"Drehrate {a} [°/s]" for a in "XYZ")]
+RUSSIAN = ["Время, с", *(f"Ускорение {a}, м/с^2" for a in "XYZ"), *(f"Угловая скорость {a}, град/с" for a in "XYZ")]
+UKRAINIAN = [
+    "Час (мс)",
+    *(f"Прискорення по осі {a} (м/с^2)" for a in "XYZ"),
+    *(f"Кутова швидкість по осі {a} (рад/с)" for a in "XYZ"),
+]
+CHINESE = ["时间(s)", *(f"加速度计{a}" for a in "XYZ"), *(f"陀螺仪{a}" for a in "XYZ")]
+ST = ["Time [us]", *(f"A_{a} [mg]" for a in "XYZ"), *(f"G_{a} [mdps]" for a in "XYZ")]
+MATLAB_MOBILE = ["Timestamp", *(f"accelerometer{a}" for a in "XYZ"), *(f"gyroscope{a}" for a in "XYZ")]
+AVR = ["millis", *d.NAMES[1:]]
+MPU = (16384.0 * G, 131.0 * DEG)
+GOOD = "50 samples per second"
+
+CASES: dict[str, Case] = {
+    # how it is written
+    "plain": Case(write=d.plain, said=(GOOD,)),
+    "semicolons": Case(write=d.with_delimiter(";"), said=("semicolons",)),
+    "tabs": Case(write=d.with_delimiter("\t", ".dat"), said=("tabs",)),
+    "blanks": Case(write=d.with_delimiter("   ", ".asc"), said=("blanks",)),
+    "bars": Case(write=d.with_delimiter("|", ""), said=("bars",)),
+    "decimal comma, semicolons": Case(write=d.decimal_comma(";"), said=("decimal commas",)),
+    "decimal comma, tabs": Case(write=d.decimal_comma("\t"), said=("decimal commas",)),
+    "decimal comma, blanks": Case(write=d.decimal_comma("  "), said=("decimal commas",)),
+    "comments": Case(write=d.named(d.NAMES, above="# device: imu\n# firmware 1.2\n"), said=("lines above",)),
+    "names in a comment": Case(write=d.named(["# t", *d.NAMES[1:]], delimiter=" ", file="np.txt")),
+    "a line of units": Case(write=d.named(d.NAMES, delimiter=";"), said=("semicolons",)),
+    "no names": Case(write=d.without_names, said=("columns without names", "by their numbers (a guess)")),
+    "utf-16": Case(write=d.named(d.NAMES, encoding="utf-16", delimiter="\t"), said=("utf-16",)),
+    "latin-1": Case(
+        write=d.named(GERMAN, gyro=DEG, encoding="latin-1", delimiter=";"),
+        said=("latin-1",),
+        worth=(1.0, DEG),
+    ),
+    "byte order mark": Case(write=d.named(d.NAMES, encoding="utf-8-sig"), said=(GOOD,)),
+    "compressed": Case(write=d.compressed, said=("semicolons",)),
+    # who writes it
+    "phyphox": Case(write=d.named(PHYPHOX), said=("m/s^2 (from the name", "rad/s (from the name")),
+    "phone, a file a sensor": Case(write=d.phone, said=("one log at the times of the gyros",)),
+    "MATLAB Mobile": Case(write=d.named(MATLAB_MOBILE)),
+    "WitMotion": Case(
+        write=d.named(WIT, accel=G, gyro=DEG, delimiter="\t", file="wit.txt"),
+        said=("in g (from",),
+        worth=(G, DEG),
+    ),
+    "WitMotion, Chinese": Case(
+        write=d.named(WIT_CN, accel=G, gyro=DEG),
+        said=("in deg/s (from the name",),
+        worth=(G, DEG),
+    ),
+    "VectorNav": Case(write=d.named(VECTORNAV, time=1e9), said=("in ns (by its name)",)),
+    "Xsens MT Manager": Case(write=d.xsens, said=("ticks of 0.0001 s", GOOD)),
+    "Movella DOT": Case(
+        write=d.movella_dot,
+        said=("in us (by its steps)", "gyros: in deg/s, not rad/s"),
+        worth=(1.0, DEG),
+    ),
+    "SBG": Case(write=d.named(SBG, time=1e6), said=("in us (by its name)",)),
+    "OpenAXES": Case(write=d.named(OPENAXES, gyro=DEG, time=1e3), said=("in ms",), worth=(1.0, DEG)),
+    "Arduino, AVR": Case(
+        write=d.raw(16384.0, 131.0, names=AVR),
+        said=("16384 counts per g", "131", "counts per deg/s"),
+        worth=(16384.0 * G, 131.0 * DEG),
+    ),
+    "Arduino monitor": Case(write=d.arduino, said=("3 lines above",)),
+    "German": Case(
+        write=d.named(GERMAN, gyro=DEG),
+        said=("m/s^2 (from the name", "deg/s (from the name"),
+        worth=(1.0, DEG),
+    ),
+    "Russian, cp1251": Case(
+        write=d.named(RUSSIAN, gyro=DEG, delimiter=";", encoding="cp1251"),
+        said=("cp1251",),
+        worth=(1.0, DEG),
+    ),
+    "Ukrainian": Case(write=d.named(UKRAINIAN, time=1e3, delimiter=";"), said=("in ms (by its name)",)),
+    "Chinese, gb18030": Case(write=d.named(CHINESE, encoding="gb18030"), said=("gb18030",)),
+    # units and counts
+    "mg and mdps": Case(
+        write=d.named(ST, accel=1e3 * G, gyro=1e3 * DEG, time=1e6, digits=9),
+        said=("thousandths",),
+        worth=(1e3 * G, 1e3 * DEG),
+    ),
+    "g and deg/s without a word": Case(
+        write=d.named(d.NAMES, accel=G, gyro=DEG),
+        said=("deg/s, not rad/s",),
+        worth=(G, DEG),
+    ),
+    "counts of 2 g and 250 deg/s": Case(
+        write=d.raw(16384.0, 131.0),
+        said=("16384 counts", "131"),
+        worth=(16384.0 * G, 131.0 * DEG),
+    ),
+    "counts of 8 g and 500 deg/s": Case(
+        write=d.raw(4096.0, 65.5),
+        said=("4096 counts", "65.5"),
+        worth=(4096.0 * G, 65.5 * DEG),
+    ),
+    "counts of 16 g and 2000 deg/s": Case(
+        write=d.raw(2048.0, 16.4),
+        said=("2048 counts", "16.4"),
+        within=2.0,
+        worth=(2048.0 * G, 16.4 * DEG),
+    ),
+    "counts of 70 mdps": Case(
+        write=d.raw(1e3 / 0.732, 1e3 / 70.0),
+        said=("1366", "14.28"),
+        within=2.0,
+        worth=(1e3 / 0.732 * G, 1e3 / 70.0 * DEG),
+    ),
+    "counts about 32768": Case(
+        write=d.raw(8192.0, 114.286, offset=32768),
+        said=("zero at 32768",),
+        worth=(8192.0 * G, 114.286 * DEG),
+        zero=32768.0,
+    ),
+    "16 bits read without their sign": Case(
+        write=d.raw(8192.0, 65.5, unsigned=True),
+        said=("65536 taken off",),
+        worth=(8192.0 * G, 65.5 * DEG),
+    ),
+    # when
+    "ISO 8601": Case(write=d.clock(d.iso), said=("times of day",)),
+    "German dates": Case(write=d.clock(d.german_date, "Datum Zeit", ";"), said=("times of day",)),
+    "a clock past midnight": Case(write=d.clock(d.of_day), said=("times of day",)),
+    "micros": Case(write=d.named(["micros", *d.NAMES[1:]], time=1e6), said=("in us (by its name)",)),
+    "no time, rate given": Case(write=d.blemished(list, time=False), words=("--rate", "50"), said=("50 as given",)),
+    "no time, rate above": Case(write=d.rate_above, said=("rate_hz = 50, from the line",)),
+    "matrix of MATLAB": Case(write=d.matrix, said=(GOOD,)),
+    "matrices of MATLAB, no time": Case(
+        write=d.matrix_without_time,
+        said=("rate_hz = 100 is a guess", "rate_hz = 50 from the turns"),
+        worth=(1.0, DEG),
+    ),
+    # several files
+    "two files": Case(write=d.in_two_files, said=("2 files",), within=3.0),
+    "a file a position": Case(write=d.a_file_a_position, said=("14 files",), within=3.0, gyro=False),
+    "positions one below the other": Case(
+        write=d.positions_below,
+        words=("--rate", "50"),
+        said=("14 positions",),
+        within=3.0,
+        gyro=False,
+    ),
+    # blemishes
+    "bad values": Case(write=d.blemished(d.bad_values), noted=("'###'",)),
+    "messages between": Case(write=d.blemished(d.messages_between), noted=("MPU6050",)),
+    "messages between, no time": Case(
+        write=d.blemished(d.messages_between, time=False), words=("--rate", "50"), within=3.0, noted=("MPU6050",)
+    ),
+    "cut last line": Case(write=d.cut, noted=("the last line is cut",)),
+    "stamps repeated": Case(write=d.blemished(d.repeated), noted=("the time stamp of the row before",)),
+    "rows twice": Case(write=d.blemished(d.doubled), noted=("the time stamp of the row before",)),
+    "1 % lost": Case(write=d.blemished(d.lost), within=2.0, noted=("missing samples",)),
+    "stamps jitter": Case(write=d.blemished(d.restamped(d.jitter)), said=("regular = true",)),
+    "stamps too coarse": Case(write=d.blemished(d.restamped(d.coarse)), said=("time stamps repeat", "regular = true")),
+    "stamps in bursts": Case(write=d.blemished(d.restamped(d.bursts)), said=("bursts", "regular = true")),
+    "gap in a rest": Case(write=d.gap_in_a_rest, noted=("20 samples",)),
+    "gap in a turn": Case(write=d.gap_in_a_turn, within=3.0, noted=("20 samples", "is left out: samples are lost")),
+    "rounded to 0.01": Case(write=d.rounded, within=2.0, worth=(1.0, DEG)),
+}
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("corpus") / "clean"
+    setup = Setup.of(grade="mems", positions=14, rest=3.5, sample_rate=d.RATE, rate_deg_s=90.0)
+    simulate_session(folder, setup, seed=3)
+    stated = (folder / "session.toml").read_text().splitlines()
+    kept = [line for line in stated if not line.startswith(("height_m", "gravity"))]  # as who writes only --latitude
+    (folder / "session.toml").write_text("\n".join(kept))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def log(session: Path) -> pl.DataFrame:
+    return pl.read_parquet(session / "log.parquet")
+
+
+@pytest.fixture(scope="module")
+def clean(session: Path) -> Calibration:
+    return calibrate(session)
+
+
+def per_reading(model: SensorModel, channels: Channels) -> tuple[Array, Array]:
+    """Readings for an input in SI: their matrix (3, 3) and their value (3,) at none, as the log has them."""
+    gain = channels.scale / channels.unit.factor
+    return gain[:, None] * model.matrix, gain * model.bias + channels.offset
+
+
+def off(found: SensorModel | None, channels: Channels, clean: Calibration, case: Case, kind: str) -> float:
+    """How far a result is from the clean one, in u of that, at the worst element of matrix and bias."""
+    assert found is not None
+    reference = clean.accel if kind == "accel" else clean.gyro
+    assert reference is not None
+    matrix, zero = per_reading(found, channels)
+    u = {p.name: p.u for p in clean.parameters}
+    scale = np.array([u[f"{kind}.scale.{a}"] for a in "xyz"])
+    bias = np.array([u[f"{kind}.bias.{a}"] for a in "xyz"])
+    angle = np.mean([v for name, v in u.items() if name.startswith(f"{kind}.axis")])
+    units = np.where(np.eye(3) > 0, scale[:, None], angle)
+    worth = case.worth[0 if kind == "accel" else 1]
+    in_matrix = (matrix / worth - reference.matrix) / units
+    in_bias = ((zero - case.zero) / worth - reference.bias) / bias
+    return float(max(np.abs(in_matrix).max(), np.abs(in_bias).max()))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_log_of_the_world_gives_the_result_of_the_clean_one(
+    name: str, log: pl.DataFrame, clean: Calibration, tmp_path: Path
+) -> None:
+    case = CASES[name]
+    given = case.write(log, tmp_path)
+    folder = tmp_path / "session"
+    made = CliRunner().invoke(main, ["new", str(folder), "--log", str(tmp_path / given), *WORDS, *case.words])
+    assert made.exit_code == 0, made.stderr
+    for words in case.said:
+        assert words in made.stderr
+    assert "look at this" not in made.stderr, made.stderr
+    result = CliRunner().invoke(main, ["calibrate", str(folder)])
+    if case.gyro:
+        assert result.exit_code == 0, (result.stderr, result.exception)
+    found = read_calibration(folder / "calibration.json")
+    for words in case.noted:
+        assert any(words in note for note in found.notes), found.notes
+    spec = read_session(folder).log
+    assert off(found.accel, spec.accel, clean, case, "accel") < case.within
+    if case.gyro:
+        assert spec.gyro is not None
+        assert off(found.gyro, spec.gyro, clean, case, "gyro") < case.within
