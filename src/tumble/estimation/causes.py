@@ -192,6 +192,8 @@ def weighted_chance(square: float, weights: Array) -> float:
 def variance_chance(projection: Projection, rest: Array, turn: Array) -> float:
     """Probability that chance alone makes a score as large of a variance whose directions are columns of the rests
     (N, r, q) and turns (K, t, q), each of a number of its own."""
+    if max(rest.shape[2], turn.shape[2]) == 0:
+        return 1.0
     return _random(projection, _apart(projection, rest, turn))
 
 
@@ -270,8 +272,13 @@ class _Session:
         if kind == "accel" and about is not None:
             nominal = np.linalg.pinv(self.accel.axes)
             each = np.swapaxes(self.steps, 2, 3) @ nominal  # C s_p
-            turn[:, 3:6] = np.einsum("ksip,ksp,k->kip", each, in_turn, about.moments.T / PATH_STEPS)
+            self.put_velocity(turn, np.einsum("ksip,ksp,k->kip", each, in_turn, about.moments.T / PATH_STEPS))
         return rest, turn
+
+    def put_velocity(self, turn: Array, columns: Array) -> None:
+        """Put columns (K, 3, q) into the rows of the velocities, where there are any."""
+        if self.problem.instrument.in_velocities:
+            turn[:, 3:6] = columns
 
     def nothing(self, q: int) -> tuple[Array, Array]:
         """Columns of nothing."""
@@ -413,7 +420,7 @@ def _products(session: _Session) -> Iterator[_Columns]:
         )
         if about is not None:
             if kind == "accel":
-                turn[:, 3:6] = about.by_force[..., chosen].reshape(len(turn), 3, q)
+                session.put_velocity(turn, about.by_force[..., chosen].reshape(len(turn), 3, q))
             else:
                 turn[:, :3] = about.by_phi[..., chosen].reshape(len(turn), 3, q)
         size, name = _UNITS[kind]
@@ -433,8 +440,9 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
     n, m = gyro.size, session.accel.size
     square = about.moments.body_W[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
     rest, turn = session.nothing(n)
-    for by, rows in ((about.by_phi, slice(0, 3)), (about.by_V, slice(3, 6))):
-        turn[:, rows] = np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square)
+    phi, V = (np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_V))
+    turn[:, :3] = phi
+    session.put_velocity(turn, V)
     yield _Columns(
         name="gyro nonlinearity",
         concerns="gyro",
@@ -445,7 +453,7 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
     )
     rest, turn = session.nothing(m)
     late = single_delay_columns(about.moments, np.linalg.pinv(session.accel.axes), session.accel.axes)
-    turn[:, 3:6] = late
+    session.put_velocity(turn, late)
     yield _Columns(
         name="single delays",
         concerns="accel",
