@@ -443,7 +443,7 @@ def _with_magnetometer(calibration: Calibration, session: Session, observations:
         parameters=parameters,
         covariance=covariance,
         mag=found.model,
-        outcome=Outcome(reasons=outcome.reasons + found.reasons, unobservable=outcome.unobservable + missing),
+        outcome=replace(outcome, reasons=outcome.reasons + found.reasons, unobservable=outcome.unobservable + missing),
         fits=dict(calibration.fits) | found.fits,
         notes=calibration.notes + found.notes,
     )
