@@ -22,11 +22,11 @@ from formulas_against_simulation import DEVICE
 
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
-from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.methods.joint import TOTAL, joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
+from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.budget import GROUPS
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

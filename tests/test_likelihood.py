@@ -30,8 +30,8 @@ from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block
-from tumble.simulation.observations import simulate_observations
 from tumble.sensors.parameters import limits_of, usual_of
+from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, draw_further, itinerary, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 

@@ -9,8 +9,8 @@ position is sought before it is known when it comes.
 
 A position costs little to add or to exchange. Eliminating the attitudes of all rests before it leaves three rows on the
 attitude of the last of them and a triangle on the parameters (`tumble.estimation.elimination`), and those after it
-likewise; the rows of a rest go with those of the turn after it, as the in-run bias of both is one. What a candidate shows is then an elimination of two to four rests, whatever the length of the programme:
-about 0.1 ms.
+likewise; the rows of a rest go with those of the turn after it, as the in-run bias of both is one. What a candidate
+shows is then an elimination of two to four rests, whatever the length of the programme: about 0.1 ms.
 
 A programme is begun with X, Y or Z up, grows by the best position to add, and is improved by exchange of one position
 at a time, or of neighbours where the table leaves no other way, until no exchange makes it better. By A it is sought
@@ -68,8 +68,8 @@ class Aim:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Criterion:
     """How good a programme is: by A, with `weight` (m,), SI, of the parameters, infinite for those that do not count,
-    or by D. `prior` (m,) are the spreads, SI, of which the first `linear` are those of the linear model, and `known` the
-    triangle of what is known before: measured gravity, and the prior."""
+    or by D. `prior` (m,) are the spreads, SI, of which the first `linear` are those of the linear model, and `known`
+    the triangle of what is known before: measured gravity, and the prior."""
 
     letter: Letter
     weight: Array
@@ -125,8 +125,8 @@ def _eliminated(rest: Array, turn: Array, link: IntArray, counts: BoolArray, tri
 
 
 def _triangles(rest: Array, turn: Array, counts: BoolArray, triangle: Array) -> Array:
-    """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·), of which some count, and rows (q, n − 1, r + t, ·)
-    of the turns."""
+    """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·), of which some count, and rows (q, n − 1, r + t,
+    ·) of the turns."""
     out = np.repeat(triangle[None], len(rest), axis=0)
     factor, link = np.empty((rest.shape[1], 3, rest.shape[3] + 3)), _linked(rest.shape[1], turn)
     for chain_rest, chain_turn, found in zip(rest, turn, out, strict=True):
@@ -140,17 +140,17 @@ def _linked(rests: int, turn: Array) -> IntArray:
 
 
 def _counting(rests: int, gyros: bool, *ends: int) -> BoolArray:
-    """Which rests (N,) of a chain count themselves: those at these ends, the rows of the others being among those of the
-    turns after them; without gyros, all."""
+    """Which rests (N,) of a chain count themselves: those at these ends, the rows of the others being among those of
+    the turns after them; without gyros, all."""
     counts = np.full(rests, not gyros)
     counts[list(ends)] = True
     return counts
 
 
 def _closed(last: Array, rest: Array, triangle: Array) -> Array:
-    """The triangle on the parameters when a chain ends with rows (r, ·) on the attitude of its last rest and the rows of
-    that rest."""
-    rows = np.linalg.qr(np.concatenate([last, rest]), mode="r")[3:, 3:]
+    """The triangle on the parameters when a chain ends with rows (r, ·) on the attitude of its last rest and the rows
+    of that rest."""
+    rows = np.asarray(np.linalg.qr(np.concatenate([last, rest]), mode="r"))[3:, 3:]
     return np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
 
 

@@ -1,15 +1,15 @@
 """The best a programme allows: the Cramér–Rao bound of the joint likelihood, before anything is measured.
 
 The rows are those of `tumble.estimation.likelihood`, taken at perfect sensors and at the attitudes of the programme,
-which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has
-of it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias
-that differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant rate; the
-body turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and mounting are not in
-the bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts of a thousand.
+which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has of
+it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias that
+differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant rate; the
+body turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and mounting are not
+in the bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts of a thousand.
 
 Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
-combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the programme
-finds out about it: the learned fraction 1 − u²/s² of each parameter, s being its prior.
+combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the
+programme finds out about it: the learned fraction 1 − u²/s² of each parameter, s being its prior.
 
 How well the parameters are seen together is judged in natural units, biases as parts of gravity and of the rate of the
 turns, scale-factor errors as they are, angles in rad: `condition` is that of the whitened Jacobian, `worst` the
@@ -34,7 +34,15 @@ from tumble.planning.setup import Setup, check_setup
 from tumble.planning.steady_turns import steady_moments
 from tumble.recording.session import Site
 from tumble.reduction.moments import Moments
-from tumble.reduction.observations import ACCEL_FLOOR, GYRO_FLOOR, TURN_FLOOR, VELOCITY_FLOOR, Observations, Rests, Turns
+from tumble.reduction.observations import (
+    ACCEL_FLOOR,
+    GYRO_FLOOR,
+    TURN_FLOOR,
+    VELOCITY_FLOOR,
+    Observations,
+    Rests,
+    Turns,
+)
 from tumble.rotation import rotation_vector
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
@@ -62,12 +70,12 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Bound:
-    """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear` are those
-    of the linear model. `observable` marks the parameters that are determined, and only these mean anything; those of
-    further groups are by their priors at least, and `further` says what the programme adds. `null` (q, linear) are the
-    combinations that are not determined, `worst` (linear,) the unit combination determined worst and `worst_u` how well,
-    both in natural units, whose sizes in SI are `natural` (linear,). `condition` is infinite where a combination is not
-    determined."""
+    """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear` are
+    those of the linear model. `observable` marks the parameters that are determined, and only these mean anything;
+    those of further groups are by their priors at least, and `further` says what the programme adds. `null` (q, linear)
+    are the combinations that are not determined, `worst` (linear,) the unit combination determined worst and `worst_u`
+    how well, both in natural units, whose sizes in SI are `natural` (linear,). `condition` is infinite where a
+    combination is not determined."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -136,8 +144,8 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
 
 
 def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solution]:
-    """Covariance (m, m) of all parameters from their triangle (m, m), and the solution for the linear ones, whatever the
-    others are: with the columns of these first, R = (F X; 0 L), L is the triangle of the linear ones."""
+    """Covariance (m, m) of all parameters from their triangle (m, m), and the solution for the linear ones, whatever
+    the others are: with the columns of these first, R = (F X; 0 L), L is the triangle of the linear ones."""
     further = triangle.shape[1] - linear
     R = np.linalg.qr(np.roll(triangle, further, axis=1), mode="r")
     F, X, L = R[:further, :further], R[:further, further:], R[further:, further:]
@@ -210,8 +218,8 @@ class View:
     scatter: Scatter
 
     def information(self) -> Array:
-        """A square root (m, m), a triangle, of what the course, measured gravity and the priors of the groups beyond the
-        linear model say of the parameters."""
+        """A square root (m, m), a triangle, of what the course, measured gravity and the priors of the groups beyond
+        the linear model say of the parameters."""
         rest, merged = self.whitened()
         p, link = rest.shape[2] - 4, self.problem.link
         triangle, factor = np.diag(np.append(known_before(self.problem), 0.0)), np.empty((len(rest), 3, 7 + p))
@@ -219,8 +227,8 @@ class View:
         return triangle[1:-1, 1:-1]
 
     def whitened(self) -> tuple[Array, Array]:
-        """The whitened rows of the rests (N, r, 3 + p + 1), which count where no turn follows, and of the turns together
-        with the rests before them (K, r + t, 6 + p + 1), see `tumble.estimation.elimination`."""
+        """The whitened rows of the rests (N, r, 3 + p + 1), which count where no turn follows, and of the turns
+        together with the rests before them (K, r + t, 6 + p + 1), see `tumble.estimation.elimination`."""
         rows = linearise(self.problem, self.point, self.about)
         weights = noise_of(self.problem, rows).weights(self.scatter)
         turns = self.problem.observations.turns

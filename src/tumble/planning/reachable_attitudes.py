@@ -120,8 +120,8 @@ class Places:
         return Legs(places=others, moves=moves, turned=turned, rows=rows)
 
     def _moves(self, place: int, sense: int) -> tuple[IntArray, Array, BoolArray]:
-        """The places that can be reached from one (1), or from which it can (−1), how, and whether by a turn of the table.
-        Half turns by hand go the way that `course_of` takes."""
+        """The places that can be reached from one (1), or from which it can (−1), how, and whether by a turn of the
+        table. Half turns by hand go the way that `course_of` takes."""
         away = self.attitudes @ self.attitudes[place].T
         vectors = rotation_vector(away if sense > 0 else np.swapaxes(away, 1, 2))
         angle, step = np.linalg.norm(vectors, axis=1), self.table.step
@@ -136,8 +136,8 @@ class Places:
         return np.concatenate([one, two, three]), moves, np.arange(len(moves)) < len(one) + len(two)
 
     def _rows(self, place: int, others: IntArray, moves: Array, sense: int) -> Array:
-        """The whitened rows of the turns on legs from or to a place, and of the rests before them, one after the other as if
-        in one long course."""
+        """The whitened rows of the turns on legs from or to a place, and of the rests before them, one after the other
+        as if in one long course."""
         ends = np.stack([np.full(len(others), place), others], axis=1)[:, ::sense]
         course = Course(
             attitudes=self.attitudes[ends.ravel()],

@@ -10,9 +10,9 @@ What is usual stands in `tumble.usual_setup` alone.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from collections.abc import Mapping
 from typing import Literal
 
 from tumble.earth import normal_gravity

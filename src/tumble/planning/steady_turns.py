@@ -5,7 +5,8 @@ With v the rotation vector of a turn in the body at its start, ω = v/T, L₀ th
     C(t) = exp([ω×]t),   f(t) = g C(t)ᵀ L₀ᵀ exp([Ω×]t) e_U
 
 Everything is smooth in t but |f_p|: Gauss–Legendre sums over the whole turn are exact to rounding for turns up to a
-revolution, and right to some 1e-3 for |f_p|. The integrals ∫ Φ × dV of `tumble.reduction.moments` are, in another order,
+revolution, and right to some 1e-3 for |f_p|. The integrals ∫ Φ × dV of `tumble.reduction.moments` are, in another
+order,
 
     Ψ_jb = ∫ C_j β_b × (V(T) − V(t)) dt
 
@@ -33,8 +34,8 @@ _LINEAR = 7
 
 @cache
 def _gauss() -> tuple[Array, Array, Array]:
-    """Nodes and weights on 0…1, and the integrals (NODES, NODES) from each node to 1 of the polynomials that are 1 at one
-    node and 0 at the others."""
+    """Nodes and weights on 0…1, and the integrals (NODES, NODES) from each node to 1 of the polynomials that are 1 at
+    one node and 0 at the others."""
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     values = np.polynomial.legendre.legvander(nodes, NODES)
     coefficients = (values[:, :-1] * weights[:, None] * (np.arange(NODES) + 0.5)).T  # of each cardinal polynomial
@@ -57,9 +58,7 @@ def steady_moments(vector: Array, T: Array, start: Array, setup: Setup, own: Own
     rate = np.broadcast_to((vector / T[:, None])[:, None], force.shape)
     felt = np.einsum("knij,knj->kni", C, force)
     dt = weights * T[:, None]
-    beta = np.concatenate(
-        [np.ones((K, NODES, 1)), rate, force, force[..., _FIRST] * force[..., _SECOND]], axis=2
-    )
+    beta = np.concatenate([np.ones((K, NODES, 1)), rate, force, force[..., _FIRST] * force[..., _SECOND]], axis=2)
     of_gyro, of_accel = np.abs(rate @ own.gyro.T), force @ own.accel.T
     own_accel = np.concatenate([np.abs(of_accel), of_accel**3], axis=2)
     squares = rate[..., _FIRST] * rate[..., _SECOND]

@@ -190,8 +190,8 @@ _OBLIQUE = ("UEN N+45", "UNW N-45", "NUE N+45")
 
 
 def _rough_table(name: str, *turns: str) -> Programme:
-    """Three series of turns by 180°, then three oblique rests: with three turns a series 15 rests, nine programmed turns;
-    with four 18 and twelve."""
+    """Three series of turns by 180°, then three oblique rests: with three turns a series 15 rests, nine programmed
+    turns; with four 18 and twelve."""
     codes: list[str] = []
     moves: list[Move] = []
     for start in ("NUE", "ENU", "UEN"):

@@ -92,8 +92,8 @@ def simulate_observations(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _NoisyBlock:
-    """A block at work: its coefficients K (n, 15) in the middle of the session and their drift, 1/s, the change (N, n) that
-    its bias has at each rest and in the move that follows, and the density of its white noise."""
+    """A block at work: its coefficients K (n, 15) in the middle of the session and their drift, 1/s, the change (N, n)
+    that its bias has at each rest and in the move that follows, and the density of its white noise."""
 
     block: Block
     coefficients: Array
@@ -214,14 +214,12 @@ def _turns(
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
 
 
-def _with_levers(
-    scenario: Scenario, way: Itinerary, first: IntArray, force: Array, vector: Array, T: Array
-) -> Array:
+def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Array, vector: Array, T: Array) -> Array:
     """Forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3); the same where no arm is known.
 
-    At a constant rate ω an arm r feels [ω×]²r, and at the two ends, where the turn begins and stops at once, its velocity
-    jumps by ±(ω − ω_rest) × r: the first and the last sample have it in them, turned by half a sample from where it is to
-    their middle, and by the delay."""
+    At a constant rate ω an arm r feels [ω×]²r, and at the two ends, where the turn begins and stops at once, its
+    velocity jumps by ±(ω − ω_rest) × r: the first and the last sample have it in them, turned by half a sample from
+    where it is to their middle, and by the delay."""
     instrument = scenario.instrument
     if instrument.in_motion("lever") is None:
         return force
@@ -241,8 +239,8 @@ def _with_levers(
 
 def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, late: float = 0.0) -> Array:
     """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample, which is `late`, of turns from
-    attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before, as if
-    it turned already.
+    attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before,
+    as if it turned already.
 
     With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
 

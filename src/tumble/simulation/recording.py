@@ -84,7 +84,7 @@ def _readings(
 ) -> tuple[Array, Array, Array]:
     """Time and readings of both blocks, of which the accelerometers may be late."""
     fs = scenario.profile.sample_rate
-    N = int(math.floor(rests[-1, 1] * fs + 1e-6))
+    N = math.floor(rests[-1, 1] * fs + 1e-6)
     late = scenario.instrument.delay(scenario.values)
     made = [
         _block_readings(_SampledBlock.of(block, scenario, rests, own, behind), attitudes, moves, rests)
@@ -117,9 +117,9 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _SampledBlock:
-    """One block at work: its coefficients K (n, 15) and their drift, 1/s, from the `middle` of the session, s, lever arms
-    (n, 3), by how much it is `late`, s, the noise `sigma` of a sample, its readings (n, N) as they fill up, and the change
-    that its bias has in the current rest and move."""
+    """One block at work: its coefficients K (n, 15) and their drift, 1/s, from the `middle` of the session, s, lever
+    arms (n, 3), by how much it is `late`, s, the noise `sigma` of a sample, its readings (n, N) as they fill up, and
+    the change that its bias has in the current rest and move."""
 
     block: Block
     scenario: Scenario
@@ -170,8 +170,8 @@ class _SampledBlock:
             out += self.sigma * self.rng.standard_normal(out.shape)
 
     def read(self, force: Array, rate: Array, change: Array, when: Array) -> Array:
-        """Readings (N, n) in forces, rates and angular accelerations (N, 3) of the body at times (N,), s: at a lever arm r
-        the force is f + [ω̇×]r + [ω×]²r."""
+        """Readings (N, n) in forces, rates and angular accelerations (N, 3) of the body at times (N,), s: at a lever
+        arm r the force is f + [ω̇×]r + [ω×]²r."""
         if np.any(self.arms):
             around = skew(change) + skew(rate) @ skew(rate)
             force = force[:, None] + np.einsum("nij,pj->npi", around, self.arms)
@@ -195,8 +195,8 @@ class _SampledBlock:
         return self.read(force[:, None] * L[1], rates, np.zeros_like(rates), middle)
 
     def in_move(self, L: Array, move: Array, start: float, first: int, last: int) -> Array:
-        """Mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`. The formulas are
-        those at the head of the module."""
+        """Mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`. The
+        formulas are those at the head of the module."""
         scenario, profile = self.scenario, self.scenario.profile
         fs, total = profile.sample_rate, float(np.linalg.norm(move))
         n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.latitude))

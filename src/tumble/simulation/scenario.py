@@ -178,9 +178,7 @@ def draw_parameters(instrument: Setup | Grade, blocks: Sequence[Block], rng: np.
     return values
 
 
-def draw_further(
-    spreads: Mapping[str, float], accel: Block, gyro: Block, rng: np.random.Generator
-) -> dict[str, float]:
+def draw_further(spreads: Mapping[str, float], accel: Block, gyro: Block, rng: np.random.Generator) -> dict[str, float]:
     """True values by parameter name of groups beyond the linear model, Gaussian with these standard deviations, SI."""
     instrument = Instrument.of(accel, gyro, tuple(spreads))
     return {

@@ -24,8 +24,8 @@ LARGEST = 4
 """So many parameters of a combination are named."""
 
 LITTLE, MOSTLY = 0.05, 0.75
-"""Learned fractions below which a programme leaves a group to what is usual, and above which it is determined: u is 97 % and
-half of the prior."""
+"""Learned fractions below which a programme leaves a group to what is usual, and above which it is determined: u is 97
+% and half of the prior."""
 
 
 def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
