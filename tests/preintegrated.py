@@ -16,7 +16,8 @@ IntArray = npt.NDArray[np.int64]
 def preintegrate(
     increment: Array, dt: Array, starts: IntArray, stops: IntArray, transform: Array, offset: Array
 ) -> tuple[Array, Array, Array]:
-    """C, M = ∫ C ⊗ ω dt and B = ∫ C dt of turns, of the moments of samples compensated to transform @ Δθ + offset dt."""
+    """C, M = ∫ C ⊗ ω dt and B = ∫ C dt of turns, of the moments of samples compensated to transform @ Δθ + offset
+    dt."""
     nominal = np.eye(3), np.eye(3)
     gyro = BlockCompensation(
         axes=nominal[0],

@@ -15,9 +15,10 @@ from corpus.dialects import Case
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
+from tumble.planning.setup import Setup
 from tumble.recording.session import Channels, read_session
 from tumble.sensors.model import SensorModel
-from tumble.simulation.session import Request, simulate_session
+from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array
 
 LATITUDE = "56.84"
@@ -200,8 +201,8 @@ CASES: dict[str, Case] = {
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("corpus") / "clean"
-    request = Request(grade="mems", positions=14, rest=3.5, sample_rate=d.RATE, rate_deg_s=90.0)
-    simulate_session(folder, request, seed=3)
+    setup = Setup.of(grade="mems", positions=14, rest=3.5, sample_rate=d.RATE, rate_deg_s=90.0)
+    simulate_session(folder, setup, seed=3)
     stated = (folder / "session.toml").read_text().splitlines()
     kept = [line for line in stated if not line.startswith(("height_m", "gravity"))]  # as who writes only --latitude
     (folder / "session.toml").write_text("\n".join(kept))

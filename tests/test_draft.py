@@ -14,7 +14,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
 from tumble.recording.session import Session, read_session
 from tumble.simulation.session import simulate_session
-from tumble.units import ACCEL_UNITS, GYRO_UNITS
+from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 
 
 def named(*stems: str, unit: str = "") -> list[str]:
@@ -174,18 +174,51 @@ def test_the_unit_of_the_time_is_found_from_its_steps(
     assert f"in {unit} (by its steps), 100 samples per second" in said
 
 
-def test_a_log_in_counts_gets_a_rough_scale_and_offset_and_the_user_is_told(
+def test_a_log_in_counts_gets_the_scales_of_data_sheets_from_its_rests_and_turns(
     handheld: pl.DataFrame, tmp_path: Path
 ) -> None:
     log = handheld.with_columns(pl.col("ax", "ay", "az") * 415.0 + 32768.0, pl.col("gx", "gy", "gz") * 4770.0 + 32000.0)
     session, said = drafted(log, tmp_path)
-    assert session.log.accel.unit_name == "count"
-    np.testing.assert_allclose(session.log.accel.scale, 415.0, rtol=0.05)
-    np.testing.assert_allclose(session.log.accel.offset, 32768.0, atol=0.05 * 415.0 * 9.8)
+    assert (session.log.accel.unit_name, session.log.gyro and session.log.gyro.unit_name) == ("count", "count")
+    np.testing.assert_array_equal(session.log.accel.scale, 4096.0)  # per g; 415 per m/s² are 4070
+    np.testing.assert_array_equal(session.log.accel.offset, 32768.0)
     assert session.log.gyro is not None
+    np.testing.assert_allclose(session.log.gyro.scale, 4770.0 * DEGREE, rtol=0.02)
     np.testing.assert_allclose(session.log.gyro.offset, 32000.0, atol=0.05 * 4770.0)  # the bias
-    assert "put those of the data sheet there" in said
-    assert "look at this: the gyros" in said
+    assert "4096 counts per g as in data sheets" in said
+    assert "no data sheet has a value near it" in said
+    assert "look at this" not in said
+
+
+def test_counts_of_gyros_without_turns_get_no_scale_and_the_user_is_told(
+    handheld: pl.DataFrame, tmp_path: Path
+) -> None:
+    still = handheld.head(300).with_columns(pl.col("ax", "ay", "az") * 1670.0, pl.col("gx", "gy", "gz") * 939.0)
+    session, said = drafted(still, tmp_path)
+    assert session.log.gyro is not None
+    assert "the scale is unknown, for no turns show it: put that of the data sheet there" in said
+    assert "a guess from too few rests" in said
+
+
+@pytest.mark.parametrize(("rate", "stated"), [(104.0, 104.0), (62.5, 62.5), (50.0, 50.0)])
+def test_the_rate_of_a_log_without_times_is_found_from_its_turns_and_said_to_be_a_guess(
+    rate: float, stated: float, handheld: pl.DataFrame, tmp_path: Path
+) -> None:
+    turned = handheld.with_columns(pl.col("gx", "gy", "gz") * (rate / 100.0))  # the same turns at another rate
+    names = {f"g{a}": f"g{a} [rad/s]" for a in "xyz"}
+    session, said = drafted(turned.drop("t").rename(names), tmp_path)
+    assert session.log.rate == stated
+    assert "rate_hz = 100 is a guess" in said
+    assert "a guess to some percent" in said
+
+
+def test_what_the_user_knows_is_written_down(handheld: pl.DataFrame, tmp_path: Path) -> None:
+    known = "--serial", "A-7", "--latitude", "56.84", "--rate", "100"
+    session, said = drafted(handheld, tmp_path, *known)
+    assert (session.device.serial, session.log.rate, session.log.time) == ("A-7", 100.0, None)
+    assert session.site.latitude == pytest.approx(56.84 * DEGREE)
+    assert "column 't' is not used, since the rate was given" in said
+    assert "fill in" not in said
 
 
 def test_a_log_without_times_or_gyros_is_drafted_and_says_so(handheld: pl.DataFrame, tmp_path: Path) -> None:
@@ -239,13 +272,20 @@ def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, t
     pl.DataFrame({"depth": [1.0, 2.0]}).write_parquet(tmp_path / "other.parquet")
     (tmp_path / "semicolons.csv").write_text("t;ax;ay;az\n0;0;0;9.8\n")
     (tmp_path / "rowless.csv").write_text("t,ax,ay,az\n")
+    (tmp_path / "wide.csv").write_text("t,ax,ay,az\n" + "9" * 200_000)
+    (tmp_path / "cr.csv").write_text("t,a\rx,ay,az\n1,2,x,3\n")
     (tmp_path / "damaged.ulg").write_bytes(b"abc" * 1000)
     for words, said in [
         ((tmp_path / "session", "--log", log), "expected a folder without a session"),
         ((tmp_path / "n", "--log", tmp_path / "none.csv"), "expected a log, found no such file"),
         ((tmp_path / "n", "--log", log, "--programme", "wobble"), "--programme: expected one of"),
         ((tmp_path / "n", "--log", tmp_path / "other.parquet"), "expected columns named as accelerometers are"),
-        ((tmp_path / "n", "--log", tmp_path / "semicolons.csv"), "expected commas between the columns, found 't;ax;ay"),
+        ((tmp_path / "n", "--log", tmp_path / "semicolons.csv"), "expected rows of readings below the names"),
+        ((tmp_path / "n", tmp_path / "wide.csv"), "found something else"),
+        ((tmp_path / "n", tmp_path / "cr.csv"), "expected"),
+        ((tmp_path / "n", tmp_path / "none*.csv"), "expected files that fit this pattern, found none"),
+        ((tmp_path / "n", log, "--latitude", "95"), "--latitude: expected a number from -90 to 90, found 95"),
+        ((tmp_path / "n", log, "--rate", "-1"), "--rate: expected a positive number, found -1"),
         ((tmp_path / "n", "--log", tmp_path / "rowless.csv"), "expected rows of readings below the names"),
         ((tmp_path / "n", "--log", tmp_path / "damaged.ulg"), "damaged or incomplete"),
     ]:
@@ -253,4 +293,4 @@ def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, t
         assert result.exit_code == 2
         assert said in result.stderr
         assert result.stderr.count("\n") == 1
-    assert not (tmp_path / "n").exists()
+        assert not (tmp_path / "n").exists()

@@ -7,6 +7,7 @@ import gzip
 import hashlib
 import math
 import sys
+import tracemalloc
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -329,6 +330,22 @@ def test_files_of_different_rates_are_told(tmp_path: Path) -> None:
 def test_chunks_have_at_least_a_row(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="rows: expected at least 1, found 0"):
         next(csv_log(tmp_path, lines()).chunks(0))
+
+
+def test_archive_that_unpacks_to_a_thousand_times_its_size_is_refused_in_little_memory(tmp_path: Path) -> None:
+    (tmp_path / "log.csv.gz").write_bytes(gzip.compress(",".join(NAMES).encode() + b"\n" + b"1" * 200_000_000, 9))
+    tracemalloc.start()
+    try:
+        assert "expected lines of numbers, found one of more than" in refusal(lambda: opened(tmp_path, "log.csv.gz"))
+        assert tracemalloc.get_traced_memory()[1] < 100e6
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("names", ["t,ax,a\ry", "t," + "x" * 200_000])
+def test_first_line_that_is_none_is_refused_in_one_line(names: str, tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(names + "\n" + text(lines()[1:]), newline="")
+    assert len(refusal(lambda: opened(tmp_path))) < 400 + len(str(tmp_path))
 
 
 # -------------------- times and rates --------------------

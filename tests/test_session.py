@@ -590,3 +590,12 @@ def test_session_of_the_recordings_reads(data: Path, name: str, unit: str, progr
     assert session.log.accel.unit_name == unit
     assert (session.programme.name if session.programme else None) == programme
     assert session.site.latitude is not None
+
+
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 1000 + "]" * 1000], ids=["5,000 digits", "1,000 brackets"])
+def test_a_value_without_measure_is_refused_in_one_line(value: str, tmp_path: Path) -> None:
+    (tmp_path / "session.toml").write_text(f"format = {value}\n")
+    with pytest.raises(SessionError, match="expected TOML, found") as caught:
+        read_session(tmp_path)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300 + len(str(tmp_path))

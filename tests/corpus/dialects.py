@@ -291,7 +291,7 @@ def coarse(t: Array) -> Array:
 def bursts(t: Array) -> Array:
     """Ten rows at a time, 0.2 ms apart, when the tenth has come."""
     k = np.arange(len(t))
-    return t[0] + (k // 10 + 1) * 10 / RATE + k % 10 * 2e-4
+    return np.asarray(t[0] + (k // 10 + 1) * 10 / RATE + k % 10 * 2e-4)
 
 
 def gap(start: int, rows: int = 20) -> Callable[[Lines], Lines]:

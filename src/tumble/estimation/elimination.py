@@ -82,10 +82,10 @@ def _gather(work: Array, carried: Array, rest: Array, turn: Array, k: int) -> in
     work[d : 2 * d, d : d + r] = 0.0
     work[2 * d :, d : d + r] = rest[:, d:].T
     if k < 0:
-        return d + r
+        return int(d + r)
     t = turn.shape[1]
     work[:, d + r : d + r + t] = turn[k].T
-    return d + r + t
+    return int(d + r + t)
 
 
 @_compiled(error_model="numpy", fastmath={"reassoc", "contract"})

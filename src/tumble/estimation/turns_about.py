@@ -29,7 +29,7 @@ from tumble.rotation import rotation_vector
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE
-from tumble.units import G_STANDARD, Array
+from tumble.units import G_STANDARD, Array, IntArray
 
 SECOND_ORDER = 1e-7  # rad
 SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
@@ -39,16 +39,16 @@ VELOCITY_SHARE = 0.1  # of the noise of its velocity
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnsAbout:
     """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and
-    accelerometers and a `lateness` of these, s. Their moments, and by_phi (K, 3, n, 15) and by_V (K, 3, n, 15) of
-    the gyros and by_force (K, 3, n, 15) of the accelerometers, P and Q of the module's docstring; `levers` (K, 3,
-    3(n − 1)) and `delay` (K, 3) are −∂V of lever arms and of the delay."""
+    accelerometers and a `lateness` of these, s. Their moments, and by_phi (K, 3, n, 15) and by_velocity (K, 3, n,
+    15) of the gyros and by_force (K, 3, n, 15) of the accelerometers, P and Q of the module's docstring; `levers`
+    (K, 3, 3(n − 1)) and `delay` (K, 3) are −∂V of lever arms and of the delay."""
 
     rate: Array
     force: Array
     lateness: float
     moments: Moments
     by_phi: Array
-    by_V: Array
+    by_velocity: Array
     by_force: Array
     levers: Array
     delay: Array
@@ -87,15 +87,15 @@ class TurnsAbout:
         if moments.Phi_accel.shape[-1]:
             by_force[..., OWN_SIZE] = _own(moments.Phi_accel[..., 0, :], to_force)
             by_force[..., OWN_CUBE] = _own(moments.Phi_accel[..., 1, :], to_force)
-        by_phi, by_V = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
-        by_phi[..., OWN_SIZE], by_V[..., OWN_SIZE] = own_gyro
+        by_phi, by_velocity = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
+        by_phi[..., OWN_SIZE], by_velocity[..., OWN_SIZE] = own_gyro
         return TurnsAbout(
             rate=about[0],
             force=about[1],
             lateness=about[2],
             moments=moments,
             by_phi=by_phi,
-            by_V=by_V,
+            by_velocity=by_velocity,
             by_force=by_force,
             levers=-lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
             delay=-delay_column(moments),
@@ -114,7 +114,8 @@ class TurnsAbout:
         rate = instrument.coefficients(gyro, values) - self.rate
         force = instrument.coefficients(instrument.accel, values) - self.force
         phi = -np.einsum("kipb,pb->ki", self.by_phi, rate)
-        V = self.moments.V - np.einsum("kipb,pb->ki", self.by_V, rate) - np.einsum("kipb,pb->ki", self.by_force, force)
+        V = self.moments.V - np.einsum("kipb,pb->ki", self.by_velocity, rate)
+        V = V - np.einsum("kipb,pb->ki", self.by_force, force)
         levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
         if levers is not None:
             V = V - self.levers @ values[levers]
@@ -128,7 +129,7 @@ class TurnsAbout:
         assert gyro is not None
         of_gyro, of_accel = instrument.derivative(gyro, values), instrument.derivative(accel, values)
         phi = np.tensordot(self.by_phi, of_gyro, axes=2)
-        V = np.tensordot(self.by_V, of_gyro, axes=2) + np.tensordot(self.by_force, of_accel, axes=2)
+        V = np.tensordot(self.by_velocity, of_gyro, axes=2) + np.tensordot(self.by_force, of_accel, axes=2)
         levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
         if levers is not None:
             V[:, :, levers] = self.levers
@@ -140,7 +141,7 @@ class TurnsAbout:
         """−∂φ/∂b and −∂V/∂b (K, 3, n) of the biases of the accelerometers, then of the gyros."""
         accel, gyro = self.by_force[..., CONSTANT], self.by_phi[..., CONSTANT]
         phi = np.concatenate([np.zeros_like(accel), gyro], axis=2)
-        return phi, np.concatenate([accel, self.by_V[..., CONSTANT]], axis=2)
+        return phi, np.concatenate([accel, self.by_velocity[..., CONSTANT]], axis=2)
 
     def second_order(self, instrument: Instrument, values: Array) -> tuple[Array, Array]:
         """About how much (K,) rotation, rad, and velocity, m/s, about other values err, being of first order."""
@@ -183,7 +184,7 @@ def _compensation(block: Block, K: Array) -> BlockCompensation:
 
 def _square(block: Block, K: Array) -> Array:
     """The part (n,) along each axis of a quadratic form in f, aᵀ (…) a: K₂ where it is K₂ (aᵀf)²."""
-    by_pair = (block.axes[:, k] * block.axes[:, l] for k, l in PAIRS)
+    by_pair = (block.axes[:, k] * block.axes[:, other] for k, other in PAIRS)
     return np.asarray(sum(K[:, b] * each for b, each in enumerate(by_pair, start=PRODUCTS.start)))
 
 
@@ -191,8 +192,8 @@ def _compensable(block: Block, K: Array) -> Array:
     """The coefficients that samples of accelerometers are compensated with: of the products of forces, the square along
     each axis."""
     out, square = K.copy(), _square(block, K)
-    for b, (k, l) in enumerate(PAIRS, start=PRODUCTS.start):
-        out[:, b] = (1.0 if k == l else 2.0) * square * block.axes[:, k] * block.axes[:, l]
+    for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start):
+        out[:, b] = (1.0 if k == other else 2.0) * square * block.axes[:, k] * block.axes[:, other]
     out[:, RATE] = 0.0
     return out
 
@@ -206,9 +207,9 @@ def _paths(moments: Array, left_inverse: Array) -> Array:
 
 def _own(moments: Array, left_inverse: Array) -> Array:
     """Σ_j M_ijp s_jp (K, 3, n)."""
-    return np.einsum("kijp,jp->kip", moments, left_inverse)
+    return np.asarray(np.einsum("kijp,jp->kip", moments, left_inverse))
 
 
-def _lever_order(block: Block) -> Array:
+def _lever_order(block: Block) -> IntArray:
     """Where the lever arms of all sensors but the last stand, in the order of their names, among those by channel."""
-    return (3 * block.channels[:-1, None] + np.arange(3)).ravel()
+    return np.asarray((3 * block.channels[:-1, None] + np.arange(3)).ravel(), dtype=np.int64)

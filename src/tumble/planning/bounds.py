@@ -1,11 +1,20 @@
 """The best a programme allows: the Cramér–Rao bound of the joint likelihood, before anything is measured.
 
 The rows are those of `tumble.estimation.likelihood`, taken at perfect sensors and at the attitudes of the programme,
+<<<<<<< HEAD
 which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has of
 it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias that
 differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant rate; the
 body turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and mounting are not
 in the bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts of a thousand.
+=======
+which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has
+of it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias
+that differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant
+rate; the body turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and
+mounting are not in the bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts
+of a thousand.
+>>>>>>> main
 
 Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
 combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the
@@ -56,7 +65,7 @@ KEPT = 1e-3
 """Learned fraction from which a programme says anything of a group."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Course:
     """Where a device rests and how it gets there: attitudes (N, 3, 3), body → geographic, of the rests in order, and
     the turns that a log has between a rest `first` (K,) and the next: rotation vectors `moves` (K, 3), geographic, rad,
@@ -68,14 +77,23 @@ class Course:
     seconds: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Bound:
+<<<<<<< HEAD
     """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear` are
     those of the linear model. `observable` marks the parameters that are determined, and only these mean anything;
     those of further groups are by their priors at least, and `further` says what the programme adds. `null` (q, linear)
     are the combinations that are not determined, `worst` (linear,) the unit combination determined worst and `worst_u`
     how well, both in natural units, whose sizes in SI are `natural` (linear,). `condition` is infinite where a
     combination is not determined."""
+=======
+    """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear`
+    are those of the linear model. `observable` marks the parameters that are determined, and only these mean
+    anything; those of further groups are by their priors at least, and `further` says what the programme adds.
+    `null` (q, linear) are the combinations that are not determined, `worst` (linear,) the unit combination
+    determined worst and `worst_u` how well, both in natural units, whose sizes in SI are `natural` (linear,).
+    `condition` is infinite where a combination is not determined."""
+>>>>>>> main
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -113,7 +131,14 @@ class Bound:
 def bound(setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of a set-up's programme, with gyros and all moves, or of accelerometers alone.
 
-    Raises InputError for values that make no sense, and where there is no noise."""
+    Raises InputError for values that make no sense, and where there is no noise.
+
+    >>> import tumble
+    >>> setup = tumble.Setup.of(rest=120.0)
+    >>> found = tumble.bound(setup)
+    >>> found.rank == len(found.names)
+    True
+    """
     return bound_of(course_of(setup), setup, gyros=gyros)
 
 

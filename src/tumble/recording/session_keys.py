@@ -310,6 +310,31 @@ class ProgrammeTable(SessionTable):
         return self
 
 
+class ExcludeTable(SessionTable):
+    """[[exclude]]"""
+
+    rest: int | None = Field(default=None, ge=1, description="the number of a rest, from 1")
+    turn: int | None = Field(default=None, ge=1, description="the number of a turn, from 1")
+    start: float | None = Field(default=None, description="a number (s)")
+    stop: float | None = Field(default=None, description="a number (s)")
+    file: int | None = Field(default=None, ge=1, description="the number of a file of the log, from 1")
+    reason: str = Field(default="", description="a string")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        stated = {"rest": self.rest is not None, "turn": self.turn is not None, "start": self.start is not None}
+        if sum(stated.values()) != 1 or (self.start is None) != (self.stop is None):
+            raise ValueError(
+                "rest: expected either rest, or turn, or start and stop together, found "
+                f"{', '.join(k for k in ('rest', 'turn', 'start', 'stop') if getattr(self, k) is not None) or 'none'}"
+            )
+        if self.start is not None and self.stop is not None and self.start >= self.stop:
+            raise ValueError(f"start: expected a start before the stop {self.stop:g} s, found {self.start:g} s")
+        if self.file is not None and self.start is None:
+            raise ValueError("file: expected only with start and stop, found it without")
+        return self
+
+
 class SessionDocument(SessionTable):
     """The whole file."""
 
@@ -318,6 +343,7 @@ class SessionDocument(SessionTable):
     site: SiteTable = Field(default_factory=SiteTable, description="the table [site]")
     log: LogTable = Field(description="the table [log]")
     programme: ProgrammeTable | None = Field(default=None, description="the table [programme]")
+    exclude: list[ExcludeTable] = Field(default_factory=list, description="tables [[exclude]]")
 
     @model_validator(mode="after")
     def _check(self) -> Self:

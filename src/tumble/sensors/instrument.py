@@ -173,7 +173,7 @@ class Instrument:
     @cached_property
     def _constant(self) -> dict[str, Array]:
         """∂K/∂θ of each block for the parameters that K is linear in."""
-        out = {}
+        out: dict[str, Array] = {}
         for block in (self.accel, self.gyro):
             if block is None:
                 continue
@@ -185,7 +185,7 @@ class Instrument:
     @cached_property
     def used(self) -> dict[str, IntArray]:
         """Which functions the readings of each block may contain."""
-        out = {}
+        out: dict[str, IntArray] = {}
         for block in (self.accel, self.gyro):
             if block is None:
                 continue
@@ -214,13 +214,18 @@ def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
     others, and rates (N, 3) of the body."""
     shape = (len(rate), block.size, 3)
+<<<<<<< HEAD
     force, rate = (
         np.broadcast_to(force[:, None] if force.ndim == 2 else force, shape),
         np.broadcast_to(rate[:, None], shape),
     )
+=======
+    force = np.broadcast_to(force[:, None] if force.ndim == 2 else force, shape)
+    rate = np.broadcast_to(rate[:, None], shape)
+>>>>>>> main
     measured, other = (force, rate) if block.kind == "accel" else (rate, force)
     linear = _measured(block)
-    out = np.einsum("npk,pk->np", measured, K[:, linear]) + K[:, CONSTANT]
+    out: Array = np.einsum("npk,pk->np", measured, K[:, linear]) + K[:, CONSTANT]
     if is_linear(block, K):
         return out
     own = np.einsum("npk,pk->np", measured, block.axes)
@@ -238,10 +243,10 @@ def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Ar
     """Derivatives (N, n, 3) of the readings Σ_b K_pb β_pb with respect to specific force and rate."""
     by_force = np.broadcast_to(K[:, FORCE], (len(force), block.size, 3)).copy()
     by_rate = np.broadcast_to(K[:, RATE], (len(force), block.size, 3)).copy()
-    for b, (k, l) in enumerate(PAIRS, start=PRODUCTS.start):
+    for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start):
         if np.any(K[:, b]):
-            by_force[:, :, k] += K[:, b] * force[:, [l]]
-            by_force[:, :, l] += K[:, b] * force[:, [k]]
+            by_force[:, :, k] += K[:, b] * force[:, [other]]
+            by_force[:, :, other] += K[:, b] * force[:, [k]]
     if np.any(K[:, OWN_SIZE:]):
         by, true = (by_force, force) if block.kind == "accel" else (by_rate, rate)
         own = true @ block.axes.T

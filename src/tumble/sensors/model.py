@@ -31,7 +31,7 @@ _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "
 _BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SensorModel:
     """`reading = matrix @ true + bias` of one block: matrix (n, 3), bias (n,) in m/s² or rad/s."""
 
@@ -51,7 +51,7 @@ class SensorModel:
         return np.asarray(true @ self.matrix.T + self.bias)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Block:
     """n sensors of one kind with nominal sensing directions `axes` (n, 3) in the body frame, and what their
     parameters are called. Parameter vectors of a block are in the order of `names`."""
@@ -144,10 +144,14 @@ class Block:
         for p in range(n):
             out[p, 3, p] = 1.0
             out[p, :3, n + p] = rotated[p]
-        for i, (p, _) in enumerate(self._free_angles()):
-            step = np.zeros_like(angles)
-            step[i] = 1e-20  # complex step: exact to rounding
-            out[p, :3, 2 * n + i] = (1.0 + scale[p]) * self._rotated(angles + 1j * step)[p].imag / 1e-20
+        free = self._free_angles()
+        for which in (0, 1):  # a complex step, exact to rounding: an angle of one sensor moves no other
+            own = [i for i, (_, j) in enumerate(free) if j == which]
+            stepped = angles.astype(complex)
+            stepped[own] += 1e-20j
+            change = (1.0 + scale)[:, None] * self._rotated(stepped).imag / 1e-20
+            for i in own:
+                out[free[i][0], :3, 2 * n + i] = change[free[i][0]]
         return out
 
     def _channel_of_axis(self) -> IntArray:
@@ -160,15 +164,7 @@ class Block:
 
     def _perpendiculars(self) -> Array:
         """t₁ and t₂ of every sensor, shape (n, 2, 3)."""
-        out = np.empty((self.size, 2, 3))
-        for p, d in enumerate(self.axes):
-            r = self.axes[0]
-            if np.linalg.norm(np.cross(r, d)) < 1e-3:
-                r = np.eye(3)[np.argmin(np.abs(d))]
-            t = np.cross(r, d)
-            out[p, 0] = t / np.linalg.norm(t)
-            out[p, 1] = np.cross(d, out[p, 0])
-        return out
+        return _perpendiculars(np.asarray(self.axes, dtype=float).tobytes())
 
     def _rotated(self, angles: Array) -> Array:
         """Unit sensing axes (n, 3) for values of the free angles."""
@@ -203,6 +199,21 @@ def _along_body_axes(axes: bytes) -> bool:
     return rows.shape == (3, 3) and bool(
         np.array_equal(np.sort(np.abs(rows), axis=1), [[0, 0, 1]] * 3) and abs(np.linalg.det(rows)) > 0.5
     )
+
+
+@lru_cache(maxsize=64)
+def _perpendiculars(axes: bytes) -> Array:
+    """t₁ and t₂ (n, 2, 3) of sensing axes (n, 3), float64."""
+    rows = np.frombuffer(axes).reshape(-1, 3)
+    out = np.empty((len(rows), 2, 3))
+    for p, d in enumerate(rows):
+        r = rows[0]
+        if np.linalg.norm(np.cross(r, d)) < 1e-3:
+            r = np.eye(3)[np.argmin(np.abs(d))]
+        out[p, 0] = np.cross(r, d) / np.linalg.norm(np.cross(r, d))
+        out[p, 1] = np.cross(d, out[p, 0])
+    out.flags.writeable = False
+    return out
 
 
 @lru_cache(maxsize=64)

@@ -121,8 +121,8 @@ def quadratic(block: Block) -> Array:
     """∂K/∂K₂ (n, 15, n): the square of the force along the nominal axis a, Σ a_k a_l f_k f_l."""
     out = np.zeros((block.size, FUNCTIONS, block.size))
     axes = block.axes[block.channels]
-    for b, (k, l) in enumerate(PAIRS, start=PRODUCTS.start):
-        out[block.channels, b, np.arange(block.size)] = (1.0 if k == l else 2.0) * axes[:, k] * axes[:, l]
+    for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start):
+        out[block.channels, b, np.arange(block.size)] = (1.0 if k == other else 2.0) * axes[:, k] * axes[:, other]
     return out
 
 
@@ -144,14 +144,16 @@ def _grades(navigation: float, tactical: float, mems: float, consumer: float) ->
     return {"navigation": navigation, "tactical": tactical, "mems": mems, "consumer": consumer}
 
 
+_BLOCKS: tuple[tuple[SensorKind, str, str, float, tuple[tuple[float, str], ...]], ...] = (
+    ("accel", "accelerometers", "m/s^2", 1.0, _MASS),
+    ("gyro", "gyros", "rad/s", 0.1, _TURN_RATE),
+)
+
 LINEAR: tuple[ParameterGroup, ...] = tuple(
     ParameterGroup(
         name=f"{kind}.{what}", kind=kind, unit=unit, words=words, suffixes=suffixes, limit=limit, shown=shown
     )
-    for kind, sensors, bias_unit, bias_limit, bias_shown in (
-        ("accel", "accelerometers", "m/s^2", 1.0, _MASS),
-        ("gyro", "gyros", "rad/s", 0.1, _TURN_RATE),
-    )
+    for kind, sensors, bias_unit, bias_limit, bias_shown in _BLOCKS
     for what, unit, words, suffixes, limit, shown in (
         ("bias", bias_unit, f"biases of the {sensors}", _every_sensor, bias_limit, bias_shown),
         ("scale", "1", f"scale-factor errors of the {sensors}", _every_sensor, 0.1, _PARTS),

@@ -49,6 +49,7 @@ from tumble.estimation.likelihood import (
     COMPONENTS,
     NO_PRIOR,
     Left,
+    Linearised,
     Noise,
     Point,
     Prior,
@@ -63,9 +64,11 @@ from tumble.estimation.likelihood import (
     solve,
     variables_of,
 )
+from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
+from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray, IntArray
@@ -104,9 +107,9 @@ TOTAL = "noise within rests"
 def joint(
     observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool = False, instrument: Instrument | None = None
 ) -> Estimate:
-    """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which; where None,
-    the groups whose usual size the observations know. With `robust`, the estimate is that without the rests and turns that do not fit;
-    their sigmas say which they are."""
+    """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
+    where None, the groups whose usual size the observations know. With `robust`, the estimate is that without the
+    rests and turns that do not fit; their sigmas say which they are."""
     accel, gyro = observations.accel_block, observations.gyro_block
     instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables_of(observations))
     problem = Problem.of(observations, prior, instrument=instrument, usual=observations.usual)
@@ -287,10 +290,9 @@ class _Fitted:
 
 def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
     """The solution with the scatter that it shows."""
-    scatter = Scatter()
-    solved, increments, wide = start, (), problem
-    first = _iterated(problem, start, out, scatter)
-    solved, increments = first, first.increments
+    scatter, components, wide = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem
+    solved = _iterated(problem, start, out, scatter)
+    increments = solved.increments
     without = _left(problem, solved, out, scatter)
     for _ in range(ROUNDS):
         found, components = _scattered(wide, solved.last.rows, out, scatter)
@@ -556,7 +558,7 @@ def _pulls(W: Array, left_of: tuple[Array, Array], noise: Array) -> _Pulls:
     return _Pulls(
         pull=np.einsum("kab,kb->ka", back, left_of[0]),
         projector=back @ left_of[1] @ W,
-        noise=np.linalg.inv(back @ W),
+        noise=np.asarray(np.linalg.inv(back @ W)),
         left_out=LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2),
     )
 
@@ -663,7 +665,7 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
     variance, combinations = np.linalg.eigh(covariance[:linear, :linear] / np.outer(spread, spread))
     observable = np.ones(len(values), dtype=bool)
     observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
-    findings = tuple(_findings(fitted, values, covariance))
+    findings = tuple(_findings(fitted, covariance))
     for finding in findings:
         observable[instrument.members[finding.name]] = finding.kept
     accel = problem.accel_model(values)
@@ -686,17 +688,44 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
         instrument=instrument,
         groups=findings,
         degrees=_degrees(fitted, covariance),
+        prediction=prediction(
+            instrument,
+            values,
+            covariance,
+            gravity=observations.site.gravity,
+            rate=_usual_rate(fitted.solved.last.about),
+        ),
+        linearised=_linearised(fitted),
     )
+
+
+def _linearised(fitted: _Fitted) -> Linearised:
+    """The likelihood about the solution."""
+    last = fitted.solved.last
+    return Linearised(
+        problem=fitted.problem,
+        point=last.point,
+        about=last.about,
+        rows=last.rows,
+        noise=fitted.out.noise(fitted.problem, last.rows),
+        scatter=fitted.scatter,
+    )
+
+
+def _usual_rate(about: TurnsAbout | None) -> float | None:
+    """The rate of the session's turns, rad/s, root mean square; None without turns."""
+    if about is None or not len(about.moments):
+        return None
+    moments = about.moments
+    return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
 
 
 def _force(problem: Problem, values: Array) -> Array:
     """Specific forces (N, 3) at rest by the whole model."""
-    from tumble.sensors.compensation import specific_force
-
     return specific_force(problem.instrument, values, problem.observations.rests.accel)
 
 
-def _findings(fitted: _Fitted, values: Array, covariance: Array) -> Iterator[GroupFinding]:
+def _findings(fitted: _Fitted, covariance: Array) -> Iterator[GroupFinding]:
     """What the session says of each further group."""
     instrument, widened = fitted.problem.instrument, fitted.problem.measured[1][1:]
     usual = fitted.problem.observations.usual
@@ -726,4 +755,4 @@ def _degrees(fitted: _Fitted, covariance: Array) -> Array:
         more = noise.weights(Scatter.of_variances(variance + step * np.eye(len(variance))[a]))
         slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - np.diag(covariance)) / step
     of_u = np.einsum("am,ab,bm->m", slopes, fitted.components, slopes)
-    return np.minimum(2.0 * np.diag(covariance) ** 2 / np.maximum(of_u, 1e-300), MOST_DEGREES)
+    return np.asarray(np.minimum(2.0 * np.diag(covariance) ** 2 / np.maximum(of_u, 1e-300), MOST_DEGREES))

@@ -1,0 +1,140 @@
+"""The log of a session as it is received: on disk before anything else is done with it.
+
+Lines are appended whole, in one write without a buffer, so that a process that is killed leaves all it has received,
+and are forced to the disk once a second, so that a machine that loses its power leaves all but the last second. Where
+the disk takes no more, lines are kept in memory and written when it does again.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from tumble.errors import InputError
+
+SYNC_SECONDS = 0.9
+KEPT_BYTES = 1 << 26
+"""What is kept in memory while the disk takes nothing, at most."""
+REFUSED_BYTES = 1 << 22
+"""What is kept of what was no row, at most."""
+_WRITE_BYTES = 1 << 20
+
+
+class Recorder:
+    """A log file that grows by whole lines. `refused` is the file beside it for what was received and is no row;
+    `held` that for rows which wait for late ones before them."""
+
+    def __init__(self, path: Path, header: str) -> None:
+        """Go on with a log, or begin one with a header.
+
+        Raises InputError if the log has another header, or another process is recording it."""
+        self.path = path
+        self.refused, self.held = path.with_name("refused.txt"), path.with_name("held.csv")
+        self.trouble: str | None = None
+        self.bytes = 0
+        self._pending = bytearray()
+        self._synced = time.monotonic()
+        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        try:
+            _lock(self._descriptor, path)
+            self._go_on(header)
+        except BaseException:
+            os.close(self._descriptor)
+            raise
+
+    def _go_on(self, header: str) -> None:
+        """Cut the line that was not finished, and check the header or write it."""
+        size = os.fstat(self._descriptor).st_size
+        whole, rest = _whole(self._descriptor, size)
+        if rest:
+            self.refuse(rest)
+            os.ftruncate(self._descriptor, whole)
+        self.bytes = whole
+        if whole == 0:
+            self.append([header])
+            return
+        found = os.pread(self._descriptor, 1 << 16, 0).split(b"\n", 1)[0].decode("utf-8", errors="replace").strip()
+        if found != header:
+            raise InputError(f"{self.path}: expected the columns {header}, found {found}; record into another folder")
+
+    def append(self, lines: Iterable[str]) -> None:
+        """Add lines to the log; what the disk does not take now is tried again with the next."""
+        self._pending += "".join(f"{line}\n" for line in lines).encode("utf-8")
+        self._write()
+
+    def _write(self) -> None:
+        try:
+            while self._pending:
+                written = os.write(self._descriptor, self._pending[:_WRITE_BYTES])
+                self.bytes += written
+                del self._pending[:written]
+            self.trouble = None
+        except OSError as error:
+            kept = f"{len(self._pending) / 1e6:.1f} MB are kept in memory"
+            self.trouble = f"the disk takes nothing: {error.strerror}; {kept}"
+            if len(self._pending) > KEPT_BYTES:
+                self.trouble = f"the disk takes nothing: {error.strerror}; samples are being lost"
+                del self._pending[KEPT_BYTES : self._pending.rfind(b"\n") + 1]
+
+    def refuse(self, raw: bytes) -> None:
+        """Keep what was received and is no row of the log."""
+        with self.refused.open("ab") as file:
+            if file.tell() < REFUSED_BYTES:
+                file.write(raw.rstrip(b"\n") + b"\n")
+
+    def hold(self, lines: Iterable[str]) -> None:
+        """Keep rows that wait: these, and no others."""
+        text = "".join(f"{line}\n" for line in lines)
+        if text or self.held.exists():
+            self.held.write_text(text, encoding="utf-8")
+
+    def waiting(self) -> list[str]:
+        """Whole rows that waited when the recording ended."""
+        if not self.held.exists():
+            return []
+        return self.held.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]
+
+    def last_line(self) -> str:
+        """The last row of the log, empty where there is only a header."""
+        size = os.fstat(self._descriptor).st_size
+        tail = os.pread(self._descriptor, 1 << 16, max(0, size - (1 << 16)))
+        lines = tail.decode("utf-8", errors="replace").rstrip("\n").split("\n")
+        return lines[-1] if len(lines) > 1 or size > 1 << 16 else ""
+
+    def sync_if_due(self) -> None:
+        """Force the log to the disk if that was not done for a second."""
+        if time.monotonic() - self._synced >= SYNC_SECONDS:
+            if self._pending:
+                self._write()
+            os.fsync(self._descriptor)
+            self._synced = time.monotonic()
+
+    def close(self) -> None:
+        """End the recording; it may go on later."""
+        self._write()
+        os.fsync(self._descriptor)
+        os.close(self._descriptor)
+        if self.held.exists() and not self.held.stat().st_size:
+            self.held.unlink()
+
+
+def _whole(descriptor: int, size: int) -> tuple[int, bytes]:
+    """How many bytes of a file are whole lines, and what follows them."""
+    start = max(0, size - (1 << 16))
+    tail = os.pread(descriptor, size - start, start)
+    end = tail.rfind(b"\n") + 1
+    return start + end, tail[end:]
+
+
+def _lock(descriptor: int, path: Path) -> None:
+    if sys.platform == "win32":
+        return
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise InputError(f"{path}: expected a log that nobody records, found one that another process does") from None

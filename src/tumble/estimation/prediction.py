@@ -1,0 +1,58 @@
+"""How well corrected readings are known: the uncertainty of specific force and rate that an estimate gives.
+
+Single parameters may be open while what they predict together is not: bias, K₂ and asymmetry of an accelerometer that
+stood on faces alone. What a user has of a calibration is the corrected specific force in any attitude,
+
+    u_f² = ⅓ Σ_p mean over directions u of J_p(u) Σ J_p(u)ᵀ                                                     (A4)
+
+with J_p the derivative of the reading of accelerometer p at g u; and likewise the corrected rate, at the rates of the
+session's turns about any axis, in any attitude.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.model import Block
+from tumble.units import Array
+
+DIRECTIONS = 200
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Prediction:
+    """Standard uncertainties of the corrected specific force at 1 g, m/s², and of the corrected rate, rad/s, at
+    `at_rate`, rad/s, both of one sensor, averaged over attitudes; of the rate None without gyros."""
+
+    force_u: float
+    rate_u: float | None
+    at_rate: float | None
+
+
+def prediction(
+    instrument: Instrument, values: Array, covariance: Array, *, gravity: float, rate: float | None
+) -> Prediction:
+    """What corrected readings are known to by an estimate (m,), (m, m), at specific force `gravity` and a `rate`."""
+    up = _directions()
+    about = up[:, [1, 2, 0]]
+    force = _rms(instrument, instrument.accel, values, covariance, (gravity * up, np.zeros_like(up)))
+    if instrument.gyro is None or rate is None:
+        return Prediction(force_u=force, rate_u=None, at_rate=None)
+    turned = _rms(instrument, instrument.gyro, values, covariance, (gravity * up, rate * about))
+    return Prediction(force_u=force, rate_u=turned, at_rate=rate)
+
+
+def _rms(instrument: Instrument, block: Block, values: Array, covariance: Array, true: tuple[Array, Array]) -> float:
+    J = np.einsum("npb,pbm->npm", functions(block, *true), instrument.derivative(block, values), optimize=True)
+    return float(np.sqrt(np.einsum("npm,mk,npk->np", J, covariance, J, optimize=True).mean()))
+
+
+def _directions() -> Array:
+    """Unit vectors spread evenly over the sphere: a Fibonacci lattice."""
+    k = np.arange(DIRECTIONS) + 0.5
+    z, angle = 1.0 - 2.0 * k / DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * k
+    across = np.sqrt(1.0 - z**2)
+    return np.column_stack([across * np.cos(angle), across * np.sin(angle), z])

@@ -1,0 +1,70 @@
+"""What session.toml leaves out is left out, and said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.errors import SessionError
+from tumble.planning.setup import Setup
+from tumble.recording.session import read_session
+from tumble.simulation.session import simulate_session
+
+RESTS = 9
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    setup = Setup.of(grade="mems", programme="nine", rest=8.0, rate_deg_s=60.0)
+    return simulate_session(tmp_path_factory.mktemp("nine") / "launch", setup, seed=5, log_format="csv")
+
+
+def _calibrated(folder: Path, exclude: str) -> Calibration:
+    path = folder / "session.toml"
+    text = path.read_text(encoding="utf-8")
+    try:
+        path.write_text(f"{text}\n[[exclude]]\n{exclude}\n", encoding="utf-8")
+        return calibrate(folder)
+    finally:
+        path.write_text(text, encoding="utf-8")
+
+
+def test_a_rest_by_number_is_left_out_of_a_programme_and_said(whole: Path) -> None:
+    all_of_it, found = calibrate(whole), _calibrated(whole, 'rest = 4\nreason = "knocked"')
+    starts = [rest.start for rest in all_of_it.rests]
+    assert [rest.start for rest in found.rests] == starts[:3] + starts[4:]
+    assert "left out by session.toml: rest 4: knocked" in found.notes
+
+
+def test_times_shorten_a_rest_and_its_longer_part_remains(whole: Path) -> None:
+    rest = calibrate(whole).rests[2]
+    found = _calibrated(whole, f"start = {rest.stop - 3.0}\nstop = {rest.stop + 1.0}")
+    assert len(found.rests) == RESTS
+    np.testing.assert_allclose([found.rests[2].start, found.rests[2].stop], [rest.start, rest.stop - 3.0], atol=0.11)
+
+
+def test_a_turn_by_number_is_left_out(whole: Path) -> None:
+    found = _calibrated(whole, "turn = 2")
+    assert [turn.first for turn in found.turns] == [0, *range(2, RESTS - 1)]
+    assert len(found.rests) == RESTS
+
+
+def test_a_number_that_does_not_exist_is_refused(whole: Path) -> None:
+    with pytest.raises(SessionError, match=r"exclude\.rest: expected the number of one of 9, found 10"):
+        _calibrated(whole, "rest = 10")
+
+
+@pytest.mark.parametrize("exclude", ["rest = 3\nturn = 2", "start = 1.0", "start = 3.0\nstop = 2.0", 'reason = "why"'])
+def test_a_table_that_says_not_what_is_refused(whole: Path, exclude: str) -> None:
+    path = whole / "session.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(f"{text}\n[[exclude]]\n{exclude}\n", encoding="utf-8")
+    try:
+        with pytest.raises(SessionError, match="exclude"):
+            read_session(whole)
+    finally:
+        path.write_text(text, encoding="utf-8")
