@@ -125,13 +125,8 @@ def _eliminated(rest: Array, turn: Array, link: IntArray, counts: BoolArray, tri
 
 
 def _triangles(rest: Array, turn: Array, counts: BoolArray, triangle: Array) -> Array:
-<<<<<<< HEAD
-    """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·), of which some count, and rows (q, n − 1, r + t,
-    ·) of the turns."""
-=======
     """Triangles (q, p + 1, p + 1) after q chains of rests (q, n, r, ·), of which some count, and rows (q, n − 1, r +
     t, ·) of the turns."""
->>>>>>> main
     out = np.repeat(triangle[None], len(rest), axis=0)
     factor, link = np.empty((rest.shape[1], 3, rest.shape[3] + 3)), _linked(rest.shape[1], turn)
     for chain_rest, chain_turn, found in zip(rest, turn, out, strict=True):
@@ -153,15 +148,9 @@ def _counting(rests: int, gyros: bool, *ends: int) -> BoolArray:
 
 
 def _closed(last: Array, rest: Array, triangle: Array) -> Array:
-<<<<<<< HEAD
-    """The triangle on the parameters when a chain ends with rows (r, ·) on the attitude of its last rest and the rows
-    of that rest."""
-    rows = np.asarray(np.linalg.qr(np.concatenate([last, rest]), mode="r"))[3:, 3:]
-=======
     """The triangle on the parameters when a chain ends with rows (r, ·) on the attitude of its last rest and the
     rows of that rest."""
     rows = np.linalg.qr(np.concatenate([last, rest]), mode="r")[3:, 3:]
->>>>>>> main
     return np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
 
 

@@ -1,20 +1,12 @@
 """The best a programme allows: the Cramér–Rao bound of the joint likelihood, before anything is measured.
 
 The rows are those of `tumble.estimation.likelihood`, taken at perfect sensors and at the attitudes of the programme,
-<<<<<<< HEAD
-which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has of
-it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias that
-differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant rate; the
-body turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and mounting are not
-in the bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts of a thousand.
-=======
 which are eliminated: so the bound is the covariance that `joint` would state for an exact programme. What a log has
 of it: the rests, with white noise, the moves between them, all of which the log has, and in-run instability as a bias
 that differs from rest to rest and lasts through the turn that follows. A move goes about one axis at a constant
 rate; the body turns about a fixed axis in inertial space (`tumble.planning.steady_turns`). Errors of table and
 mounting are not in the bound: the attitudes are unknowns, and where they are a degree or two off it changes by parts
 of a thousand.
->>>>>>> main
 
 Groups of parameters beyond the linear model (`Setup.further`) have priors, the spreads of the set-up. What is said of
 combinations is said of the linear parameters, whatever the others are within their priors; of a group, what the
@@ -79,21 +71,12 @@ class Course:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Bound:
-<<<<<<< HEAD
-    """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear` are
-    those of the linear model. `observable` marks the parameters that are determined, and only these mean anything;
-    those of further groups are by their priors at least, and `further` says what the programme adds. `null` (q, linear)
-    are the combinations that are not determined, `worst` (linear,) the unit combination determined worst and `worst_u`
-    how well, both in natural units, whose sizes in SI are `natural` (linear,). `condition` is infinite where a
-    combination is not determined."""
-=======
     """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear`
     are those of the linear model. `observable` marks the parameters that are determined, and only these mean
     anything; those of further groups are by their priors at least, and `further` says what the programme adds.
     `null` (q, linear) are the combinations that are not determined, `worst` (linear,) the unit combination
     determined worst and `worst_u` how well, both in natural units, whose sizes in SI are `natural` (linear,).
     `condition` is infinite where a combination is not determined."""
->>>>>>> main
 
     names: tuple[str, ...]
     units: tuple[str, ...]

@@ -136,13 +136,8 @@ class Places:
         return np.concatenate([one, two, three]), moves, np.arange(len(moves)) < len(one) + len(two)
 
     def _rows(self, place: int, others: IntArray, moves: Array, sense: int) -> Array:
-<<<<<<< HEAD
-        """The whitened rows of the turns on legs from or to a place, and of the rests before them, one after the other
-        as if in one long course."""
-=======
         """The whitened rows of the turns on legs from or to a place, and of the rests before them, one after the
         other as if in one long course."""
->>>>>>> main
         ends = np.stack([np.full(len(others), place), others], axis=1)[:, ::sense]
         course = Course(
             attitudes=self.attitudes[ends.ravel()],

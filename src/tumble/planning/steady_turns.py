@@ -34,13 +34,8 @@ _LINEAR = 7
 
 @cache
 def _gauss() -> tuple[Array, Array, Array]:
-<<<<<<< HEAD
-    """Nodes and weights on 0…1, and the integrals (NODES, NODES) from each node to 1 of the polynomials that are 1 at
-    one node and 0 at the others."""
-=======
     """Nodes and weights on 0…1, and the integrals (NODES, NODES) from each node to 1 of the polynomials that are 1
     at one node and 0 at the others."""
->>>>>>> main
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     values = np.polynomial.legendre.legvander(nodes, NODES)
     coefficients = (values[:, :-1] * weights[:, None] * (np.arange(NODES) + 0.5)).T  # of each cardinal polynomial

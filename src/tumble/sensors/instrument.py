@@ -214,15 +214,8 @@ def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
     others, and rates (N, 3) of the body."""
     shape = (len(rate), block.size, 3)
-<<<<<<< HEAD
-    force, rate = (
-        np.broadcast_to(force[:, None] if force.ndim == 2 else force, shape),
-        np.broadcast_to(rate[:, None], shape),
-    )
-=======
     force = np.broadcast_to(force[:, None] if force.ndim == 2 else force, shape)
     rate = np.broadcast_to(rate[:, None], shape)
->>>>>>> main
     measured, other = (force, rate) if block.kind == "accel" else (rate, force)
     linear = _measured(block)
     out: Array = np.einsum("npk,pk->np", measured, K[:, linear]) + K[:, CONSTANT]

@@ -92,13 +92,8 @@ def simulate_observations(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _NoisyBlock:
-<<<<<<< HEAD
-    """A block at work: its coefficients K (n, 15) in the middle of the session and their drift, 1/s, the change (N, n)
-    that its bias has at each rest and in the move that follows, and the density of its white noise."""
-=======
     """A block at work: its coefficients K (n, 15) in the middle of the session and their drift, 1/s, the change (N,
     n) that its bias has at each rest and in the move that follows, and the density of its white noise."""
->>>>>>> main
 
     block: Block
     coefficients: Array
@@ -244,13 +239,8 @@ def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Arr
 
 def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, late: float = 0.0) -> Array:
     """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample, which is `late`, of turns from
-<<<<<<< HEAD
-    attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those before,
-    as if it turned already.
-=======
     attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those
     before, as if it turned already.
->>>>>>> main
 
     With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
 

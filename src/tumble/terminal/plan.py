@@ -25,10 +25,6 @@ LARGEST = 4
 """So many parameters of a combination are named."""
 
 LITTLE, MOSTLY = 0.05, 0.75
-<<<<<<< HEAD
-"""Learned fractions below which a programme leaves a group to what is usual, and above which it is determined: u is 97
-% and half of the prior."""
-=======
 """Learned fractions below which a programme leaves a group to what is usual, and above which it is determined: u is
 97 % and half of the prior."""
 
@@ -41,7 +37,6 @@ def plan_report(plan: PlanResult, aim: Aim) -> RenderableType:
         return Group(best, Text(""), next_report(plan.bound, plan.following, aim))
     found = positions_report(plan.setup.programme)
     return Group(found, Text(""), best, Text(""), comparison_report(plan.setup, plan.programmes, aim))
->>>>>>> main
 
 
 def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
