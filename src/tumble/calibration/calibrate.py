@@ -93,8 +93,9 @@ def calibrate(
 ) -> Calibration:
     """Calibrate the device of a session: a `Session`, the path of its folder, or readings in SI as
     `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2), `terms`
-    for the method joint: `linear` leaves out what is not bias, scale factor or axis angle. The result is given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its
-    outcome; unusable input raises an `InputError`.
+    for the method joint: `linear` leaves out what is not bias, scale factor or axis angle. The result is given in
+    `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its outcome;
+    unusable input raises an `InputError`.
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
