@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.instrument import Instrument, is_linear
+from tumble.sensors.instrument import readings as readings_of
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, RATE, group_name
 from tumble.units import Array
 
-FIXED_POINT_STEPS = 3
-"""Steps for what is not linear: each leaves the part of 1e-3 or less that the nonlinear terms are of the reading."""
+FIXED_POINT_STEPS = 5
+"""Steps for what is not linear: each leaves the part of 1e-3 to 1e-2 that the nonlinear terms are of the reading."""
 
 
 def specific_force(instrument: Instrument, values: Array, readings: Array) -> Array:
@@ -38,9 +39,13 @@ def _solved(block: Block, K: Array, measured: slice, readings: Array, force: Arr
     x = reading @ inverse.T
     if not np.any(rest):
         return np.asarray(x)
+    if not np.any(rest[:, FORCE]):
+        force = np.zeros_like(x)  # what does not count may be lost
     for _ in range(FIXED_POINT_STEPS):
-        beta = functions(block, x, np.zeros_like(x)) if measured == FORCE else functions(block, force, x)
-        x = (reading - np.einsum("npb,pb->np", beta, rest)) @ inverse.T
+        beyond = (
+            readings_of(block, rest, x, np.zeros_like(x)) if measured == FORCE else readings_of(block, rest, force, x)
+        )
+        x = (reading - beyond) @ inverse.T
     return np.asarray(x)
 
 
@@ -48,13 +53,15 @@ def _solved(block: Block, K: Array, measured: slice, readings: Array, force: Arr
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
     biases and scale factors change by per K of temperature (n,), about a reference, °C, where there is one. Lever arms
-    and delays, which need the motion, are not in it."""
+    (n, 3), m, need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
 
     accel: Block
     gyro: Block | None
     accel_coefficients: Array
     gyro_coefficients: Array
     slopes: Mapping[str, Array]
+    levers: Array
+    delay: float = 0.0
     reference: float | None = None
 
     @staticmethod
@@ -83,8 +90,31 @@ class Compensator:
             accel_coefficients=coefficients[0],
             gyro_coefficients=coefficients[1],
             slopes=_slopes(blocks, values),
+            levers=instrument.levers(further),
+            delay=instrument.delay(further),
             reference=reference,
         )
+
+    @property
+    def linear(self) -> bool:
+        """Whether matrix and bias of each kind are all there is, whatever the temperature."""
+        kinds = ((self.accel, self.accel_coefficients), (self.gyro, self.gyro_coefficients))
+        return not self.slopes and all(block is None or is_linear(block, K) for block, K in kinds)
+
+    def model(self, kind: str) -> SensorModel:
+        """Matrix and bias of a kind of sensors, without what is beyond them."""
+        block, K = (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
+        assert block is not None
+        return SensorModel(matrix=K[:, _measured(block)], bias=K[:, CONSTANT])
+
+    def at_one_point(self, readings: Array, rate: Array, acceleration: Array) -> Array:
+        """Readings (N, n), SI, as all accelerometers would have them where the last one is, in motion with a rate and
+        an angular acceleration (N, 3), rad/s and rad/s²: less what f_p − f = ω̇ × r_p + ω × (ω × r_p) adds through
+        the sensitivity."""
+        r = self.levers[None]
+        across = np.cross(rate[:, None], np.cross(rate[:, None], r))
+        added = np.cross(acceleration[:, None], r) + across
+        return np.asarray(readings - np.einsum("npk,pk->np", added, self.accel_coefficients[:, FORCE]))
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
         """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C."""
