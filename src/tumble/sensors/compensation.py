@@ -42,10 +42,8 @@ def _solved(block: Block, K: Array, measured: slice, readings: Array, force: Arr
     if not np.any(rest[:, FORCE]):
         force = np.zeros_like(x)  # what does not count may be lost
     for _ in range(FIXED_POINT_STEPS):
-        beyond = (
-            readings_of(block, rest, x, np.zeros_like(x)) if measured == FORCE else readings_of(block, rest, force, x)
-        )
-        x = (reading - beyond) @ inverse.T
+        true = (x, np.zeros_like(x)) if measured == FORCE else (force, x)
+        x = (reading - readings_of(block, rest, *true)) @ inverse.T
     return np.asarray(x)
 
 
