@@ -302,7 +302,7 @@ def _true(
 
 def _a_second(values: Array, dt: Array | None) -> Array:
     """Means over their intervals, of increments."""
-    return values if dt is None else np.asarray(values / dt[:, None])
+    return values if dt is None else np.asarray(values / dt[:, None], dtype=float)
 
 
 @dataclass(kw_only=True, slots=True)

@@ -2,7 +2,8 @@
 
 The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
 their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
-uncertainty of gravity is common to all launches of a site and does not average out, nor does what is wrong with a prior.
+uncertainty of gravity is common to all launches of a site and does not average out, nor does what is wrong
+with a prior.
 """
 
 from __future__ import annotations
@@ -303,12 +304,8 @@ def _to_temperature(run: Run, names: list[str], reference: float | None) -> Arra
 def _by_gravity(run: Run, names: list[str]) -> Array:
     """Change of the parameters with one standard uncertainty of g: only accelerometer scale factors, −(1 + k) δg/g."""
     site, found = run.session.site, _named(run)
-    return np.array(
-        [
-            -(1.0 + found[n].value) * site.gravity_u / site.gravity if group_name(n) == "accel.scale" else 0.0
-            for n in names
-        ]
-    )
+    relative = site.gravity_u / site.gravity
+    return np.array([-(1.0 + found[n].value) * relative if group_name(n) == "accel.scale" else 0.0 for n in names])
 
 
 def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:

@@ -30,20 +30,24 @@ def angular_rate(instrument: Instrument, values: Array, readings: Array, force: 
     return _solved(instrument.gyro, K, RATE, readings, force)
 
 
-def _solved(block: Block, K: Array, measured: slice, readings: Array, force: Array) -> Array:
-    """The measured vector (N, 3), by fixed-point steps: x ← S⁻¹ (ŷ − b − what is not linear in x)."""
+def _solved(
+    block: Block, K: Array, measured: slice, readings: Array, force: Array, change: tuple[Array, Array] | None = None
+) -> Array:
+    """The measured vector (N, 3), by fixed-point steps: x ← S⁻¹ ((ŷ − b − what is not linear in x) / s); where
+    parameters change with temperature, `change` is that of the bias, and s, both (N, n)."""
     inverse = np.linalg.pinv(K[:, measured])
     rest = K.copy()
     rest[:, measured], rest[:, CONSTANT] = 0.0, 0.0
-    reading = readings - K[:, CONSTANT]
-    x = reading @ inverse.T
+    offset, gain = change if change is not None else (np.zeros(1), np.ones(1))
+    reading = readings - K[:, CONSTANT] - offset
+    x = (reading / gain) @ inverse.T
     if not np.any(rest):
         return np.asarray(x)
     if not np.any(rest[:, FORCE]):
         force = np.zeros_like(x)  # what does not count may be lost
     for _ in range(FIXED_POINT_STEPS):
         true = (x, np.zeros_like(x)) if measured == FORCE else (force, x)
-        x = (reading - readings_of(block, rest, *true)) @ inverse.T
+        x = ((reading - readings_of(block, rest, *true)) / gain) @ inverse.T
     return np.asarray(x)
 
 
@@ -116,24 +120,23 @@ class Compensator:
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
         """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C."""
-        readings = self._at_reference(self.accel, self.accel_coefficients, readings, temperature)
-        return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)))
+        change = self._change(self.accel, self.accel_coefficients, temperature)
+        return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)), change)
 
     def rate(self, readings: Array, force: Array, temperature: Array | None = None) -> Array:
         """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures (N,), °C."""
         assert self.gyro is not None
-        readings = self._at_reference(self.gyro, self.gyro_coefficients, readings, temperature)
-        return _solved(self.gyro, self.gyro_coefficients, RATE, readings, force)
+        change = self._change(self.gyro, self.gyro_coefficients, temperature)
+        return _solved(self.gyro, self.gyro_coefficients, RATE, readings, force, change)
 
-    def _at_reference(self, block: Block, K: Array, readings: Array, temperature: Array | None) -> Array:
-        """Readings as they would be at the reference temperature."""
+    def _change(self, block: Block, K: Array, temperature: Array | None) -> tuple[Array, Array] | None:
+        """Changes (N, n) of the biases from the reference temperature, and factors (N, n) of the sensitivities."""
         bias, scale = self.slopes.get(f"{block.kind}.bias"), self.slopes.get(f"{block.kind}.scale")
         if temperature is None or self.reference is None or bias is None or scale is None:
-            return readings
-        change = (temperature - self.reference)[:, None]
+            return None
+        warmer = (temperature - self.reference)[:, None]
         size = np.linalg.norm(K[:, _measured(block)], axis=1)
-        offset = K[:, CONSTANT]
-        return np.asarray(offset + (readings - offset - bias * change) / (1.0 + scale * change / size))
+        return bias * warmer, 1.0 + scale * warmer / size
 
 
 def _slopes(blocks: tuple[Block, Block | None], values: Mapping[str, float]) -> dict[str, Array]:
