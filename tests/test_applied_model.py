@@ -1,4 +1,4 @@
-"""The whole model undone: readings from known parameters of all groups give the truth back, in arrays and in streams."""
+"""The whole model undone: readings from known parameters of all groups give the truth back, in arrays and streams."""
 
 from __future__ import annotations
 

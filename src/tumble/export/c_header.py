@@ -90,11 +90,8 @@ def c_header(calibration: Calibration) -> Exported:
     """The header of a calibration."""
     known = models(calibration)
     compensator = None if calibration.accel is None else calibration.compensator
-    losses = (
-        *not_held(calibration, HELD),
-        NO_UNCERTAINTY,
-        "the functions in float have 7 digits; use those in double where that matters",
-    )
+    digits = "the functions in float have 7 digits; use those in double where that matters"
+    losses = (*not_held(calibration, HELD), NO_UNCERTAINTY, digits)
     examples = _examples(known) if compensator is None else _worked(compensator, known)
     comments = [*origin(calibration), *examples, *losses]
     lines = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", ""]
