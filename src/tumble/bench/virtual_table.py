@@ -69,7 +69,11 @@ class VirtualTable:
         kind = grade("mems")
         spreads = [(ACCEL, kind.accel), (GYRO, kind.gyro)]
         self._models = [
-            block.model(0.5 * np.array([getattr(s, name.split(".")[1]) for name in block.names]) * self._rng.standard_normal(len(block.names)))
+            block.model(
+                0.5
+                * np.array([getattr(s, name.split(".")[1]) for name in block.names])
+                * self._rng.standard_normal(len(block.names))
+            )
             for block, s in spreads
         ]
         self._sigma = [kind.noise.accel_white * SAMPLE_RATE**0.5, kind.noise.gyro_white * SAMPLE_RATE**0.5]

@@ -8,7 +8,7 @@ uncertainty of gravity is common to all launches of a site and does not average 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from tumble.calibration.calibrate import DEFAULT_METHOD, calibrate
+from tumble.calibration.calibrate import DEFAULT_METHOD, Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
@@ -48,6 +48,7 @@ def calibrate_launches(
     method: str = DEFAULT_METHOD,
     iterations: int | None = None,
     frame: Frame = "accelerometer",
+    terms: Terms = "full",
     progress: Progress = Log.chunks,
 ) -> Calibration:
     """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`.
@@ -63,16 +64,17 @@ def calibrate_launches(
     runs = [
         Run(
             session=session,
-            calibration=calibrate(session, method=method, iterations=iterations, frame=frame, progress=progress),
+            calibration=calibrate(
+                session, method=method, iterations=iterations, frame=frame, terms=terms, progress=progress
+            ),
         )
         for session in map(session_from, sessions)
     ]
     return mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
 
 
-def mean_of_launches(runs: Sequence[Run]) -> Calibration:
-    """One calibration from several sessions of one device by the same method: means with uncertainties, standard
-    deviations from launch to launch, mean increments of each iteration, and every launch.
+def _outcome(runs: Sequence[Run]) -> Outcome:
+    """What is said of the sessions, each sentence with the name of its own.
 
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
@@ -82,10 +84,24 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     >>> tumble.mean_of_launches(runs)["accel.bias.x"].run_to_run > 0.0
     True
     """
+
+    def said(what: Callable[[Outcome], tuple[str, ...]]) -> tuple[str, ...]:
+        return tuple(f"{_name(run)}: {each}" for run in runs for each in what(run.calibration.outcome))
+
+    return Outcome(
+        reasons=said(lambda outcome: outcome.reasons),
+        remarks=said(lambda outcome: outcome.remarks),
+        unobservable=tuple(dict.fromkeys(name for run in runs for name in run.calibration.outcome.unobservable)),
+        of_accel=said(lambda outcome: outcome.of_accel),
+        of_gyro=said(lambda outcome: outcome.of_gyro),
+    )
+
+
+def mean_of_launches(runs: Sequence[Run]) -> Calibration:
+    """One calibration from several sessions of one device by the same method: means with uncertainties, standard
+    deviations from launch to launch, mean increments of each iteration, and every launch."""
     first = runs[0].calibration
     _check_alike(runs)
-    reasons = tuple(f"{_name(run)}: {reason}" for run in runs for reason in run.calibration.outcome.reasons)
-    missing = tuple(dict.fromkeys(name for run in runs for name in run.calibration.outcome.unobservable))
     common = [p.name for p in first.parameters if all(p.name in _named(run) for run in runs)]
     values = np.array([[_named(run)[name].value for name in common] for run in runs])
     covariance = _covariance(runs, common, values)
@@ -111,7 +127,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         accel=_mean_model(first.frame, runs[0].session.accel_block, means),
         gyro=_mean_model(first.frame, runs[0].session.gyro_block, means),
         mag=_mean_magnetometer(means),
-        outcome=Outcome(reasons=reasons, unobservable=missing),
+        outcome=_outcome(runs),
         iterations=_mean_increments(runs, common),
         rests=(),
         turns=(),
