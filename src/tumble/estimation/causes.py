@@ -438,9 +438,11 @@ def _products(session: _Session) -> Iterator[_Columns]:
 def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Columns]:
     """What only turns show."""
     n, m = gyro.size, session.accel.size
-    square = about.moments.body_W[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
+    square = about.moments.body_rates[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
     rest, turn = session.nothing(n)
-    phi, V = (np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_V))
+    phi, V = (
+        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
+    )
     turn[:, :3] = phi
     session.put_velocity(turn, V)
     yield _Columns(
@@ -452,7 +454,8 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
         sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate",
     )
     rest, turn = session.nothing(m)
-    late = single_delay_columns(about.moments, np.linalg.pinv(session.accel.axes), session.accel.axes)
+    left_inverse = np.asarray(np.linalg.pinv(session.accel.axes), dtype=float)
+    late = single_delay_columns(about.moments, left_inverse, session.accel.axes)
     session.put_velocity(turn, late)
     yield _Columns(
         name="single delays",
@@ -623,7 +626,7 @@ def _lost(session: _Session, projection: Projection) -> Cause:
     turned = about.moments.Phi[..., RATE]
     path = np.einsum("kipp->ki", turned)
     axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
-    size = np.sqrt(about.moments.body_W[:, [0, 3, 5]].sum(axis=1))
+    size = np.sqrt(about.moments.body_rates[:, [0, 3, 5]].sum(axis=1))
     turn[:, :3, 0] = size[:, None] * axis
     return Cause(
         name="lost samples",
