@@ -394,12 +394,15 @@ def test_sessions_with_truth_are_within_their_uncertainties(data: Path, name: st
 
 @pytest.mark.data
 def test_xsens_is_accepted_and_agrees_with_the_staged_estimate(data: Path) -> None:
-    found, first = (calibrate(data / "xsens-mti", method=name, terms="linear") for name in ("joint", "staged"))
+    """With g-sensitivity, which is most of its scatter; the staged estimate has that in its uncertainties."""
+    found, first = (calibrate(data / "xsens-mti", method=name) for name in ("joint", "staged"))
     assert found.outcome.accepted
-    assert len(found.parameters) == 21
-    for p in found.parameters:
+    assert len(first.parameters) == 21
+    for p in first.parameters:
         assert p.u is not None
-        assert abs(p.value - first[p.name].value) < 2.0 * p.u
+        u = found[p.name].u
+        assert u is not None
+        assert abs(p.value - found[p.name].value) < 2.0 * np.hypot(p.u, u)
     assert len(found.iterations) <= 8
 
 

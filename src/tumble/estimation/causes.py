@@ -269,7 +269,9 @@ class _Session:
         rest = np.zeros((*self.rest_shape, n))
         rest[:, first : first + n] = at_rest[:, :, None] * np.eye(n)
         about = self.linearised.about
-        turn = self.linearised.rows.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
+        turn = np.zeros((*self.linearised.rows.turn.shape[:2], n))
+        if len(turn):
+            turn = self.linearised.rows.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
         if kind == "accel" and about is not None:
             nominal = np.linalg.pinv(self.accel.axes)
             each = np.swapaxes(self.steps, 2, 3) @ nominal  # C s_p
