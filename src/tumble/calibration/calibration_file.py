@@ -128,11 +128,13 @@ class Calibration:
         return html(self)
 
     def table(self) -> str:
-        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text."""
+        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
+        there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
         return text_table(self)
 
     def to_polars(self) -> pl.DataFrame:
-        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run."""
+        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
+        the coverage factor k, dof, prior and learned."""
         return polars_frame(self)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -141,7 +143,7 @@ class Calibration:
 
     def plot(self, axes: Axes) -> None:
         """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
-        as a band; without rests the parameters in units of their uncertainty."""
+        as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
         draw(self, axes)
 
     def apply(
