@@ -21,8 +21,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble import __version__
-from tumble.calibration.calibrate import calibrate, inspect_session
+from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.errors import CalibrationError
 from tumble.planning.setup import Setup
@@ -142,7 +143,7 @@ def test_the_residual_of_a_rest_is_the_corrected_reading_less_g(content: Any, se
     log = pl.read_parquet(session / "log.parquet")
     gravity = read_session(session).site.gravity
     accel = SensorModel(matrix=np.array(content["accel"]["matrix"]), bias=np.array(content["accel"]["bias"]))
-    _, observations, _ = inspect_session(read_session(session))
+    observations = inspect_session(read_session(session)).observations
     assert observations is not None
     assert len(content["rests"]) == len(observations.rests) == 14
     for rest, mean in zip(content["rests"], observations.rests.accel, strict=True):

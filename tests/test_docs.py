@@ -30,7 +30,8 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import rq
 
-from tumble.calibration.calibrate import calibrate, inspect_session
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.recording.log import open_log
 from tumble.recording.session import read_session
@@ -49,6 +50,7 @@ RUN = (
     "docs/registry.md",
     "docs/campaigns.md",
     "docs/plan.md",
+    "docs/api.md",
 )
 RECORDINGS = {"docs/xsens.md": "xsens-mti"}
 """Pages that need a recording: the folder of the shared data that is copied into the empty one."""
@@ -231,6 +233,12 @@ def anchors(path: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+def test_the_gallery_shows_the_lines_that_draw_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "studies"))
+    gallery = import_module("gallery")
+    assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page(), "run python studies/gallery.py"
+
+
 def test_every_page_is_reached_from_the_index() -> None:
     index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
     missing = [path.name for path in ROOT.glob("docs/*.md") if path.name != "index.md" and f"({path.name}" not in index]
@@ -276,7 +284,7 @@ def figures_of_the_recording(folder: Path) -> list[str]:
     exact = calibrate(replace(session, site=replace(session.site, gravity=9.81744, gravity_u=0.0)))
     assert exact.accel is not None
     assert exact.gyro is not None
-    _, observations, _ = inspect_session(session)
+    observations = inspect_session(session).observations
     assert observations is not None
     rests = observations.rests
     force = exact.accel.apply(rests.accel)

@@ -13,13 +13,13 @@ from calibrated import FRAMES, calibration
 from test_export import NOISE
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.quiet_samples import longest_rest
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.kalibr import noise_densities
 from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
 from tumble.reduction.allan_deviation import allan_deviation
-from tumble.reduction.quiet_samples import longest_rest
 from tumble.sensors.frames import Frame
 from tumble.simulation.session import simulate_session
 from tumble.units import Array

@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 
 from tumble.earth import earth_rate
-from tumble.planning import bounds
 from tumble.planning.bounds import Course, bound_of, course_of
 from tumble.planning.setup import Setup
 from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector
-from tumble.sensors.parameters import positions_by_group, usual_of
-from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
+from tumble.sensors.parameters import usual_of
+from tumble.units import Array
 
 SAMPLES = 240
 STEP = 1e-5
@@ -116,7 +115,11 @@ def add_turn(total, course, setup, turn, with_bias, angles, biases, p, velocity)
         vector = vector * (1.0 - 2.0 * np.pi / np.linalg.norm(vector))
     when = (np.arange(SAMPLES) + 0.5) * dt
     up = rotation_matrix(when[:, None] * earth)[:, 1] @ start  # Lᵀ(0) exp([Ω×]t) e_U, transposed
-    up = np.einsum("kij,ki->kj", rotation_matrix(when[:, None] * vector / T), np.einsum("ji,kj->ki", start, rotation_matrix(when[:, None] * earth)[:, :, 1]))
+    up = np.einsum(
+        "kij,ki->kj",
+        rotation_matrix(when[:, None] * vector / T),
+        np.einsum("ji,kj->ki", start, rotation_matrix(when[:, None] * earth)[:, :, 1]),
+    )
     rates, forces = np.repeat(vector[None] / T, SAMPLES, axis=0), setup.gravity * up
     C0, V0, middle = integrated(np.zeros(28), rates, forces, dt, velocity)
 
@@ -129,7 +132,9 @@ def add_turn(total, course, setup, turn, with_bias, angles, biases, p, velocity)
         predicted = L.T @ turning @ np.array([0.0, setup.gravity * T, 0.0])
         return np.concatenate([r, V - predicted]) if velocity else r
 
-    own = [*range(p)] + [c for s in (angles(first), biases(first), angles(first + 1)) for c in range(*s.indices(unknowns))]
+    own = [*range(p)] + [
+        c for s in (angles(first), biases(first), angles(first + 1)) for c in range(*s.indices(unknowns))
+    ]
     jacobian = np.zeros((6 if velocity else 3, unknowns))
     for c in own:
         x = np.zeros(unknowns)

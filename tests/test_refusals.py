@@ -23,7 +23,7 @@ import pytest
 import tomli_w
 from click.testing import CliRunner, Result
 
-from tumble.calibration.calibrate import inspect_session
+from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
 from tumble.estimation.estimate import Estimate
@@ -655,7 +655,7 @@ def _written(parts: list[Part], folder: Path) -> Path:
 
 
 def _estimated(folder: Path) -> Estimate:
-    _, observations, _ = inspect_session(read_session(folder))
+    observations = inspect_session(read_session(folder)).observations
     assert observations is not None
     return staged(observations)
 

@@ -19,7 +19,7 @@ from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, Scenario, Vibration, scenario_of
-from tumble.units import Array
+from tumble.units import DEGREE, G_STANDARD, Array
 
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
 GRADES = ("navigation", "tactical", "mems", "consumer")
@@ -317,6 +317,62 @@ def test_a_vibrating_stretch_is_rejected_with_its_scatter() -> None:
     assert len(segmentation.rests) == len(recording.rests) - 1
     (rejected,) = [r for r in segmentation.rejected if "scatter" in r.reason]
     assert start - 1.0 < rejected.start < rejected.stop < stop + 1.0
+
+
+# -------------------- gyros that feel specific force --------------------
+
+
+def with_g_sensitivity(recording: Recording, seed: int, size: float = 0.1) -> Recording:
+    """Each gyro reads about 0.1 °/s more per g along each axis."""
+    matrix = size * DEGREE / G_STANDARD * np.random.default_rng(seed).standard_normal((3, 3))
+    return replace(recording, gyro=recording.gyro + recording.accel @ matrix.T)
+
+
+@pytest.mark.parametrize("programme", [None, "cube-26", "nine"])
+@pytest.mark.parametrize("grade", ["tactical", "mems", "consumer"])
+def test_every_rest_is_found_where_the_level_of_the_gyros_depends_on_the_attitude(
+    grade: str, programme: str | None
+) -> None:
+    for seed in (31, 32):
+        if programme is None:
+            recording = recorded(Setup.of(grade=grade, positions=26, sample_rate=50.0), seed)
+        else:
+            recording = recorded(Setup.of(grade=grade, programme=programme, rest=5.0, sample_rate=50.0), seed)
+        recording = with_g_sensitivity(recording, seed)
+        assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
+
+
+@pytest.mark.parametrize("sensitivity", [0.0, 0.1])
+@pytest.mark.parametrize("turning", [1, 3, 6])
+@pytest.mark.parametrize("grade", ["tactical", "mems"])
+def test_a_slow_turn_about_the_vertical_is_no_rest(grade: str, turning: int, sensitivity: float) -> None:
+    """The table turns at 0.2 to 0.5 °/s during some of 26 rests, which no accelerometer sees, with gyros that feel
+    specific force or not: those are discarded for the level of the gyros, and no other."""
+    for seed, slow in ((33, 0.2), (34, 0.3), (35, 0.5)):
+        recording = recorded(Setup.of(grade=grade, positions=26, sample_rate=50.0), seed)
+        recording = with_g_sensitivity(recording, seed, sensitivity)
+        gyro, which = recording.gyro.copy(), np.arange(3, 26, 4)[:turning]
+        for rest in which:
+            start, stop = recording.rests[rest]
+            during = (recording.time > start) & (recording.time <= stop)
+            up = recording.accel[during].mean(axis=0)
+            gyro[during] += slow * DEGREE * up / np.linalg.norm(up)
+        segmentation = found(recording.time, recording.accel, gyro)
+        still = np.delete(recording.rests, which, axis=0)
+        assert_all_found(replace(recording, rests=still), segmentation)
+        off = [r for r in segmentation.rejected if r.fails == "level" and r.stop - r.start > 3.0]
+        named = slow < 0.4  # a turn by more than the spread of levels is no doubtful rest
+        assert len(off) == (turning if named else len(off))
+
+
+def test_what_was_passed_over_is_counted() -> None:
+    """Rests of 1.5 s are too short; the count says so, with the length it takes."""
+    request = Setup.of(grade="mems", programme="nine", rest=6.0, rate_deg_s=40.0, sample_rate=50.0)
+    made = scenario(request, 36)
+    short = record(replace(made, profile=replace(made.profile, rest=1.5)), np.random.default_rng(1036))
+    (said,) = found(short.time, short.accel, short.gyro).passed_over()
+    assert said.startswith("8 quiet stretches of 1.")
+    assert said.endswith("s are too short: rests must be 3 s")
 
 
 # -------------------- several files --------------------

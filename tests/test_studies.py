@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 STUDIES = sorted((Path(__file__).parents[1] / "studies").glob("*.py"))
-PICTURES = {"readme_picture.py"}
+PICTURES = {"gallery.py", "readme_picture.py"}
 """Studies that draw what the documentation shows, and are asked nothing."""
 
 ANSWERS = {

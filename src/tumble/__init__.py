@@ -24,46 +24,178 @@ Symbols used as names where an equation is printed
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tumble.calibration.apply import apply_to_session as apply_to_session
+    from tumble.calibration.apply import rest_residuals as rest_residuals
+    from tumble.calibration.calibrate import calibrate as calibrate
+    from tumble.calibration.calibration_file import Calibration as Calibration
+    from tumble.calibration.calibration_file import read_calibration as read_calibration
+    from tumble.calibration.compare import Comparison as Comparison
+    from tumble.calibration.compare import compare_calibrations as compare_calibrations
+    from tumble.calibration.from_readings import ReadingsCalibration as ReadingsCalibration
+    from tumble.calibration.from_readings import calibrate_table as calibrate_table
+    from tumble.calibration.launches import Run as Run
+    from tumble.calibration.launches import calibrate_launches as calibrate_launches
+    from tumble.calibration.launches import mean_of_launches as mean_of_launches
+    from tumble.calibration.new_session import Draft as Draft
+    from tumble.calibration.new_session import new_session as new_session
+    from tumble.calibration.observed import Observed as Observed
+    from tumble.calibration.observed import inspect_session as inspect_session
+    from tumble.calibration.quiet_samples import RecordedNoise as RecordedNoise
+    from tumble.calibration.quiet_samples import noise as noise
+    from tumble.calibration.results import Launch as Launch
+    from tumble.calibration.results import Parameter as Parameter
+    from tumble.calibration.results import RestResult as RestResult
+    from tumble.calibration.results import TurnResult as TurnResult
+    from tumble.calibration.verify import Positions as Positions
+    from tumble.calibration.verify import Verification as Verification
+    from tumble.calibration.verify import positions_of as positions_of
+    from tumble.calibration.verify import verify_calibration as verify_calibration
+    from tumble.campaigns.run import CampaignResult as CampaignResult
+    from tumble.campaigns.run import FleetResult as FleetResult
+    from tumble.campaigns.run import campaign as campaign
+    from tumble.campaigns.run import fleet as fleet
+    from tumble.earth import normal_gravity as normal_gravity
+    from tumble.errors import InputError as InputError
+    from tumble.errors import MissingExtraError as MissingExtraError
+    from tumble.errors import TumbleError as TumbleError
+    from tumble.estimation.ellipsoid import EllipsoidFit as EllipsoidFit
+    from tumble.estimation.ellipsoid import fit_ellipsoid as fit_ellipsoid
+    from tumble.estimation.estimate import Estimate as Estimate
+    from tumble.estimation.estimate import Fit as Fit
+    from tumble.estimation.estimate import Outcome as Outcome
+    from tumble.export import export_calibration as export_calibration
+    from tumble.export.exported import Exported as Exported
+    from tumble.planning.bounds import Bound as Bound
+    from tumble.planning.bounds import bound as bound
+    from tumble.planning.budget import Budget as Budget
+    from tumble.planning.budget import budget as budget
+    from tumble.planning.plan import PlanResult as PlanResult
+    from tumble.planning.plan import plan as plan
+    from tumble.planning.requirements import Requirements as Requirements
+    from tumble.planning.requirements import require as require
+    from tumble.planning.setup import Setup as Setup
+    from tumble.programme.positions import Programme as Programme
+    from tumble.programme.positions import programme_of as programme_of
+    from tumble.programme.sheet import write_sheet as write_sheet
+    from tumble.recording.arrays import session_of_arrays as session_of_arrays
+    from tumble.recording.description import description_of as description_of
+    from tumble.recording.log import Chunk as Chunk
+    from tumble.recording.log import Log as Log
+    from tumble.recording.log import open_log as open_log
+    from tumble.recording.session import Session as Session
+    from tumble.recording.session import read_session as read_session
+    from tumble.recording.session import session_of as session_of
+    from tumble.recording.session import write_session as write_session
+    from tumble.reduction.allan_deviation import allan_deviation as allan_deviation
+    from tumble.reduction.observations import Observations as Observations
+    from tumble.registry.connect import Registry as Registry
+    from tumble.registry.connect import open_registry as open_registry
+    from tumble.registry.due import due as due
+    from tumble.registry.monitor import monitored as monitored
+    from tumble.registry.store import add_calibration as add_calibration
+    from tumble.registry.store import records as records
+    from tumble.report.write import write_report as write_report
+    from tumble.selftest import run_selftest as run_selftest
+    from tumble.sensors.model import Block as Block
+    from tumble.sensors.model import SensorModel as SensorModel
+    from tumble.simulation.session import simulate_session as simulate_session
 
 __version__ = "0.1.0"
 
 _PUBLIC = {
     "Session": "recording.session",
     "read_session": "recording.session",
+    "session_of": "recording.session",
+    "write_session": "recording.session",
+    "session_of_arrays": "recording.arrays",
+    "description_of": "recording.description",
     "open_log": "recording.log",
+    "Log": "recording.log",
+    "Chunk": "recording.log",
     "Block": "sensors.model",
     "SensorModel": "sensors.model",
     "Observations": "reduction.observations",
     "Calibration": "calibration.calibration_file",
-    "Parameter": "calibration.results",
-    "calibrate": "calibration.calibrate",
-    "inspect_session": "calibration.calibrate",
     "read_calibration": "calibration.calibration_file",
-    "Run": "calibration.launches",
-    "mean_of_launches": "calibration.launches",
+    "Parameter": "calibration.results",
+    "Launch": "calibration.results",
+    "RestResult": "calibration.results",
+    "TurnResult": "calibration.results",
+    "Estimate": "estimation.estimate",
+    "Outcome": "estimation.estimate",
+    "Fit": "estimation.estimate",
+    "EllipsoidFit": "estimation.ellipsoid",
     "fit_ellipsoid": "estimation.ellipsoid",
+    "calibrate": "calibration.calibrate",
+    "Observed": "calibration.observed",
+    "inspect_session": "calibration.observed",
+    "Run": "calibration.launches",
+    "calibrate_launches": "calibration.launches",
+    "mean_of_launches": "calibration.launches",
+    "calibrate_table": "calibration.from_readings",
+    "ReadingsCalibration": "calibration.from_readings",
+    "Comparison": "calibration.compare",
     "compare_calibrations": "calibration.compare",
+    "Positions": "calibration.verify",
+    "Verification": "calibration.verify",
     "positions_of": "calibration.verify",
     "verify_calibration": "calibration.verify",
     "apply_to_session": "calibration.apply",
+    "rest_residuals": "calibration.apply",
+    "RecordedNoise": "calibration.quiet_samples",
+    "noise": "calibration.quiet_samples",
+    "new_session": "calibration.new_session",
+    "Draft": "calibration.new_session",
+    "Exported": "export.exported",
     "export_calibration": "export",
     "write_report": "report.write",
+    "Registry": "registry.connect",
     "open_registry": "registry.connect",
-    "Setup": "planning.setup",
+    "add_calibration": "registry.store",
+    "records": "registry.store",
+    "due": "registry.due",
+    "monitored": "registry.monitor",
     "simulate_session": "simulation.session",
+    "Setup": "planning.setup",
+    "Budget": "planning.budget",
+    "budget": "planning.budget",
+    "Bound": "planning.bounds",
+    "bound": "planning.bounds",
+    "Requirements": "planning.requirements",
+    "require": "planning.requirements",
+    "PlanResult": "planning.plan",
+    "plan": "planning.plan",
+    "Programme": "programme.positions",
+    "programme_of": "programme.positions",
+    "write_sheet": "programme.sheet",
+    "CampaignResult": "campaigns.run",
+    "FleetResult": "campaigns.run",
+    "campaign": "campaigns.run",
+    "fleet": "campaigns.run",
+    "run_selftest": "selftest",
     "allan_deviation": "reduction.allan_deviation",
     "normal_gravity": "earth",
     "TumbleError": "errors",
     "InputError": "errors",
     "MissingExtraError": "errors",
 }
+"""Where each public name is; type checkers see the imports above."""
 
 __all__ = ["__version__", *sorted(_PUBLIC)]
 
 
-def __getattr__(name: str) -> Any:
-    """Public names are imported when they are first used: the command line starts without NumPy."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'tumble' has no attribute {name!r}")
-    return getattr(import_module(f"tumble.{_PUBLIC[name]}"), name)
+if not TYPE_CHECKING:  # with it type checkers would take any name for one of the module
+
+    def __getattr__(name: str) -> Any:
+        """Public names are imported when they are first used: the command line starts without NumPy."""
+        if name not in _PUBLIC:
+            raise AttributeError(f"module 'tumble' has no attribute {name!r}")
+        return getattr(import_module(f"tumble.{_PUBLIC[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """The public names, imported or not."""
+    return __all__

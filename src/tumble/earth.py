@@ -25,7 +25,12 @@ NORMAL_GRAVITY_U = 3e-4
 def normal_gravity(latitude: float, height: float) -> float:
     """Normal gravity, m/s², at a geodetic latitude (rad) and a height over the ellipsoid (m).
 
-    Within 20 ng of the closed form up to 2 km. Source: TR8350.2 (4-1), (4-3)."""
+    Within 20 ng of the closed form up to 2 km. Source: TR8350.2 (4-1), (4-3).
+
+    >>> import tumble
+    >>> round(tumble.normal_gravity(0.992, 270.0), 5)
+    9.81579
+    """
     s2 = math.sin(latitude) ** 2
     a = _SEMI_MAJOR_AXIS
     semi_minor = a * (1.0 - _FLATTENING)

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Paths as callers give them, and files that are written whole or not at all."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+FilePath = str | os.PathLike[str]
+"""What every public function takes as the path of a file or folder."""
 
 
 @contextmanager

@@ -8,12 +8,13 @@ program, and who ran it.
 
 from __future__ import annotations
 
+import getpass
 import hashlib
 import json
 import platform
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -21,17 +22,18 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import polars as pl
 
 from tumble import __version__
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.earth import normal_gravity
 from tumble.estimation.quadric import fit_many
-from tumble.files import whole_file
+from tumble.files import FilePath, whole_file
 from tumble.planning.setup import Setup
+from tumble.recording.session import Session
 from tumble.reduction.allan_deviation import allan_deviation
-from tumble.simulation.session import TRUTH_FILE, read_truth, simulate_session
+from tumble.simulation.scenario import Scenario, scenario_of
+from tumble.simulation.session import session_in_memory
 from tumble.units import DEGREE, G_STANDARD
 
 LIBRARIES = ("numpy", "scipy", "numba", "polars", "pydantic")
@@ -71,11 +73,11 @@ class SelftestRecord:
         """Whether every case passed."""
         return all(case.passed for case in self.cases)
 
-    def write(self, path: Path) -> None:
+    def write(self, path: FilePath) -> None:
         """Write the record as JSON, whole or not at all; its last key is the SHA-256 of all before it."""
         content = self._content()
         content["sha256"] = digest(content)
-        with whole_file(path) as temporary:
+        with whole_file(Path(path)) as temporary:
             temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
     def _content(self) -> dict[str, Any]:
@@ -90,15 +92,20 @@ def digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def selftest(*, by: str, progress: Callable[[str], None]) -> SelftestRecord:
-    """Run all cases; `progress` is told the name of each before it runs."""
+def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lambda _name: None) -> SelftestRecord:
+    """Run all cases, as the user of that name; `progress` is told the name of each before it runs.
+
+    >>> import tumble
+    >>> tumble.run_selftest().passed
+    True
+    """
     cases: list[SelftestCase] = []
     for run in (_gravity, _allan_deviation, _cube, _noiseless_table, _noiseless_hand, _noisy_table, _exchanged_columns):
         assert run.__doc__ is not None
         progress(run.__doc__)
         cases.extend(run())
     return SelftestRecord(
-        by=by,
+        by=by or getpass.getuser(),
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"tumble {__version__}",
         machine={
@@ -219,12 +226,12 @@ def _applied(calibration: Calibration) -> Iterator[SelftestCase]:
 
 def _exchanged_columns() -> Iterator[SelftestCase]:
     """a recording with two exchanged gyro columns, which must be refused"""
-    with TemporaryDirectory() as folder:
-        place = Path(folder) / "session"
-        simulate_session(place, Setup.of(grade="mems", positions=12, rest=3.0), seed=1)
-        log = pl.read_parquet(place / "log.parquet")
-        log.with_columns(gx=pl.col("gy"), gy=pl.col("gx")).write_parquet(place / "log.parquet")
-        refused = not calibrate(place).outcome.accepted
+    session, _ = _drawn(Setup.of(grade="mems", positions=12, rest=3.0))
+    gyro = session.log.gyro
+    assert gyro is not None
+    x, y, z = gyro.columns
+    exchanged = replace(session, log=replace(session.log, gyro=replace(gyro, columns=(y, x, z))))
+    refused = not calibrate(exchanged).outcome.accepted
     yield SelftestCase(
         name="exchanged gyro columns are refused",
         source="must be 1",
@@ -237,10 +244,14 @@ def _exchanged_columns() -> Iterator[SelftestCase]:
 
 def _simulated(setup: Setup) -> tuple[Calibration, dict[str, float]]:
     """The calibration of a simulated session, and its truth."""
-    with TemporaryDirectory() as folder:
-        place = Path(folder) / "session"
-        simulate_session(place, setup, seed=1)
-        return calibrate(place), read_truth(place / TRUTH_FILE)
+    session, scenario = _drawn(setup)
+    return calibrate(session), dict(scenario.truth)
+
+
+def _drawn(setup: Setup) -> tuple[Session, Scenario]:
+    """The session of a set-up in memory, and its scenario with the truth."""
+    scenario = scenario_of(setup, np.random.default_rng(1), serial=f"{setup.instrument}-1")
+    return session_in_memory(scenario, np.random.default_rng([1, 1])), scenario
 
 
 def _difference(name: str, source: str, difference: float, limit: float, unit: str) -> SelftestCase:

@@ -26,6 +26,9 @@ DEGREE = math.pi / 180.0
 ARCSEC = DEGREE / 3600.0
 DEGREE_PER_HOUR = DEGREE / 3600.0
 
+ZERO_CELSIUS = 273.15
+"""0 °C in K, exact (ITS-90)."""
+
 Kind = Literal["rate", "increment", "raw"]
 
 

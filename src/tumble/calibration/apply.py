@@ -3,8 +3,9 @@
 A correction needs no other sample than its own, so rows are neither added nor bridged: a number that is not finite
 stays so in its row. What a column gets is what a perfect sensor in that place would read, d · true with its nominal
 axis d, those of a magnetometer being the axes of its own frame; for three sensors along the body axes that is the true
-vector itself. A redundant block is solved by least squares first, and its vector is added in the columns accel_x,
-accel_y, accel_z and gyro_x, gyro_y, gyro_z.
+vector itself. It is in SI, unless the names of the columns say the log's unit: "ax [g]" stays in g. A redundant block
+is solved by least squares first, and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y,
+gyro_z, in SI.
 
 Increments stay increments: an integral over an interval T is corrected by bias · T, and its interval is the step in
 time, as in `log`, less the samples that are missing in it.
@@ -13,33 +14,56 @@ time, as in `log`, less the samples that are missing in it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 
-from tumble.calibration.calibrate import inspect_session
-from tumble.calibration.calibration_file import Calibration, corrected
+from tumble.calibration.calibration_file import Calibration, calibration_from, corrected
+from tumble.calibration.observed import inspect_session
 from tumble.errors import InputError, LogError
+from tumble.files import FilePath
+from tumble.recording.arrays import SI
+from tumble.recording.description import description_of
+from tumble.recording.formats.columns import unit_of_name
 from tumble.recording.log import open_log
-from tumble.recording.readers import readable, source_of, text_tables, times_of
-from tumble.recording.session import Channels, Magnetometer, Session
+from tumble.recording.readers import LogSource, rows_of_numbers, source_of, times_of
+from tumble.recording.session import Channels, LogSpec, Magnetometer, Session, session_from
 from tumble.recording.writer import write_tables
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, Unit
 
-_SLICE_ROWS = 1 << 17
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Correction:
     """The sensors of one kind and what corrects them."""
 
     kind: str
     channels: Channels
     model: SensorModel
+
+    @property
+    def written(self) -> Channels:
+        """What the corrected columns are: in the log's own unit, with its nominal scale and offset, where the names of
+        the columns say it, else in SI."""
+        if self._unit_is_named:
+            return self.channels
+        sensors, (rate, increment) = len(self.channels.columns), SI.get(self.kind, (self.channels.unit_name,) * 2)
+        return replace(
+            self.channels,
+            unit=Unit(factor=1.0, kind=self.channels.unit.kind),
+            unit_name=increment if self.increments else rate,
+            scale=np.ones(sensors),
+            offset=np.zeros(sensors),
+        )
+
+    @property
+    def _unit_is_named(self) -> bool:
+        """Whether the name of every column says the log's unit."""
+        said = {unit_of_name(self.kind, column) for column in self.channels.columns}
+        return said == {self.channels.unit_name}
 
     @property
     def increments(self) -> bool:
@@ -61,20 +85,38 @@ class _Correction:
         readings = self.channels.to_si(raw, np.ones(len(raw)))
         true = corrected(self.model, readings, dt if self.increments else None)
         perfect = true if self.along_body else true @ self.channels.axes.T
-        out = dict(zip(self.channels.columns, perfect.T, strict=True))
+        out = dict(zip(self.channels.columns, self.written.from_si(perfect).T, strict=True))
         return out | dict(zip(self.added, true.T, strict=False))
 
 
-def apply_to_session(calibration: Calibration, session: Session, out: Path) -> None:
-    """Correct the log of a session, SI, into a .csv or .parquet file, whole or not at all, as a stream: memory does not
-    grow with the log. Several files of a log come one below the other.
+def apply_to_session(calibration: Calibration | FilePath, session: Session | FilePath, out: FilePath) -> dict[str, Any]:
+    """Correct the log of a session, into a .csv or .parquet file, whole or not at all, as a stream: memory does not
+    grow with the log. Several files of a log come one below the other. The calibration is one or its file, the session
+    one or its folder. Returns the description of the corrected log, as `session_of` and `write_session` take it.
 
-    Every column keeps its name and place; sensors are corrected as `Calibration.apply` does, everything else is copied,
-    from CSV as the text it is. Raises InputError for a calibration that is not accepted, is of another device or lacks
-    a sensor, and for a log that cannot be read."""
+    Every column keeps its name and place; sensors are corrected as `Calibration.apply` does and are in SI, or, where
+    the names of their columns say the log's unit, in that; everything else is copied, from CSV as the text it is.
+    Raises InputError for a calibration that is not accepted, is of another device or lacks a sensor, and for a log
+    that cannot be read.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> description = tumble.apply_to_session(tumble.calibrate(folder), folder, "corrected.parquet")
+    >>> description["log"]["gyro"]
+    {'columns': ['gx', 'gy', 'gz'], 'unit': 'rad/s'}
+    """
+    calibration, session, path = calibration_from(calibration), session_from(session), Path(out)
     parts = _parts(calibration, session)
     log = open_log(session)
-    write_tables(out, _tables(session, parts, 1.0 / log.rate))
+    write_tables(path, _tables(session, parts, 1.0 / log.rate))
+    return _described(session, parts, path)
+
+
+def _described(session: Session, parts: tuple[_Correction, ...], out: Path) -> dict[str, Any]:
+    """The description of the corrected log."""
+    channels = {part.kind: part.written for part in parts}
+    spec = replace(session.log, files=(out.resolve(),), dialect=None)
+    return description_of(replace(session, log=replace(spec, accel=channels["accel"], gyro=channels.get("gyro"))))
 
 
 def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
@@ -83,7 +125,7 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...
         raise InputError(f"calibration: expected an accepted one, found: {'; '.join(calibration.outcome.reasons)}")
     if calibration.serial != session.device.serial:
         raise InputError(
-            f"{session.folder}: expected the device of the calibration, {calibration.serial!r}, found "
+            f"{session.name}: expected the device of the calibration, {calibration.serial!r}, found "
             f"{session.device.serial!r}; calibrate that device"
         )
     parts = [_part("accel", calibration.accel, session.log.accel, session)]
@@ -98,7 +140,7 @@ def _part(kind: str, model: SensorModel | None, channels: Channels, session: Ses
     found = 0 if model is None else len(model.bias)
     if model is None or found != len(channels.columns):
         raise InputError(
-            f"{session.folder}: log.{kind}: expected as many sensors as the calibration has, {found}, found "
+            f"{session.name}: log.{kind}: expected as many sensors as the calibration has, {found}, found "
             f"{len(channels.columns)}; columns that the session does not name are copied"
         )
     return _Correction(kind=kind, channels=channels, model=model)
@@ -110,7 +152,7 @@ def _magnetometer_part(
     unit = calibration["mag.bias.x"].unit
     if given.unit != unit:
         raise InputError(
-            f"{session.folder}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
+            f"{session.name}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
             f"{given.unit!r}; calibrate in the unit of the log"
         )
     channels = Channels(
@@ -128,12 +170,15 @@ def _magnetometer_part(
 def _tables(session: Session, parts: tuple[_Correction, ...], interval: float) -> Iterator[pl.DataFrame]:
     """The corrected rows of all files."""
     names: list[str] | None = None
-    for path in session.log.files:
-        clock = _Clock(path=path, session=session, interval=interval)
-        for table in _rows(path, parts, session):
+    for file in session.log.files:
+        source = source_of(file, session.log.dialect)
+        clock = _Clock(path=source.path, session=session, interval=interval)
+        for table in _rows(source, parts, session.log):
             names = table.columns if names is None else names
             if table.columns != names:
-                raise LogError(f"{path}: expected the columns of the first file, {', '.join(names)}; write them alike")
+                raise LogError(
+                    f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
+                )
             dt = clock.intervals(table) if any(part.increments for part in parts) else None
             new: Mapping[str, Array] = {name: c for part in parts for name, c in part.columns(table, dt).items()}
             yield table.with_columns(pl.Series(name, np.ascontiguousarray(c)) for name, c in new.items())
@@ -153,7 +198,7 @@ class _Clock:
         spec = self.session.log
         if spec.time is None or spec.regular:
             return np.full(table.height, self.interval)
-        with _parsed(self.path):
+        with rows_of_numbers(self.path):
             time = times_of(table[spec.time], spec)
         before = time[0] - self.interval if self.last is None else self.last
         self.last = float(time[-1])
@@ -166,34 +211,15 @@ class _Clock:
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
 
 
-def _rows(path: Path, parts: tuple[_Correction, ...], session: Session) -> Iterator[pl.DataFrame]:
-    """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are."""
-    sensors = [column for part in parts for column in part.channels.columns]
-    with _parsed(path):
-        text = path.suffix.lower() != ".parquet"
-        tables = text_tables(source_of(path, session.log.dialect), sensors) if text else _parquet(path)
-        for table in tables:
-            for added in (column for part in parts for column in part.added if column in table.columns):
-                raise InputError(f"{path}: expected no column '{added}', the block's vector gets it; rename it")
-            yield table.with_columns(pl.col(sensors).cast(pl.Float64))
-
-
-def _parquet(path: Path) -> Iterator[pl.DataFrame]:
-    """A Parquet file in slices: as one scan it would stay mapped, and count, as a whole."""
-    rows = pl.scan_parquet(path, glob=False).select(pl.len()).collect().item()
-    for first in range(0, rows, _SLICE_ROWS):
-        yield pl.scan_parquet(path, glob=False).slice(first, _SLICE_ROWS).collect()
-
-
-@contextmanager
-def _parsed(path: Path) -> Iterator[None]:
-    """Whatever polars says of the content of a file, or a library of a damaged one, becomes one line."""
-    with readable(path):
-        try:
-            yield
-        except pl.exceptions.PolarsError as error:
-            said = " ".join(str(error).split())[:200]
-            raise LogError(f"{path}: expected rows of numbers, found: {said}; see `tumble inspect`") from None
+def _rows(source: LogSource, parts: tuple[_Correction, ...], spec: LogSpec) -> Iterator[pl.DataFrame]:
+    """A file in tables of a bounded size, with every column: sensors as numbers, the others as they are; where these
+    have decimal commas, all that the session names as numbers."""
+    for added in (column for part in parts for column in part.added if column in source.names):
+        raise InputError(f"{source.path}: expected no column '{added}', the block's vector gets it; rename it")
+    numbers = [column for part in parts for column in part.channels.columns]
+    if spec.dialect is not None and spec.dialect.decimal == ",":
+        numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
+    yield from source.whole(numbers)
 
 
 # -------------------- was it worth it --------------------
@@ -210,14 +236,24 @@ class RestResidual:
     after: float
 
 
-def rest_residuals(calibration: Calibration, session: Session) -> tuple[RestResidual, ...]:
+def rest_residuals(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[RestResidual, ...]:
     """Every rest of a session before and after correction. Raises InputError as `apply_to_session` does, and where
-    nothing rests."""
+    nothing rests.
+
+    >>> import tumble
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
+    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
+    >>> rests = tumble.rest_residuals(tumble.calibrate(folders[0]), folders[1])
+    >>> max(abs(rest.after) for rest in rests) < max(abs(rest.before) for rest in rests)
+    True
+    """
+    calibration, session = calibration_from(calibration), session_from(session)
     accel = _parts(calibration, session)[0].model
-    _, observations, faults = inspect_session(session)
-    if observations is None or faults:
-        found = faults[0] if faults else "none"
-        raise InputError(f"{session.folder}: expected rests to verify with, found {found}; leave out --verify")
+    seen = inspect_session(session)
+    observations = seen.observations
+    if observations is None or seen.faults:
+        found = seen.faults[0] if seen.faults else "none"
+        raise InputError(f"{session.name}: expected rests to verify with, found {found}; leave out --verify")
     rests, g = observations.rests, session.site.gravity
     models = (session.accel_block.nominal(), accel)
     before, after = (np.linalg.norm(model.apply(rests.accel), axis=1) - g for model in models)

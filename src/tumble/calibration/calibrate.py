@@ -1,24 +1,22 @@
-"""The procedure: from a session to a calibration.
-
-`calibrate` is the main job. `inspect_session` shows what it would work with.
-"""
+"""The main job: from a session to a calibration."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
+import numpy.typing as npt
 
 from tumble import __version__
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.case import CaseAlignment, estimate_in
+from tumble.calibration.observed import Observed, Progress, inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.diagnosis import no_rests, recording_faults, sense_faults, verdict
+from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
 from tumble.estimation.methods.joint import joint
@@ -27,47 +25,109 @@ from tumble.estimation.methods.magnetometer import magnetometer
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
-from tumble.recording.log import Chunk, Log, open_log
-from tumble.recording.session import Channels, Session, read_session
-from tumble.reduction import exclusion
-from tumble.reduction.blocks import reduce_log
-from tumble.reduction.matching import Match, match_rests
-from tumble.reduction.observations import Observations, observe
-from tumble.reduction.segmentation import Segmentation, find_rests
+from tumble.files import FilePath
+from tumble.recording.arrays import session_of_arrays
+from tumble.
+<<<<<<< ours
+recording
+=======
+reduction import exclusion
+from tumble.reduction
+>>>>>>> theirs
+.gaps import Gap
+from tumble.recording.log import Log
+from tumble.recording.session import Channels, Session, session_from
+from tumble.reduction.observations import Observations
 from tumble.sensors.frames import Convention, Frame, convert
-from tumble.units import DEGREE, Array
+from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
 DEFAULT_METHOD = "joint"
 METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
 ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequential": sequential, "scalar": scalar}
 """The pipelines of the paper, which take a number of iterations."""
-Progress = Callable[[Log], Iterable[Chunk]]
+
+
+@overload
+def calibrate(
+    session: Session | FilePath,
+    *,
+    method: str = ...,
+    iterations: int | None = ...,
+    frame: Frame = ...,
+    progress: Progress = ...,
+) -> Calibration: ...
+
+
+@overload
+def calibrate(
+    *,
+    accel: npt.ArrayLike,
+    gyro: npt.ArrayLike | None = ...,
+    time: npt.ArrayLike | None = ...,
+    rate: float | None = ...,
+    temperature: npt.ArrayLike | None = ...,
+    latitude: float | None = ...,
+    height: float = ...,
+    gravity: float | None = ...,
+    gravity_u: float | None = ...,
+    accel_axes: npt.ArrayLike | None = ...,
+    gyro_axes: npt.ArrayLike | None = ...,
+    programme: str | Sequence[str] | None = ...,
+    serial: str = ...,
+    method: str = ...,
+    iterations: int | None = ...,
+    frame: Frame = ...,
+) -> Calibration: ...
 
 
 def calibrate(
-    session: Session | Path,
+    session: Session | FilePath | None = None,
     *,
     method: str = DEFAULT_METHOD,
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     progress: Progress = Log.chunks,
+    **readings: Any,
 ) -> Calibration:
-    """Calibrate the device of a session (a `Session` or the path of its folder). `iterations` is for the methods that
-    iterate as the paper does (default 2). The result is given in `frame` (see `frames`). A recording that cannot be
-    calibrated comes back with the reasons in its outcome; unusable input raises an `InputError`."""
-    if isinstance(session, Path):
-        session = read_session(session)
+    """Calibrate the device of a session: a `Session`, the path of its folder, or readings in SI as
+    `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2). The
+    result is given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its
+    outcome; unusable input raises an `InputError`.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder)
+    <Calibration of mems-1: joint, 21 parameters, accepted>
+    """
+    session = _given(session, readings)
     estimator = _estimator(method, iterations)
     Convention(frame=frame, block=session.accel_block)
     systematic = _systematic(session)
-    log = open_log(session)
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        digest = beside.submit(log.sha256)
-        found = _estimated(session, log, estimator, systematic, progress)
-        provenance = _provenance(digest.result())
+    observed = inspect_session(session, progress=progress)
+    found = _estimated(observed, estimator, systematic)
+    provenance = _provenance(observed.sha256)
     if isinstance(found, Outcome):
-        return _without_result(session, log, method, found, provenance)
-    return _with_magnetometer(_result(session, log, *found, systematic, frame, provenance), session, found[1])
+        return _without_result(observed, method, found, provenance)
+    return _with_magnetometer(_result(observed, *found, systematic, frame, provenance), session, found[1])
+
+
+def _given(session: Session | FilePath | None, readings: Mapping[str, Any]) -> Session:
+    """The session that is given, by itself or as readings."""
+    if session is None and "accel" in readings:
+        return session_of_arrays(**readings)
+    if session is None or readings:
+        found = ", ".join(readings) or "nothing"
+        beside = "" if session
+<<<<<<< ours
+
+=======
+.gyro_block)
+    segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
+    found
+>>>>>>> theirs
+ is None else " beside a session"
+        raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
+    return session_from(session)
 
 
 def _estimator(method: str, iterations: int | None) -> Callable[[Observations], Estimate]:
@@ -80,8 +140,23 @@ def _estimator(method: str, iterations: int | None) -> Callable[[Observations], 
         raise InputError(f"method: expected one of {known}, found {method!r}")
     if iterations is not None:
         raise InputError(
-            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
-            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
+            f"iterations: expected none with the method {method!r}, which iterates until nothing 
+<<<<<<< ours
+changes,
+=======
+no_rests(segmentation)
+    reduction = exclusion.without_turns(reduction, match, session.excluded)
+    match = exclusion.without_rests(match, session.excluded)
+    if
+>>>>>>> theirs
+ found "
+            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take 
+<<<<<<< ours
+a number"
+=======
+segmentation.rests and not session.excluded:
+>>>>>>> theirs
+
         )
     return METHODS[method]
 
@@ -101,61 +176,18 @@ def _systematic(session: Session) -> Mapping[str, float]:
 
 
 def _estimated(
-    session: Session,
-    log: Log,
-    method: Callable[[Observations], Estimate],
-    start: Mapping[str, float],
-    progress: Progress,
+    observed: Observed, method: Callable[[Observations], Estimate], start: Mapping[str, float]
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
-    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
-    faults = recording_faults(reduction, session)
-    if faults:
-        return Outcome(reasons=tuple(faults))
-    segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
-    segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
-    found = None
-    # where the unit of the gyros makes every turn too slow to be one, the accelerometers still show the rests
-    rests = segmentation.rests or find_rests(reduction, session.accel_block, None).rests
-    if rests:
-        everything = Match(rests=rests, programme=None, position=None)
-        with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit
-            found = observe(reduction, everything, session.accel_block, session.gyro_block, session.site)
-        faults = sense_faults(found, session, reduction.rate)
-        if faults:
-            return Outcome(reasons=tuple(faults))
-    match = match_rests(session, reduction, segmentation)
-    if not match.rests:
-        return no_rests(segmentation)
-    reduction = exclusion.without_turns(reduction, match, session.excluded)
-    match = exclusion.without_rests(match, session.excluded)
-    if found is not None and match.rests == segmentation.rests and not session.excluded:
-        observations = replace(found, programme=match.programme, position=match.position)
-    else:
-        observations = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    observations = observations_for_calibration(observed)
+    if isinstance(observations, Outcome):
+        return observations
     observations = replace(observations, start=start)
     try:
         return method(observations), observations
     except np.linalg.LinAlgError as error:
         said = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(said,))
-
-
-def inspect_session(
-    session: Session, *, progress: Progress = Log.chunks
-) -> tuple[Segmentation, Observations | None, list[str]]:
-    """The rests and turns of a session as `tumble inspect` shows them, without matching them to a programme, and what
-    is wrong with the recording."""
-    log = open_log(session)
-    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
-    faults = recording_faults(reduction, session)
-    with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
-        segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
-        if not segmentation.rests:
-            return segmentation, None, faults
-        match = Match(rests=segmentation.rests, programme=None, position=None)
-        found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
-    return segmentation, found, faults or sense_faults(found, session, reduction.rate)
 
 
 def _provenance(log_sha256: str) -> dict[str, str]:
@@ -169,12 +201,12 @@ def _provenance(log_sha256: str) -> dict[str, str]:
 _GAPS_SHOWN = 5
 
 
-def _bridged(log: Log) -> tuple[str, ...]:
+def _bridged(found: Sequence[Gap]) -> tuple[str, ...]:
     """What was bridged or left out in the log, as notes: the first of each kind, and how many more."""
     kinds = {
-        "bridged": [g for g in log.gaps if g.samples and g.integrable],
-        "left out": [g for g in log.gaps if not g.samples],
-        "gap": [g for g in log.gaps if not g.integrable],
+        "bridged": [g for g in found if g.samples and g.integrable],
+        "left out": [g for g in found if not g.samples],
+        "gap": [g for g in found if not g.integrable],
     }
     notes = []
     for kind, gaps in kinds.items():
@@ -209,9 +241,8 @@ def _unchecked(estimate: Estimate) -> tuple[str, ...]:
     return ("as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed",)
 
 
-def _without_result(
-    session: Session, log: Log, method: str, outcome: Outcome, provenance: Mapping[str, str]
-) -> Calibration:
+def _without_result(observed: Observed, method: str, outcome: Outcome, provenance: Mapping[str, str]) -> Calibration:
+    session = observed.session
     return Calibration(
         serial=session.device.serial,
         model=session.device.model,
@@ -224,7 +255,7 @@ def _without_result(
         outcome=outcome,
         site=session.site,
         readings=_readings_of(session),
-        notes=_bridged(log),
+        notes=_bridged(observed.gaps),
         provenance=provenance,
     )
 
@@ -261,7 +292,7 @@ def _rest_results(estimate: Estimate, observations: Observations) -> tuple[RestR
             attitude=_attitude(observations, i),
             accel=_sensors_at_rest(rests.accel[i], rests.accel_noise[i], rests.accel_drift[i]),
             gyro=_sensors_at_rest(rests.gyro[i], rests.gyro_noise[i], rests.gyro_drift[i]),
-            temperature=None if rests.temperature is None else float(rests.temperature[i]),
+            temperature=None if rests.temperature is None else float(rests.temperature[i]) - ZERO_CELSIUS,
         )
         for i in range(len(rests))
     )
@@ -307,15 +338,14 @@ def _programmed_angle(observations: Observations, first: int, last: int) -> floa
 
 
 def _result(
-    session: Session,
-    log: Log,
+    observed: Observed,
     estimate: Estimate,
     observations: Observations,
     systematic: Mapping[str, float],
     frame: Frame,
     provenance: Mapping[str, str],
 ) -> Calibration:
-    outcome = verdict(estimate, observations)
+    session, outcome = observed.session, verdict(estimate, observations)
     rests, turns = _rest_results(estimate, observations), _turn_results(estimate, observations)
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
     estimate, case = estimate_in(frame, estimate, observations)
@@ -351,7 +381,11 @@ def _result(
         site=observations.site,
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
-        notes=_bridged(log) + exclusion.said(session.excluded) + _torn(observations) + _unchecked(estimate) + _aligned(case),
+        notes=_bridged(observed.gaps)
+        + exclusion.said(session.excluded) + _torn(observations)
+        + observations.notes
+        + _unchecked(estimate)
+        + _aligned(case),
         provenance=provenance,
     )
 

@@ -12,9 +12,10 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from tumble.calibration.results import (
     Launch,
@@ -34,18 +35,25 @@ from tumble.calibration.results import (
     text_from,
     turn_from,
 )
+from tumble.calibration.shown import draw, headline, html, pandas_frame, polars_frame, text_table
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, Outcome
-from tumble.files import whole_file
+from tumble.files import FilePath, whole_file
+from tumble.recording.arrays import numbers_of
 from tumble.recording.session import Site
 from tumble.sensors.frames import Frame, Framed, convert, frame_of, triad_axes
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
 
+if TYPE_CHECKING:
+    import pandas as pd
+    import polars as pl
+    from matplotlib.axes import Axes
+
 FORMAT = 1
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Calibration:
     """The result for one device. `covariance` is in the order of `parameters`; `accel` and `gyro` are None where
     a parameter they need is unobservable. `fits` are chi-square, degrees of freedom and estimated scatter; `programme`
@@ -80,14 +88,44 @@ class Calibration:
                 return parameter
         raise KeyError(f"no parameter {name!r}; there are {', '.join(p.name for p in self.parameters)}")
 
-    def apply(self, accel: Array, gyro: Array | None = None, *, dt: Array | None = None) -> tuple[Array, Array | None]:
-        """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, from readings (..., n)
-        in SI after nominal scale and offset, of more than three sensors by least squares. With the intervals `dt`
-        (...), s, of the samples both are increments, m/s and rad. Without gyro readings the rate is None.
+    def __repr__(self) -> str:
+        """The device, the method, how many parameters, and whether it was accepted."""
+        return f"<{headline(self)}>"
 
-        Raises InputError for another number of sensors than the calibration has."""
-        force = corrected(_known(self.accel, "accel", accel), accel, dt)
-        return force, None if gyro is None else corrected(_known(self.gyro, "gyro", gyro), gyro, dt)
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the headline, the reasons and the table of parameters."""
+        return html(self)
+
+    def table(self) -> str:
+        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text."""
+        return text_table(self)
+
+    def to_polars(self) -> pl.DataFrame:
+        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run."""
+        return polars_frame(self)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The same as a pandas frame. Raises MissingExtraError without pandas."""
+        return pandas_frame(self)
+
+    def plot(self, axes: Axes) -> None:
+        """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
+        as a band; without rests the parameters in units of their uncertainty."""
+        draw(self, axes)
+
+    def apply(
+        self, accel: npt.ArrayLike, gyro: npt.ArrayLike | None = None, *, dt: npt.ArrayLike | None = None
+    ) -> tuple[Array, Array | None]:
+        """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, from readings (..., n)
+        in SI after nominal scale and offset, arrays or frames, of more than three sensors by least squares. With the
+        intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro readings the rate is
+        None.
+
+        Raises InputError for another number of sensors than the calibration has, numbers that are not finite, and
+        columns of a frame whose names say another unit."""
+        steps = None if dt is None else numbers_of("dt", dt)
+        force = _corrected(self.accel, "accel", accel, steps)
+        return force, None if gyro is None else _corrected(self.gyro, "gyro", gyro, steps)
 
     def in_frame(self, frame: str) -> Calibration:
         """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
@@ -105,9 +143,10 @@ class Calibration:
         except InputError as error:
             raise CalibrationError(str(error)) from error
 
-    def write(self, path: Path, *, force: bool = False) -> None:
+    def write(self, path: FilePath, *, force: bool = False) -> None:
         """Write the calibration file, whole or not at all. An existing file is replaced only if it came from the
         same log by the same method, or with `force`."""
+        path = Path(path)
         if path.exists():
             if not os.access(path, os.W_OK):
                 raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
@@ -183,15 +222,18 @@ def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> A
     return np.asarray((readings - offset) @ model.inverse().T)
 
 
-def _known(model: SensorModel | None, kind: str, readings: Array) -> SensorModel:
-    """The model of a kind of sensors, if it is there and fits the readings."""
+def _corrected(model: SensorModel | None, kind: str, given: npt.ArrayLike, dt: Array | None) -> Array:
+    """True vectors of readings of a kind of sensors, checked."""
+    readings = numbers_of(kind, given, increments=dt is not None)
     sensors = 0 if model is None else len(model.bias)
-    if model is None or np.shape(readings)[-1:] != (sensors,):
+    if model is None or readings.shape[-1:] != (sensors,):
         raise InputError(
             f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found an "
-            f"array of shape {np.shape(readings)}"
+            f"array of shape {readings.shape}"
         )
-    return model
+    if dt is not None and dt.shape not in ((), readings.shape[:-1]):
+        raise InputError(f"dt: expected an interval for each sample, {readings.shape[:-1]}, found the shape {dt.shape}")
+    return corrected(model, readings, dt)
 
 
 def _reframed(calibration: Calibration, frame: Frame) -> Calibration:
@@ -268,9 +310,27 @@ def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | Non
     return {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": unit}
 
 
-def read_calibration(path: Path) -> Calibration:
-    """A calibration file as written by `Calibration.write`."""
-    return calibration_of(text_of(path), str(path))
+def read_calibration(path: FilePath) -> Calibration:
+    """A calibration file as written by `Calibration.write`. Raises CalibrationError for a file that is none.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> tumble.read_calibration("calibration.json")
+    <Calibration of mems-1: joint, 21 parameters, accepted>
+    """
+    return calibration_of(text_of(Path(path)), str(path))
+
+
+def calibration_from(given: Calibration | FilePath) -> Calibration:
+    """A calibration as it is, or that of a file. Raises InputError for anything else."""
+    if isinstance(given, Calibration):
+        return given
+    if not isinstance(given, str | os.PathLike):
+        raise InputError(
+            f"calibration: expected a Calibration or the path of a calibration file, found {type(given).__name__}"
+        )
+    return read_calibration(given)
 
 
 def text_of(path: Path) -> str:

@@ -40,7 +40,7 @@ _SINGULAR = 1e-6  # of the largest singular value
 _SPREAD_OUT = 0.05  # rad: directions nearer to one line do not give a rotation
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Verticals:
     """Directions (N, 3) of the vertical in the frame of a block, with the covariance (N, 3, 3) of each from the noise
     of its rest, and the derivative (N, 3, m) with parameters whose covariance is (m, m)."""
@@ -51,7 +51,7 @@ class Verticals:
     parameter_covariance: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CaseAlignment:
     """The case in the frame b of the accelerometers: rotation `mat_cb`, covariance and derivative as in
     `frames.Alignment`; `tilt` and `tilt_u` (2,), rad, the lean of the plate's normal to north and east, empty where
@@ -66,7 +66,7 @@ class CaseAlignment:
     rests: IntArray
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Relation:
     """Rotation `mat_12` from the frame of the second block to that of the first, the covariance (3, 3), rad², of its
     error ψ (the true one is exp([ψ×]) mat_12), and the residual (N,), rad, of each position with `chi_square` of

@@ -19,10 +19,11 @@ from math import sqrt
 import numpy as np
 from scipy.stats import chi2
 
-from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import COVERAGE, shortfalls
 from tumble.calibration.results import Parameter
 from tumble.errors import InputError
+from tumble.files import FilePath
 from tumble.units import Array
 
 
@@ -48,7 +49,7 @@ class Difference:
         return self.value / (COVERAGE * self.u) if self.u else None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Comparison:
     """All that two calibrations have in common, in the frame of both. `covariance` (m, m) is that of the differences;
     `chi_square` with its `degrees` of freedom and the `probability` that chance alone exceeds it; all three are None
@@ -70,11 +71,19 @@ class Comparison:
         return bool(judged) and max(judged) <= 1.0
 
 
-def compare_calibrations(first: Calibration, second: Calibration) -> Comparison:
+def compare_calibrations(first: Calibration | FilePath, second: Calibration | FilePath) -> Comparison:
     """Compare two calibrations parameter by parameter. The second is converted to the frame of the first where they
     differ; to the case only what is in it already can be compared, so then the first is converted.
 
-    Raises InputError where they have no parameter in common, CalibrationError where they cannot be converted."""
+    Raises InputError where they have no parameter in common, CalibrationError where they cannot be converted.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> found = tumble.compare_calibrations(tumble.calibrate(folder), tumble.calibrate(folder, method="staged"))
+    >>> found.agree, len(found.differences)
+    (True, 21)
+    """
+    first, second = calibration_from(first), calibration_from(second)
     frame = second.frame if first.frame == "case" else first.frame
     a, b = first.in_frame(frame), second.in_frame(frame)
     ours, theirs = ({p.name: p for p in c.parameters} for c in (a, b))

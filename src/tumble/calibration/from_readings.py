@@ -9,26 +9,27 @@ form of the source: k in output per g, the angles θ of its upper triangular mat
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 from scipy.special import ndtri
 
 from tumble import __version__
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.readings_table import Nominal, ReadingsTable, plain_units, sizes_seen
+from tumble.calibration.readings_table import Nominal, ReadingsTable, Sensor, plain_units, read_table, sizes_seen
+from tumble.calibration.readings_table import nominal as nominal_of
 from tumble.calibration.results import Parameter, Readings
+from tumble.errors import InputError
 from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.observability import Refusal
+from tumble.files import FilePath
 from tumble.recording.session import Site
 from tumble.sensors.frames import Convention, Frame, Framed, convert
-from tumble.units import Array, engineering
-
-if TYPE_CHECKING:
-    pass
+from tumble.units import G_STANDARD, Array, engineering
 
 SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
 """Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the
@@ -58,10 +59,48 @@ class ReadingsCalibration:
 
 
 def calibrate_table(
-    table: ReadingsTable, nominal: Nominal, *, frame: Frame = "accelerometer", serial: str | None = None
+    readings: ReadingsTable | FilePath,
+    nominal: Nominal | None = None,
+    *,
+    sensor: Sensor = "accel",
+    unit: str = "V",
+    scale: Sequence[float] | None = None,
+    scale_per: str | None = None,
+    gravity: float = G_STANDARD,
+    modulus: float | None = None,
+    known: Mapping[int, Array] | None = None,
+    frame: Frame = "accelerometer",
+    serial: str | None = None,
 ) -> ReadingsCalibration:
-    """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions. What cannot be calibrated comes
-    back with the reasons in its outcome. Without a `serial` number of the device it is the name of the table."""
+    """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions, a table or its CSV file. What the
+    readings are worth is `nominal`, or comes from the options as `readings_table.nominal` takes them. What cannot be
+    calibrated comes back with the reasons in its outcome. Without a `serial` number of the device it is the name of the
+    table. Raises InputError for a table that cannot be read and for options that do not go together.
+
+    >>> import tumble
+    >>> faces = ["0,0,1", "0,0,-1", "0,1,0", "0,-1,0", "1,0,0", "-1,0,0"]
+    >>> edges = ["0.6,0.8,0", "0.6,-0.8,0", "0,0.6,0.8", "0,0.6,-0.8", "0.8,0,0.6", "0.8,0,-0.6"]
+    >>> _ = Path("readings.csv").write_text("x,y,z\\n" + "\\n".join(faces + edges))
+    >>> result = tumble.calibrate_table("readings.csv", unit="g")
+    >>> result.calibration
+    <Calibration of readings: ellipsoid, 9 parameters, accepted>
+    """
+    if sensor != "accel" and frame != "accelerometer":
+        raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
+    if serial is not None and not serial.strip():
+        raise InputError(f"--serial: expected a serial number, found {serial!r}")
+    table = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings))
+    if nominal is None:
+        nominal = nominal_of(
+            table,
+            sensor=sensor,
+            unit=unit,
+            scale=scale,
+            scale_per=scale_per,
+            gravity=gravity,
+            modulus=modulus,
+            known=known,
+        )
     serial = table.path.stem if serial is None else serial
     bad = float(-ndtri(0.5 * BAD_CHANCE / len(table.values)))
     found = fit_ellipsoid(nominal.to_si(table.values), modulus=nominal.modulus, bad_sigmas=bad)
@@ -227,7 +266,7 @@ def _notes(table: ReadingsTable, nominal: Nominal, found: EllipsoidFit | None) -
 # -------------------- the form of the source --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperForm:
     """k (3,) in the table's unit per `per`; θ (x, y, z), rad; b (3,), in units of `per`; with the covariance (9, 9) of
     all, k, θ, b, None where there is none."""

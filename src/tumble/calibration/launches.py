@@ -11,18 +11,23 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
+from tumble.calibration.calibrate import DEFAULT_METHOD, calibrate
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
 from tumble.errors import InputError
 from tumble.estimation.ellipsoid import TRIAD
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.methods.magnetometer import NAMES
-from tumble.recording.session import Session
-from tumble.sensors.frames import Convention, frame_of
+from tumble.files import FilePath
+from tumble.recording.log import Log
+from tumble.recording.session import Session, session_from
+from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
 
@@ -37,9 +42,46 @@ class Run:
     calibration: Calibration
 
 
+def calibrate_launches(
+    sessions: Sequence[Session | FilePath],
+    *,
+    method: str = DEFAULT_METHOD,
+    iterations: int | None = None,
+    frame: Frame = "accelerometer",
+    progress: Progress = Log.chunks,
+) -> Calibration:
+    """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`.
+
+    >>> import tumble
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
+    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
+    >>> tumble.calibrate_launches(folders)
+    <Calibration of mems-1: joint of 2 launches, 21 parameters, accepted>
+    """
+    if not sessions:
+        raise InputError("sessions: expected at least one, found none")
+    runs = [
+        Run(
+            session=session,
+            calibration=calibrate(session, method=method, iterations=iterations, frame=frame, progress=progress),
+        )
+        for session in map(session_from, sessions)
+    ]
+    return mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
+
+
 def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     """One calibration from several sessions of one device by the same method: means with uncertainties, standard
-    deviations from launch to launch, mean increments of each iteration, and every launch."""
+    deviations from launch to launch, mean increments of each iteration, and every launch.
+
+    >>> import tumble
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
+    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
+    >>> sessions = [tumble.read_session(folder) for folder in folders]
+    >>> runs = [tumble.Run(session=each, calibration=tumble.calibrate(each)) for each in sessions]
+    >>> tumble.mean_of_launches(runs)["accel.bias.x"].run_to_run > 0.0
+    True
+    """
     first = runs[0].calibration
     _check_alike(runs)
     reasons = tuple(f"{_name(run)}: {reason}" for run in runs for reason in run.calibration.outcome.reasons)
@@ -100,7 +142,7 @@ def _common(values: Sequence[_Any]) -> _Any | None:
 
 
 def _name(run: Run) -> str:
-    return run.session.folder.name or str(run.session.folder)
+    return Path(run.session.name).name or run.session.name
 
 
 def _named(run: Run) -> Mapping[str, Parameter]:
@@ -112,7 +154,7 @@ def _check_alike(runs: Sequence[Run]) -> None:
     for run in runs[1:]:
         if run.calibration.serial != first.calibration.serial:
             raise InputError(
-                f"{run.session.folder}: expected a launch of device {first.calibration.serial!r} like the first "
+                f"{run.session.name}: expected a launch of device {first.calibration.serial!r} like the first "
                 f"session, found {run.calibration.serial!r}; calibrate each device by itself"
             )
     seen: dict[str, Run] = {}
@@ -120,7 +162,7 @@ def _check_alike(runs: Sequence[Run]) -> None:
         digest = run.calibration.provenance["log_sha256"]
         if digest in seen:
             raise InputError(
-                f"{run.session.folder}: holds the same log as {seen[digest].session.folder}; name every launch once"
+                f"{run.session.name}: holds the same log as {seen[digest].session.name}; name every launch once"
             )
         seen[digest] = run
 

@@ -36,7 +36,7 @@ class Times:
     guessed: bool = False
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Stamps:
     """All time stamps of a log, as they are; `clock`: s, from times of day."""
 

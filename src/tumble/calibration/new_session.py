@@ -14,25 +14,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from tumble.calibration.calibrate import Progress, inspect_session
 from tumble.calibration.found_log import FoundLog, files_of, found_log, mended, times_of
 from tumble.calibration.log_times import Times
+from tumble.calibration.observed import Progress, inspect_session
 from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor
 from tumble.errors import InputError, TumbleError
 from tumble.estimation.diagnosis import fitting_gyro_unit
-from tumble.files import whole_file
+from tumble.files import FilePath, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.formats import Sensors
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns
 from tumble.recording.formats.message import TIME, Message
-from tumble.recording.log import open_log
-from tumble.recording.session import SESSION_FILE, read_session, write_session
+from tumble.recording.log import Log
+from tumble.recording.session import SESSION_FILE, session_of
 from tumble.reduction.observations import Observations
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS
 
@@ -72,17 +71,35 @@ class Given:
     message: str | None = None
 
 
-def draft_session(folder: Path, logs: Sequence[Path], given: Given, *, progress: Progress) -> tuple[Draft, list[str]]:
+NOTHING_GIVEN = Given()
+
+
+def new_session(
+    folder: FilePath,
+    logs: FilePath | Sequence[FilePath],
+    given: Given = NOTHING_GIVEN,
+    *,
+    progress: Progress = Log.chunks,
+) -> tuple[Draft, list[str]]:
     """Write a commented session.toml for logs into a folder, made if need be: files, folders of files, patterns. What a
     session file cannot say of them is mended in a copy there, and so are other formats than text and Parquet. Gives
     what was guessed, and the faults that a look at the recording shows.
 
     Raises InputError, and leaves no folder behind, where there is a session already, and for a log that cannot be
-    read or has no accelerometers."""
+    read or has no accelerometers.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("simulated", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> draft, faults = tumble.new_session("session", folder / "log.parquet")
+    >>> print(draft.said[0], faults)
+    time: column 't' in s (by its steps), 100 samples per second []
+    """
+    folder = Path(folder)
     path = folder / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
-    files = [file for log in logs for file in files_of(log)]
+    listed = [logs] if isinstance(logs, str | os.PathLike) else logs
+    files = [file for log in listed for file in files_of(Path(log))]
     if given.programme is not None and given.programme not in BUILT_IN:
         raise InputError(f"--programme: expected one of {', '.join(BUILT_IN)}, found {given.programme!r}")
     if given.latitude is not None and not -90.0 <= given.latitude <= 90.0:
@@ -275,8 +292,7 @@ def _with_given(content: Mapping[str, Any], folder: Path, given: Given) -> dict[
     """A content with serial number and latitude: as given, the former else by the folder's name."""
     site = {"site": {"latitude_deg": given.latitude}} if given.latitude is not None else {}
     out = {**content, "device": {"serial": given.serial or folder.resolve().name or "unknown"}, **site}
-    with TemporaryDirectory() as place:  # checked as a session is
-        write_session(Path(place), out)
+    session_of(out)  # checked as a session is
     return out
 
 
@@ -306,12 +322,10 @@ def _scaled(draft: Draft, progress: Progress) -> Draft:
 
 def _observed(content: Mapping[str, Any], progress: Progress) -> Observations | None:
     """Rests and turns of a session of this content; None where there are none."""
-    with TemporaryDirectory() as place:
-        try:
-            write_session(Path(place), content)
-            return inspect_session(read_session(Path(place)), progress=progress)[1]
-        except (TumbleError, np.linalg.LinAlgError):
-            return None
+    try:
+        return inspect_session(session_of(content), progress=progress).observations
+    except (TumbleError, np.linalg.LinAlgError):
+        return None
 
 
 def _accel_scaled(
@@ -372,7 +386,8 @@ def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
     near = _USUAL_RATES[np.argmin(np.abs(np.log(_USUAL_RATES / found)))]
     rate = float(near) if abs(near / found - 1.0) < _RATE_NEAR else float(f"{found:.4g}")
     seen = f"rate_hz = {rate:g} from the turns ({found:.4g} found)"
-    said = f"time: {seen}: a guess to some percent; put the log's rate there"
+    said = f"time: {seen}: a guess to some percent"
+    said += "; put the log's rate there"
     content = {**draft.content, "log": {**log, "rate_hz": rate}}
     return replace(draft, content=content, said=(*draft.said, said)), _looked_at(content, progress)[1]
 
@@ -425,16 +440,13 @@ def _with_gyro_unit(content: Mapping[str, Any], unit: str) -> dict[str, Any]:
 def _looked_at(content: Mapping[str, Any], progress: Progress) -> tuple[str | None, list[str]]:
     """The unit of the gyros that would fit better than the stated one, and what a look at the recording finds wrong
     with a session of this content."""
-    with TemporaryDirectory() as place:
-        try:
-            write_session(Path(place), content)
-            session = read_session(Path(place))
-            _, observations, faults = inspect_session(session, progress=progress)
-            if observations is None or not faults:
-                return None, list(faults)
-            return fitting_gyro_unit(observations, session, open_log(session).rate), list(faults)
-        except TumbleError as error:
-            return None, [str(error)]
+    try:
+        found = inspect_session(session_of(content), progress=progress)
+    except TumbleError as error:
+        return None, [str(error)]
+    if found.trial is None or not found.faults:
+        return None, list(found.faults)
+    return fitting_gyro_unit(found.trial, found.session, found.rate), list(found.faults)
 
 
 # -------------------- the file --------------------

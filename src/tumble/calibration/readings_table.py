@@ -49,7 +49,7 @@ _UNITS: Mapping[Sensor, Mapping[str, float]] = {
 calibration: m/s², rad/s, or for magnetometers themselves."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ReadingsTable:
     """A table of readings: `values` (N, 3) as written, `lines` (N,) of the file they stand in."""
 
@@ -60,7 +60,7 @@ class ReadingsTable:
     sha256: str
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Nominal:
     """What the readings of a triad of `sensor` are worth: SI = value / scale, scale (3,) in the table's `unit` per SI
     unit (of magnetometers per `result_unit`), signed by polarity; and the length of the true vector, SI.

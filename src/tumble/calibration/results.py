@@ -82,7 +82,7 @@ class TurnResult:
     sigmas: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Launch:
     """One of several sessions behind a calibration."""
 

@@ -27,14 +27,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration.calibrate import inspect_session
-from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.case import Verticals, verticals_of
+from tumble.calibration.observed import inspect_session
 from tumble.calibration.readings_table import read_table
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, sigmas
-from tumble.recording.log import open_log
-from tumble.recording.session import Session, read_session
+from tumble.files import FilePath
+from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.model import Block
 from tumble.units import Array, engineering
@@ -46,7 +46,7 @@ NOTHING_LEFT = 1e-6
 """1 − h below which nothing but the position itself determines what it is compared with."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Positions:
     """Readings at rest to verify a calibration with: mean readings (N, n) of a block with covariance (N, n, n), SI,
     what the positions are called, gravity with its standard uncertainty, m/s², and the SHA-256 of their source."""
@@ -60,7 +60,7 @@ class Positions:
     sha256: str
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Verification:
     """Δg (N,) of every position with standard uncertainty `u` (N,), m/s², both without the position where
     `left_out`; `sigmas` (N,) is |Δg|/u (of positions left out studentised), `limit` what it may be."""
@@ -85,14 +85,21 @@ class Verification:
         )
 
 
-def positions_of(path: Path, calibration: Calibration) -> Positions:
-    """The positions of a session folder or a table of readings. Raises as `rests_of` and `positions_of_table`."""
-    if not path.is_dir():
-        return positions_of_table(path, calibration)
-    session = read_session(path)
+def positions_of(given: Session | FilePath, calibration: Calibration) -> Positions:
+    """The positions of a session, its folder, or a table of readings. Raises as `rests_of` and `positions_of_table`.
+
+    >>> import tumble
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
+    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
+    >>> tumble.positions_of(folders[1], tumble.calibrate(folders[0])).readings.shape
+    (12, 3)
+    """
+    if not isinstance(given, Session) and not Path(given).is_dir():
+        return positions_of_table(Path(given), calibration)
+    session = session_from(given)
     if session.device.serial != calibration.serial:
         raise InputError(
-            f"{path}: expected a session of device {calibration.serial!r}, which was calibrated, found "
+            f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
             f"{session.device.serial!r}"
         )
     return rests_of(session)
@@ -100,10 +107,11 @@ def positions_of(path: Path, calibration: Calibration) -> Positions:
 
 def rests_of(session: Session) -> Positions:
     """Every rest of a session. Raises InputError where there is none."""
-    _, observations, faults = inspect_session(session)
-    if observations is None or faults:
-        said = faults[0] if faults else "no rests; look at it with `tumble inspect`"
-        raise InputError(f"{session.folder}: expected rests to verify with, found {said}")
+    found = inspect_session(session)
+    observations = found.observations
+    if observations is None or found.faults:
+        said = found.faults[0] if found.faults else "no rests; look at it with `tumble inspect`"
+        raise InputError(f"{session.name}: expected rests to verify with, found {said}")
     rests = observations.rests
     return Positions(
         block=observations.accel_block,
@@ -115,7 +123,7 @@ def rests_of(session: Session) -> Positions:
         ),
         gravity=session.site.gravity,
         gravity_u=session.site.gravity_u,
-        sha256=open_log(session).sha256(),
+        sha256=found.sha256,
     )
 
 
@@ -159,11 +167,22 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
     return calibration.fits.get("accelerometers", nothing)
 
 
-def verify_calibration(calibration: Calibration, positions: Positions) -> Verification:
-    """Eq. (21) in every position.
+def verify_calibration(calibration: Calibration | FilePath, check: Positions | Session | FilePath) -> Verification:
+    """Eq. (21) in every position: those of a session, its folder, or a table of readings. The calibration is one or its
+    file.
 
     Raises CalibrationError for a calibration that was not accepted or has no accelerometers, and InputError for
-    positions of other sensors or of one of several launches behind the calibration."""
+    positions of other sensors or of one of several launches behind the calibration.
+
+    >>> import tumble
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
+    >>> one, other = (tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2))
+    >>> found = tumble.verify_calibration(tumble.calibrate(one), other)
+    >>> len(found.labels), found.reasons
+    (12, ())
+    """
+    calibration = calibration_from(calibration)
+    positions = check if isinstance(check, Positions) else positions_of(check, calibration)
     seen = verticals(calibration, positions)
     assert calibration.accel is not None
     own = calibration.provenance.get("log_sha256") == positions.sha256

@@ -12,10 +12,8 @@ A trial of rests alone (`statics_rows`) is a block of BLOCK triads at once, and 
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -30,6 +28,7 @@ from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, sol
 from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
+from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import Spread
@@ -37,7 +36,7 @@ from tumble.sensors.model import Block
 from tumble.sensors.parameters import limits_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, itinerary, scenario_of
-from tumble.simulation.session import write_simulation
+from tumble.simulation.session import session_in_memory
 from tumble.units import Array
 
 Source = Literal["observations", "log"]
@@ -121,16 +120,15 @@ def _has_prior(estimate: Estimate, i: int) -> bool:
 
 
 def _through_a_log(scenario: Scenario, methods: Sequence[str], rng: np.random.Generator) -> list[Row]:
-    with tempfile.TemporaryDirectory(prefix="tumble-") as temporary:
-        folder = write_simulation(Path(temporary) / "session", scenario, rng)
-        return [_from_session(scenario, folder, method) for method in methods]
+    session = session_in_memory(scenario, rng)
+    return [_from_session(scenario, session, method) for method in methods]
 
 
-def _from_session(scenario: Scenario, folder: Path, method: str) -> Row:
+def _from_session(scenario: Scenario, session: Session, method: str) -> Row:
     try:
-        calibration = calibrate(folder, method=method)
+        calibration = calibrate(session, method=method)
     except InputError as error:
-        return {"method": method, "error": f"{type(error).__name__}: {error}".replace(str(folder), "session")}
+        return {"method": method, "error": f"{type(error).__name__}: {error}"}
     values = {p.name: (p.value, p.u) for p in calibration.parameters}
     return _row(method, calibration.outcome.reasons, values, scenario)
 

@@ -19,18 +19,16 @@ from tumble.errors import InputError
 def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool) -> None:
     """Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.
 
-    Corrected values are in SI under the session's column names; every other column is copied.
+    Corrected values are in SI under the session's column names, or in the unit that these names say; every other column
+    is copied.
     """
     from tumble.calibration.apply import apply_to_session, rest_residuals
-    from tumble.calibration.calibration_file import read_calibration
-    from tumble.recording.session import read_session
     from tumble.terminal.residuals import residual_table
     from tumble.terminal.text import print_report
 
-    found, described = read_calibration(calibration), read_session(session)
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
-    apply_to_session(found, described, out)
+    apply_to_session(calibration, session, out)
     click.echo(f"written to {out}", err=True)
     if verify:
-        print_report(residual_table(rest_residuals(found, described)))
+        print_report(residual_table(rest_residuals(calibration, session)))

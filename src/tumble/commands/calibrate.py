@@ -45,8 +45,7 @@ def calibrate(
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
     launch to launch, and --out is required. Several methods are compared: the first one's result is the one written.
     """
-    from tumble.calibration.calibrate import calibrate
-    from tumble.calibration.launches import Run, mean_of_launches
+    from tumble.calibration.launches import calibrate_launches
     from tumble.recording.session import read_session
     from tumble.simulation.session import read_truth
     from tumble.terminal.calibration import calibration_report
@@ -58,20 +57,11 @@ def calibrate(
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
     known = read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
-    results = []
-    for method in dict.fromkeys(methods):
-        runs = [
-            Run(
-                session=session,
-                calibration=calibrate(
-                    session, method=method, iterations=iterations, frame=frame, progress=with_progress
-                ),
-            )
-            for session in described
-        ]
-        results.append(mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration)
-    result, *others = results
-    target = out or described[0].folder / "calibration.json"
+    result, *others = (
+        calibrate_launches(described, method=method, iterations=iterations, frame=frame, progress=with_progress)
+        for method in dict.fromkeys(methods)
+    )
+    target = out or Path(described[0].name) / "calibration.json"
     result.write(target, force=force)
     print_report(calibration_report(result, known, others))
     click.echo(f"written to {target}", err=True)

@@ -19,23 +19,17 @@ def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None,
 
     A campaign that was interrupted goes on where it was when the same command is given again.
     """
-    from tumble.campaigns.campaign import read_campaign, run_campaign
-    from tumble.campaigns.cluster import executor_for
-    from tumble.campaigns.summary import summary, write_summary
+    from tumble.campaigns.run import campaign
     from tumble.report.campaign_picture import plot
     from tumble.terminal.campaign import summary_report
     from tumble.terminal.text import print_report
 
-    planned = read_campaign(file)
-    place = executor_for(serial=serial, cluster=cluster, workers=workers)
-    with task_progress("trials") as progress, place as executor:
-        rows = run_campaign(planned, out, executor=executor, progress=progress)
-    lines = summary(rows)
-    write_summary(lines, out / "summary.csv")
-    print_report(summary_report(lines))
-    written = [rows.name, "summary.csv"]
+    with task_progress("trials") as progress:
+        result = campaign(file, out, serial=serial, cluster=cluster, workers=workers, progress=progress)
+    print_report(summary_report(result.lines))
+    written = [result.rows.name, result.summary.name]
     try:
-        plot(lines, out / "rms.svg")
+        plot(result.lines, out / "rms.svg")
         written.append("rms.svg")
     except TumbleError as error:
         click.echo(f"not drawn: {error}", err=True)

@@ -18,12 +18,11 @@ def compare(first: Path, second: Path) -> None:
 
     Exit status 0: no |E_n| exceeds 1; 1: one does.
     """
-    from tumble.calibration.calibration_file import read_calibration
     from tumble.calibration.compare import compare_calibrations
     from tumble.terminal.comparison import comparison_report
     from tumble.terminal.text import print_report
 
-    found = compare_calibrations(read_calibration(first), read_calibration(second))
+    found = compare_calibrations(first, second)
     print_report(comparison_report(found))
     for remark in found.remarks:
         click.echo(f"note: {remark}", err=True)

@@ -63,17 +63,11 @@ def ellipsoid(
     The table has a header with the names of three columns, one per channel, and a row per position.
     """
     from tumble.calibration.from_readings import calibrate_table
-    from tumble.calibration.readings_table import nominal, read_table
     from tumble.terminal.readings import result_report
     from tumble.terminal.text import print_report
 
-    if sensor != "accel" and frame != "accelerometer":
-        raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
-    if serial is not None and not serial.strip():
-        raise InputError(f"--serial: expected a serial number, found {serial!r}")
-    table = read_table(readings)
-    worth = nominal(
-        table,
+    result = calibrate_table(
+        readings,
         sensor=sensor,
         unit=unit,
         scale=None if scale is None else _numbers("--scale", scale),
@@ -81,8 +75,9 @@ def ellipsoid(
         gravity=gravity,
         modulus=modulus,
         known=dict(map(_position, positions)),
+        frame=frame,
+        serial=serial,
     )
-    result = calibrate_table(table, worth, frame=frame, serial=serial)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
     print_report(result_report(result))

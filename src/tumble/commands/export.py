@@ -26,21 +26,12 @@ def export(calibration: Path, to: str, out: Path, noise: Path | None, certificat
 
     What that format has no place for is said on standard error, and in the file where it has comments.
     """
-    from tumble.calibration.calibration_file import read_calibration
     from tumble.export import export_calibration
-    from tumble.export.certificate import read_certificate
-    from tumble.export.kalibr import noise_densities
     from tumble.files import whole_file
-    from tumble.recording.session import read_session
 
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
-    exported = export_calibration(
-        read_calibration(calibration),
-        to,
-        noise=None if noise is None else noise_densities(read_session(noise)),
-        certificate=None if certificate is None else read_certificate(certificate),
-    )
+    exported = export_calibration(calibration, to, noise=noise, certificate=certificate)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)
     click.echo(f"written to {out}", err=True)

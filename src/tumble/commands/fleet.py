@@ -24,23 +24,18 @@ def fleet(sessions: str, method: str, serial: bool, cluster: str | None, workers
     A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
     where it was when the same command is given again.
     """
-    from tumble.campaigns.cluster import executor_for
-    from tumble.campaigns.fleet import run_fleet, sessions_of, tally
+    from tumble.campaigns.run import fleet
 
-    found = sessions_of(sessions)
-    with (
-        task_progress("sessions") as progress,
-        executor_for(serial=serial, cluster=cluster, workers=workers) as executor,
-    ):
-        rows = run_fleet(found, out, method=method, executor=executor, progress=progress)
-    ended = tally(rows)
+    with task_progress("sessions") as progress:
+        result = fleet(sessions, out, method=method, serial=serial, cluster=cluster, workers=workers, progress=progress)
+    ended = result.tally
     refused, failed = len(ended.refused), len(ended.failed)
-    click.echo(f"{len(found)} sessions: {ended.accepted} accepted, {refused} not accepted, {failed} failed")
+    click.echo(f"{len(result.sessions)} sessions: {ended.accepted} accepted, {refused} not accepted, {failed} failed")
     said = [f"not accepted: {session}: {why}" for session, why in ended.refused.items()]
     said += [f"failed: {session}: {why}" for session, why in ended.failed.items()]
     for line in said[:SHOWN]:
         click.echo(line, err=True)
     if len(said) > SHOWN:
         click.echo(f"and {len(said) - SHOWN} more, in the columns reasons and error of the rows", err=True)
-    click.echo(f"written to {rows}", err=True)
+    click.echo(f"written to {result.rows}", err=True)
     sys.exit(1 if said else 0)

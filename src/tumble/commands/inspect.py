@@ -13,12 +13,11 @@ from tumble.commands.arguments import EXISTING_FOLDER, with_progress
 @click.argument("session", type=EXISTING_FOLDER)
 def inspect(session: Path) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
-    from tumble.calibration.calibrate import inspect_session
-    from tumble.recording.session import read_session
+    from tumble.calibration.observed import inspect_session
     from tumble.terminal.inspection import inspection_report
     from tumble.terminal.text import print_report
 
-    segmentation, observations, faults = inspect_session(read_session(session), progress=with_progress)
-    print_report(inspection_report(segmentation, observations))
-    for fault in faults:
+    observed = inspect_session(session, progress=with_progress)
+    print_report(inspection_report(observed))
+    for fault in observed.faults:
         click.echo(f"fault: {fault}", err=True)

@@ -33,12 +33,12 @@ def new(
     LOG, or --log, is one or more text files in any dialect, .parquet, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5, a ROS 2
     folder, or a folder or a pattern of files that were recorded one after the other.
     """
-    from tumble.calibration.new_session import Given, draft_session
+    from tumble.calibration.new_session import Given, new_session
 
     if not log and not more:
         raise click.UsageError("Missing argument 'LOG': the recording")
     given = Given(serial=serial, latitude=latitude, rate=rate, programme=programme, message=message)
-    draft, faults = draft_session(folder, [*log, *more], given, progress=with_progress)
+    draft, faults = new_session(folder, [*log, *more], given, progress=with_progress)
     for sentence in draft.said:
         click.echo(sentence, err=True)
     for fault in faults:

@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from tumble.commands.arguments import EXISTING_FOLDER, FILE
-from tumble.errors import InputError
 
 
 @click.command()
@@ -34,26 +33,19 @@ def noise(
 
     LOG is a .csv (.gz, .zst) or .parquet file; it needs --accel, and --time or --rate-hz.
     """
-    from tumble.recording.session import read_session
-    from tumble.reduction.quiet_samples import longest_rest, noise_panels, whole_log
+    from tumble.calibration.quiet_samples import noise
     from tumble.report.allan_picture import plot as draw
     from tumble.terminal.noise import noise_report
     from tumble.terminal.text import print_report
 
-    if not recording.exists():
-        raise InputError(f"{recording}: expected a session folder or a log, found no such file")
-    if recording.is_dir() or recording.suffix == ".toml":
-        record = longest_rest(read_session(recording))
-    else:
-        if accel is None:
-            raise InputError(f"{recording}: expected --accel with the columns of the accelerometers, found none")
-        layout: dict[str, Any] = {"accel": {"columns": accel.split(","), "unit": accel_unit}}
+    layout: dict[str, Any] | None = None
+    if accel is not None:
+        layout = {"accel": {"columns": accel.split(","), "unit": accel_unit}}
         layout |= {"gyro": {"columns": gyro.split(","), "unit": gyro_unit}} if gyro else {}
         layout |= {"time": time_column} if time_column else {}
         layout |= {"rate_hz": rate_hz} if rate_hz is not None else {}
-        record = whole_log(recording, layout)
-    panels = noise_panels(record)
+    found = noise(recording, layout)
     if plot is not None:
-        draw(panels, plot)
+        draw(found.panels, plot)
         click.echo(f"written to {plot}", err=True)
-    print_report(noise_report(record.source, panels))
+    print_report(noise_report(found.source, found.panels))

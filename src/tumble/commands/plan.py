@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from tumble.commands.arguments import setup_of, setup_options
-
-if TYPE_CHECKING:
-    from tumble.planning.best_positions import Aim
-    from tumble.planning.reachable_attitudes import TurnTable
-    from tumble.planning.setup import Setup
 
 
 @click.command()
@@ -37,9 +32,12 @@ def plan(
 ) -> None:
     """The least uncertainty a programme allows, the best next position, and better programmes."""
     from tumble.planning.best_positions import Aim
+    from tumble.planning.plan import plan as best
     from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.programme.positions import from_attitudes
+    from tumble.terminal.plan import plan_report, short_of
+    from tumble.terminal.text import print_report
 
     setup = setup_of(options)
     if attitudes:
@@ -47,40 +45,9 @@ def plan(
     wishes = wanted_of(wanted, None, setup) if wanted else {}
     aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
     table = TurnTable.of(axes, step)
-    reasons = _one_more(setup, aim, table) if positions is None else _found(setup, positions, aim, table)
+    found = best(setup, positions=positions, aim=aim, table=table)
+    print_report(plan_report(found, aim))
+    reasons = short_of(found.bound, aim, found.setup)
     for reason in reasons:
         click.echo(reason, err=True)
     sys.exit(1 if reasons else 0)
-
-
-def _one_more(setup: Setup, aim: Aim, table: TurnTable) -> list[str]:
-    """Print what a set-up's programme can show and what one more position would buy; returns what it cannot."""
-    from tumble.planning.best_positions import next_positions
-    from tumble.planning.bounds import bound
-    from tumble.planning.setup import with_all_groups
-    from tumble.terminal.plan import bound_report, next_report, short_of
-    from tumble.terminal.text import print_report
-
-    best, found = bound(setup, gyros=aim.gyros), next_positions(setup, aim, table)
-    print_report(bound_report(setup, best, bound(with_all_groups(setup), gyros=aim.gyros)))
-    click.echo()
-    print_report(next_report(best, found, aim))
-    return short_of(best, aim, setup)
-
-
-def _found(setup: Setup, positions: int, aim: Aim, table: TurnTable) -> list[str]:
-    """Print the best programme that is found, what it can show, and others beside it; returns what it cannot."""
-    from tumble.planning.best_positions import compared, of_the_literature, optimised
-    from tumble.planning.bounds import bound
-    from tumble.planning.setup import with_all_groups
-    from tumble.terminal.plan import bound_report, comparison_report, positions_report, short_of
-    from tumble.terminal.text import print_report
-
-    setup = replace(setup, programme=optimised(setup, positions, aim, table))
-    rows = compared(setup, (setup.programme, *of_the_literature()), aim)
-    print_report(positions_report(setup.programme))
-    click.echo()
-    print_report(bound_report(setup, rows[0].bound, bound(with_all_groups(setup), gyros=aim.gyros)))
-    click.echo()
-    print_report(comparison_report(setup, rows, aim))
-    return short_of(rows[0].bound, aim, setup)

@@ -19,8 +19,7 @@ from tumble.usual_setup import ON_TABLE
 @click.option("-o", "--out", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
 def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: float, out: Path | None) -> None:
     """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
-    from tumble.programme.positions import from_attitudes
-    from tumble.programme.positions import programme as built_in
+    from tumble.programme.positions import programme_of
     from tumble.programme.sheet import write_sheet
     from tumble.terminal.sheet import sheet_table
     from tumble.terminal.text import print_report
@@ -28,7 +27,7 @@ def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: f
 
     if (name is None) == (not attitudes):
         raise InputError("expected either the NAME of a programme or --attitude for each position")
-    listed = from_attitudes(list(attitudes)) if name is None else built_in(name)
+    listed = programme_of(attitudes if name is None else name)
     table = sheet_table(listed, rest=rest, rate=rate * DEGREE)
     if out is not None:
         write_sheet(out, listed, rest=rest, rate=rate * DEGREE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import sys
 from pathlib import Path
 
@@ -17,13 +16,13 @@ from tumble.commands.arguments import FILE
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
     from tumble.errors import InputError
-    from tumble.selftest import selftest
+    from tumble.selftest import run_selftest
     from tumble.terminal.selftest import record_table
     from tumble.terminal.text import print_report
 
     if out is not None and out.exists():
         raise InputError(f"{out}: expected a new file for the record, found one that exists; records are kept")
-    record = selftest(by=by or getpass.getuser(), progress=lambda name: click.echo(f"running: {name}", err=True))
+    record = run_selftest(by=by, progress=lambda name: click.echo(f"running: {name}", err=True))
     print_report(record_table(record))
     click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
     click.echo("passed" if record.passed else "FAILED")

@@ -19,13 +19,11 @@ def verify(calibration: Path, readings: Path) -> None:
 
     Where these are the calibration's own, each is left out in turn.
     """
-    from tumble.calibration.calibration_file import read_calibration
-    from tumble.calibration.verify import positions_of, verify_calibration
+    from tumble.calibration.verify import verify_calibration
     from tumble.terminal.text import print_report
     from tumble.terminal.verification import verification_report
 
-    known = read_calibration(calibration)
-    verification = verify_calibration(known, positions_of(readings, known))
+    verification = verify_calibration(calibration, readings)
     print_report(verification_report(verification))
     for reason in verification.reasons:
         click.echo(f"not accepted: {reason}", err=True)

@@ -11,17 +11,19 @@ from itertools import permutations, product
 
 import numpy as np
 
-from tumble.earth import EARTH_RATE
+from tumble.earth import EARTH_RATE, normal_gravity
+from tumble.estimation.causes import Concerns
 from tumble.estimation.estimate import FIT_SIGMAS, SEEN, Estimate, Outcome
+from tumble.estimation.misfit import misfit
 from tumble.estimation.observability import faces_and_edges, most_telling, standing
 from tumble.programme.positions import from_attitudes, programme
-from tumble.recording.session import Channels, Session
+from tumble.recording.session import Channels, Session, Site
 from tumble.reduction.blocks import ChannelState, Reduction
 from tumble.reduction.observations import Observations
-from tumble.reduction.segmentation import Segmentation
+from tumble.reduction.segmentation import STILL_SECONDS, Segmentation
 from tumble.rotation import onto_body, skew, tangent_basis, unit_vector
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import group_of, limits_of
+from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TIME_UNITS, Array, Unit
 
 UNIT_TOLERANCE = 0.25
@@ -55,6 +57,11 @@ SCATTER_LIMIT = 1e-3 * G_STANDARD
 TURN_SCATTER_LIMIT = 1.0 * DEGREE
 IMPOSSIBLE = 1e10
 """SI: no sensor reads as much, in whatever unit its log is taken to be."""
+
+MILLIGAL = 1e-5  # m/s²
+GRAVITY_DOUBTED = 300.0 * MILLIGAL
+GRAVITY_REFUSED = 1000.0 * MILLIGAL
+"""Anomalies of gravity on Earth reach 300 mGal on land in a few places; nowhere 1,000."""
 
 CHANCE = 1e-9
 """Probability below which a row of equal samples is no accident."""
@@ -424,33 +431,91 @@ def _described(transform: Array) -> str:
     return " or ".join(said) + " (relative to the other sensors)"
 
 
-def verdict(estimate: Estimate, observations: Observations) -> Outcome:
-    """Whether an estimate may be used."""
-    reasons = list(estimate.reasons)
-    missing = estimate.unobservable
-    if missing and not reasons:
-        reasons.append(f"not observable in this session: {', '.join(missing)}; {_most_helpful(estimate, observations)}")
-    elif not missing and not reasons and (weak := _weak_combinations(estimate, observations)):
-        reasons.append(f"poorly observable in this session: {'; '.join(weak)}; {_remedy(estimate, observations)}")
+def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
+    """Whether an estimate may be used, and its accelerometers and gyros each for itself."""
+    both, of_accel, of_gyro = list(estimate.reasons), [], []
+    missing = tuple(name for name in estimate.unobservable if name in _linear(estimate))
+    unknown = {name.split(".")[0] for name in missing}
+    if missing and not both:
+        lists = {frozenset({"accel"}): of_accel, frozenset({"gyro"}): of_gyro}
+        said = f"not observable in this session: {', '.join(missing)}; {_most_helpful(estimate, observations)}"
+        lists.get(frozenset(unknown), both).append(said)
+    elif not missing and not both and (weak := _weak_combinations(estimate, observations)):
+        both.append(f"poorly observable in this session: {'; '.join(weak)}; {_remedy(estimate, observations)}")
     if not missing and not estimate.converged:
-        reasons.append(
+        both.append(
             "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
         )
-    for name, fit in estimate.fits.items():
-        if name == "accelerometers" and fit.scatter > SCATTER_LIMIT:
-            reasons.append(
-                f"the rests scatter by {fit.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
-                "rest, or the accelerometers do not follow the model"
-            )
+    if not gravity_confirmed:
+        of_accel += _gravity_refused(observations.site)
+    of_accel += _scattering_rests(estimate)
+    of_gyro += _scattering_turns(estimate, observations)
+    both += _misfits(estimate, observations)
+    judged = None if missing or not estimate.converged else misfit(estimate, observations)
+    said_of = {"accel": of_accel, "gyro": of_gyro, "both": both}
+    remarks: tuple[tuple[Concerns, str], ...] = ()
+    if judged is not None:
+        for concerns, reason in judged.reasons:
+            said_of[concerns].append(reason)
+        remarks = judged.remarks
+    return Outcome(
+        reasons=(*both, *of_accel, *of_gyro),
+        remarks=tuple(remark for _, remark in remarks),
+        unobservable=missing,
+        of_accel=(*of_accel, *(remark for concerns, remark in remarks if concerns == "accel")),
+        of_gyro=(*of_gyro, *(remark for concerns, remark in remarks if concerns == "gyro")),
+    )
+
+
+def _scattering_rests(estimate: Estimate) -> Iterator[str]:
+    """Accelerometers at rest that scatter beyond anything a sensor does."""
+    fit = estimate.fits.get("accelerometers")
+    if fit is not None and fit.scatter > SCATTER_LIMIT:
+        yield (
+            f"the rests scatter by {fit.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
+            "rest, or the accelerometers do not follow the model"
+        )
+
+
+def _scattering_turns(estimate: Estimate, observations: Observations) -> Iterator[str]:
+    """Turns that scatter beyond anything a gyro does."""
     turns = estimate.fits.get("gyro turns")
     if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
         worst = _turn_named(observations, int(np.argmax(estimate.turn_sigmas)))
-        reasons.append(
+        yield (
             f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
             f"for damaged or lost samples of the gyros, first in {worst}"
         )
-    reasons += _misfits(estimate, observations)
-    return Outcome(reasons=tuple(reasons), unobservable=missing)
+
+
+# The site
+
+
+def gravity_difference(site: Site) -> float | None:
+    """Gravity of a site less normal gravity, m/s²; None where the latitude is not known."""
+    return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
+
+
+def gravity_said(site: Site) -> str | None:
+    """Gravity against normal gravity, in words; None where the latitude is not known."""
+    difference = gravity_difference(site)
+    if difference is None:
+        return None
+    said = f"gravity {site.gravity:.6f} m/s^2 is {difference / MILLIGAL:+.0f} mGal from normal gravity"
+    if abs(difference) <= GRAVITY_DOUBTED:
+        return said
+    return f"{said}, more than {GRAVITY_DOUBTED / MILLIGAL:.0f}: look at gravity, latitude_deg and height_m in [site]"
+
+
+def _gravity_refused(site: Site) -> Iterator[str]:
+    """Gravity that no place of this latitude has."""
+    difference = gravity_difference(site)
+    if difference is not None and abs(difference) > GRAVITY_REFUSED:
+        yield (
+            f"gravity {site.gravity:.6f} m/s^2 is {difference / MILLIGAL:+.0f} mGal from normal gravity, more than "
+            f"{GRAVITY_REFUSED / MILLIGAL:.0f}: every accelerometer scale factor would be wrong with it; correct gravity, "
+            "latitude_deg or height_m in [site], or write gravity_confirmed = true"
+        )
 
 
 def _misfits(estimate: Estimate, observations: Observations) -> Iterator[str]:
@@ -483,12 +548,20 @@ def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]
     the worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty
     of scale factors and angles is not small against what the data resolve: u does not hold then, for effects of second
     order count."""
-    spread = limits_of(estimate.names)
-    variance, vectors = np.linalg.eigh(estimate.covariance / np.outer(spread, spread))
-    angles = np.array([".bias." not in name for name in estimate.names])  # biases are linear
+    linear = _linear(estimate)
+    spread = limits_of(linear)
+    m = len(linear)
+    variance, vectors = np.linalg.eigh(estimate.covariance[:m, :m] / np.outer(spread, spread))
+    angles = np.array([".bias." not in name for name in linear])  # biases are linear
     squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
     poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
     return vectors[:, poor].T, np.sqrt(variance[poor])
+
+
+def _linear(estimate: Estimate) -> tuple[str, ...]:
+    """Names of the parameters of the linear model, which come first; the others have priors."""
+    linear = {group.name for group in LINEAR}
+    return tuple(name for name in estimate.names if group_name(name) in linear)
 
 
 def _resolution(estimate: Estimate, observations: Observations) -> float:
@@ -521,8 +594,9 @@ def _remedy(estimate: Estimate, observations: Observations) -> str:
     rests or turns."""
     combinations, known = _weak(estimate, observations)
     site = observations.site
-    scales = np.array([name.startswith("accel.scale.") for name in estimate.names])
-    by_gravity = combinations @ (scales / limits_of(estimate.names)) * site.gravity_u / site.gravity
+    linear = _linear(estimate)
+    scales = np.array([name.startswith("accel.scale.") for name in linear])
+    by_gravity = combinations @ (scales / limits_of(linear)) * site.gravity_u / site.gravity
     if np.all(by_gravity**2 > 0.5 * known**2):
         return f"gravity is known to {site.gravity_u:g} m/s^2 only: give latitude_deg or gravity in [site]"
     return _most_helpful(estimate, observations)
@@ -575,7 +649,8 @@ def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
 
 def no_rests(segmentation: Segmentation) -> Outcome:
     """The outcome of a log in which nothing rests."""
-    reason = "no rest found: expected the device to lie still for at least 3 s in each position"
+    reason = f"no rest found: expected the device to lie still for at least {STILL_SECONDS} s in each position"
+    reason += "".join(f"; {said}" for said in segmentation.passed_over())
     if segmentation.rejected:
         longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)
         reason += f"; the longest quiet stretch, {longest.start:.1f}–{longest.stop:.1f} s, is none: {longest.reason}"

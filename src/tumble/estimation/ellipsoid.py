@@ -70,7 +70,7 @@ class WorstPosition:
     rivals: tuple[int, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class EllipsoidFit:
     """Parameter values (9,) in the order of the block's names with their covariance (9, 9), None where there are no
     more positions than unknowns and the noise is not known, and the `model` they give. Of each position (N,):
@@ -114,7 +114,15 @@ def fit_ellipsoid(
     the unit of the modulus after nominal scale and polarity, in the frame that `block` fixes.
 
     `covariance` (N, 3, 3) is what is known of their noise; a scatter is estimated on top of it. Without it all are
-    equally good. A position more than `bad_sigmas` from the fit through the others is left out, and says so."""
+    equally good. A position more than `bad_sigmas` from the fit through the others is left out, and says so.
+
+    >>> import numpy as np, tumble
+    >>> faces = np.vstack([np.eye(3), -np.eye(3)])
+    >>> corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
+    >>> found = tumble.fit_ellipsoid(9.8 * np.vstack([faces, corners]) + [0.1, 0.05, -0.2], modulus=9.8)
+    >>> found.values[:3].round(6).tolist()
+    [0.1, 0.05, -0.2]
+    """
     refusal = undetermined(readings, block=block)
     if refusal is not None:
         return refusal
@@ -156,7 +164,7 @@ def _raised(each: Array, doubtful: tuple[int, ...], worst: WorstPosition | None)
     return out
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Task:
     readings: Array
     modulus: float
@@ -168,7 +176,7 @@ class _Task:
         return np.asarray(SPREAD * np.repeat([self.modulus, 1.0, 1.0], 3))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _EllipsoidRows:
     """Of each reading: the residual |t| − m, minus its derivatives with respect to the values (N, 9), its variance
     from noise, and what a unit variance of scatter adds."""
@@ -200,7 +208,7 @@ def _rows(task: _Task, values: Array) -> _EllipsoidRows:
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Found:
     values: Array
     rows: _EllipsoidRows

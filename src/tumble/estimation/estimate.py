@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy import special
@@ -16,6 +17,9 @@ from tumble.estimation.prediction import Prediction
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray
+
+if TYPE_CHECKING:
+    from tumble.estimation.likelihood import Linearised
 
 DETERMINED = 10.0
 """How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
@@ -36,17 +40,84 @@ FIT_SIGMAS = 5.0
 """A rest or turn further than this from the fit does not fit."""
 
 
+Verdict = Literal["accepted", "accepted with scatter", "not accepted"]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Outcome:
-    """Whether an estimate can be used, and if not, why: sentences with cause and remedy."""
+class Judgement:
+    """Whether a result can be used: `reasons` against it, `remarks` on residuals that the noise does not explain, each
+    a sentence with cause and remedy."""
 
     reasons: tuple[str, ...] = ()
-    unobservable: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """Not accepted where there is a reason, with scatter where there is a remark."""
+        if self.reasons:
+            return "not accepted"
+        return "accepted with scatter" if self.remarks else "accepted"
 
     @property
     def accepted(self) -> bool:
         """No reason against it."""
         return not self.reasons
+
+    def content(self) -> dict[str, Any]:
+        """As the calibration file has it."""
+        return {"verdict": self.verdict, "reasons": list(self.reasons), "remarks": list(self.remarks)}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome(Judgement):
+    """Whether an estimate can be used, and if not, why. `reasons` and `remarks` are all there are; `of_accel` and
+    `of_gyro` those among them that concern the accelerometers or the gyros alone: good accelerometers are not lost to
+    bad gyros."""
+
+    unobservable: tuple[str, ...] = ()
+    of_accel: tuple[str, ...] = ()
+    of_gyro: tuple[str, ...] = ()
+
+    @property
+    def accel(self) -> Judgement:
+        """Whether the accelerometers can be used."""
+        return self._without(self.of_gyro)
+
+    @property
+    def gyro(self) -> Judgement:
+        """Whether the gyros can be used."""
+        return self._without(self.of_accel)
+
+    def _without(self, others: tuple[str, ...]) -> Judgement:
+        return Judgement(
+            reasons=tuple(reason for reason in self.reasons if reason not in others),
+            remarks=tuple(remark for remark in self.remarks if remark not in others),
+        )
+
+    def content(self) -> dict[str, Any]:
+        """As the calibration file has it."""
+        return {
+            "accepted": self.accepted,
+            "verdict": self.verdict,
+            "reasons": list(self.reasons),
+            "remarks": list(self.remarks),
+            "unobservable": list(self.unobservable),
+            "accel": self.accel.content(),
+            "gyro": self.gyro.content(),
+        }
+
+    @staticmethod
+    def from_content(content: Mapping[str, Any]) -> Outcome:
+        """The outcome of what `content` gave."""
+        accel, gyro = ({*content[kind]["reasons"], *content[kind]["remarks"]} for kind in ("accel", "gyro"))
+        said = (*content["reasons"], *content["remarks"])
+        return Outcome(
+            reasons=tuple(content["reasons"]),
+            remarks=tuple(content["remarks"]),
+            unobservable=tuple(content["unobservable"]),
+            of_accel=tuple(each for each in said if each not in gyro),
+            of_gyro=tuple(each for each in said if each not in accel),
+        )
 
 
 def chance_of(chi_square: float, degrees: float) -> float:
@@ -115,6 +186,8 @@ class Estimate:
     """Degrees of freedom (m,) behind the u of the parameters, where the method knows them."""
     prediction: Prediction | None = None
     """What corrected readings are known to."""
+    linearised: Linearised | None = None
+    """The likelihood about the estimate, where the method has one."""
 
     @property
     def unobservable(self) -> tuple[str, ...]:
@@ -127,7 +200,7 @@ class Estimate:
         return np.sqrt(np.diag(self.covariance))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solution:
     """A weighted least-squares step: `step` (m,), `gain` (m, r) of the whitened residuals, `null` (q, m) the
     combinations the data do not determine, in units of the spreads, and the covariance (m, m), to which the

@@ -256,6 +256,19 @@ class Problem:
         return self.instrument.model(self.observations.gyro_block, values)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Linearised:
+    """The likelihood about the estimate: the point, the turns about it, the rows there, their noise, and the scatter
+    on top of it."""
+
+    problem: Problem
+    point: Point
+    about: TurnsAbout | None
+    rows: Rows
+    noise: Noise
+    scatter: Scatter
+
+
 def variables_of(observations: Observations) -> dict[str, tuple[Array, Array]]:
     """What parameters may change with: time from the middle of the session, s, and temperature from its mean, K, in the
     middle of the rests (N,) and of the turns (K,)."""

@@ -31,7 +31,7 @@ DISTINCT = np.radians(10.0)
 """Positions whose verticals differ by less count as one."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Refusal:
     """Why there is no fit: a sentence with cause and remedy. `null` (q, 9) are the combinations of parameters that
     the positions do not determine, in parts of the modulus and radians; none where the readings are not an

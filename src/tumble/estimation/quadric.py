@@ -40,7 +40,7 @@ determine the ellipsoid. Good programmes have 0.01 to 0.06."""
 _UNITS_AT_ONCE = 512
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ellipsoids:
     """U ellipsoids (y − centre)ᵀ shape (y − centre) = 1: centre (U, 3), shape (U, 3, 3). `found` (U,) is false where
     the readings lie on no ellipsoid; there the numbers are NaN. `determined` (U,) is false where other ellipsoids go

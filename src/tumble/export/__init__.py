@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tumble.errors import InputError
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from tumble.export.certificate import Certificate
     from tumble.export.exported import Exported
     from tumble.export.kalibr import NoiseDensities
+    from tumble.files import FilePath
+    from tumble.recording.session import Session
 
 _PLAIN = {
     "ros-imu-calib": "ros_imu_calib",
@@ -34,17 +37,28 @@ FORMATS = ("kalibr", *_PLAIN, "dcc")
 
 
 def export_calibration(
-    calibration: Calibration,
+    calibration: Calibration | FilePath,
     to: str,
     *,
-    noise: NoiseDensities | None = None,
-    certificate: Certificate | None = None,
+    noise: NoiseDensities | Session | FilePath | None = None,
+    certificate: Certificate | FilePath | None = None,
 ) -> Exported:
-    """A calibration in one of the `FORMATS`. `kalibr` needs the noise densities of the device, `dcc` the administrative
-    data of a certificate; the others take neither.
+    """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` needs the noise densities of the device or a
+    session whose longest rest shows them, `dcc` the administrative data of a certificate or their file; the others
+    take neither.
 
-    Raises InputError for a calibration that was not accepted or that the format has no place for."""
-    exported = _export(calibration, to, noise, certificate)
+    Raises InputError for a calibration that was not accepted or that the format has no place for.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> exported = tumble.export_calibration(tumble.calibrate(folder), "csv")
+    >>> exported.content.splitlines()[0].split(b",")[0]
+    b'# device mems-1'
+    """
+    from tumble.calibration.calibration_file import calibration_from
+
+    calibration = calibration_from(calibration)
+    exported = _export(calibration, to, _noise(noise), _certificate(certificate))
     if calibration.mag is None:
         return exported
     return replace(exported, losses=(*exported.losses, NO_MAGNETOMETER))
@@ -67,6 +81,19 @@ def _export(
 
         return dcc(calibration, certificate)
     return _plain(to)(calibration)
+
+
+def _noise(given: NoiseDensities | Session | FilePath | None) -> NoiseDensities | None:
+    from tumble.export.kalibr import NoiseDensities, noise_densities
+    from tumble.recording.session import session_from
+
+    return given if given is None or isinstance(given, NoiseDensities) else noise_densities(session_from(given))
+
+
+def _certificate(given: Certificate | FilePath | None) -> Certificate | None:
+    from tumble.export.certificate import Certificate, read_certificate
+
+    return given if given is None or isinstance(given, Certificate) else read_certificate(Path(given))
 
 
 def _plain(to: str) -> Callable[[Calibration], Exported]:

@@ -29,7 +29,7 @@ from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Diagonal:
     """What an autopilot can hold, in single precision: offsets (3,) of accelerometers and gyros (None without gyros),
     and the accelerometers' factors (3,)."""

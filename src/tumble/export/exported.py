@@ -31,7 +31,7 @@ class Exported:
     losses: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Example:
     """A reading (n,) and the true vector (3,) it stands for, SI."""
 

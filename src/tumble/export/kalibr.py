@@ -21,11 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.quiet_samples import longest_rest, noise_panels
 from tumble.errors import InputError
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, origin, shown, triads, yaml_list, yaml_number
 from tumble.recording.session import Session
 from tumble.reduction.allan_deviation import AllanDeviation, Coefficient, Panel
-from tumble.reduction.quiet_samples import longest_rest, noise_panels
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
@@ -56,7 +56,7 @@ def noise_densities(session: Session) -> NoiseDensities:
     record = longest_rest(session)
     panels = noise_panels(record)
     if len(panels) != 2:
-        raise InputError(f"{session.folder}: expected accelerometers and gyros to take the noise from, found no gyros")
+        raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
     accel, gyro = (_densities(panel, kind) for panel, kind in zip(panels, ("accelerometers", "gyros"), strict=True))
     return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
 

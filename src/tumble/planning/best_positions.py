@@ -65,7 +65,7 @@ class Aim:
     gyros: bool = True
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Criterion:
     """How good a programme is: by A, with `weight` (m,), SI, of the parameters, infinite for those that do not count,
     or by D. `prior` (m,) are the spreads, SI, of which the first `linear` are those of the linear model, and `known`

@@ -57,7 +57,7 @@ KEPT = 1e-3
 """Learned fraction from which a programme says anything of a group."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Course:
     """Where a device rests and how it gets there: attitudes (N, 3, 3), body → geographic, of the rests in order, and
     the turns that a log has between a rest `first` (K,) and the next: rotation vectors `moves` (K, 3), geographic, rad,
@@ -69,7 +69,7 @@ class Course:
     seconds: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Bound:
     """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear`
     are those of the linear model. `observable` marks the parameters that are determined, and only these mean
@@ -114,7 +114,14 @@ class Bound:
 def bound(setup: Setup, *, gyros: bool = True) -> Bound:
     """The bound of a set-up's programme, with gyros and all moves, or of accelerometers alone.
 
-    Raises InputError for values that make no sense, and where there is no noise."""
+    Raises InputError for values that make no sense, and where there is no noise.
+
+    >>> import tumble
+    >>> setup = tumble.Setup.of(rest=120.0)
+    >>> found = tumble.bound(setup)
+    >>> found.rank == len(found.names)
+    True
+    """
     return bound_of(course_of(setup), setup, gyros=gyros)
 
 

@@ -132,7 +132,14 @@ def budget(setup: Setup, methods: Sequence[BudgetedMethod] = BUDGETED_METHODS, i
     """Expected errors of every group of parameters after each of so many passes of these methods.
 
     Groups that the programme cannot give (gyro scale factors without known turns) have no row. Raises InputError for
-    values that make no sense, ProgrammeError for a programme without the positions a method needs."""
+    values that make no sense, ProgrammeError for a programme without the positions a method needs.
+
+    >>> import tumble
+    >>> setup = tumble.Setup.of(rest=120.0)
+    >>> found = tumble.budget(setup, methods=["staged"])
+    >>> sorted({row.method for row in found.rows})
+    ['staged']
+    """
     check_setup(setup, iterations)
     rows: list[BudgetRow] = []
     for method in methods:
@@ -237,7 +244,7 @@ def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
 # -------------------- what a method leaves of the parameters --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Pipeline:
     """What passes of a method leave of the parameters. Matrices (21, 21) are to be applied to the variances of the
     parameters: `exact`, `by_table` and `by_mounting` for the first pass, and for the second the parts that grow with

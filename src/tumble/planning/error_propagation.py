@@ -62,7 +62,7 @@ BUDGETED_METHODS: tuple[BudgetedMethod, ...] = ("sequential", "scalar", "staged"
 # What the programme's positions and turns are good for
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Plan:
     """A programme as the estimators use it: `nominal` attitudes (N, 3, 3); known turns with their `duration` (K,), s,
     and the programme's matrices (2K, 9) for gyros and accelerometers; rests in which each axis is vertical
@@ -132,7 +132,7 @@ def _check_positions(programme: Programme, method: BudgetedMethod, u: Array, pla
 # What is seen, to first order in the parameters, and what the estimators make of it
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Seen:
     """Errors of what is observed, m cases at once: of the accelerometers at rest over g, `accel` (..., m, N, 3), of the
     gyros at rest, `gyro` (..., m, N, 3), rad/s, and of the attitude over each known turn, `turn` (..., m, K, 3)."""

@@ -55,7 +55,7 @@ SMALLEST_STEP = 5.0
 """Degrees; with finer ones there are too many places to try."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Legs:
     """Ways between one place and others (q,): rotation vectors (q, 3), which of them are turns of the table, and the
     whitened rows (q, r + t, 6 + p + 1) of the rest before and of what gyros and accelerometers see of the turn."""
@@ -66,7 +66,7 @@ class Legs:
     rows: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Places:
     """Where a table can be: positions and attitudes (n, 3, 3), and the whitened rows of a rest in each."""
 
@@ -168,7 +168,7 @@ def _same(attitudes: Array, matrix: Array) -> Array:
 # Ways through places
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ways:
     """Ways (q) through k places each with e legs: places (q, k), moves (q, e, 3), which are turns of the table (q, e),
     and whitened rows (q, e, r + t, ·)."""

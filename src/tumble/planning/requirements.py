@@ -97,7 +97,13 @@ def require(
     Of `setup` the programme, noises, spreads, turn rate and site are used, and the ratio of table to mounting error;
     if both are zero they get equal tolerances. `gyro_bias`: instead of what the method does with the whole programme,
     "vertical" is one rest per gyro with its axis vertical, Eq. (18), and "polar" one along the Earth's axis, Eq. (17).
-    Raises InputError for a group that does not exist or values that make no sense."""
+    Raises InputError for a group that does not exist or values that make no sense.
+
+    >>> import tumble
+    >>> setup = tumble.Setup.of(rest=120.0)
+    >>> tumble.require({"accel.scale": 10e-6}, setup).feasible
+    True
+    """
     check_setup(setup, iteration)
     pipeline = pipeline_of(_unit_ratio(setup), method)
     _check_wanted(wanted, pipeline)

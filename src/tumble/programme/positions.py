@@ -34,7 +34,7 @@ _TURN = re.compile(r"([NUE])([+-](?:[0-9]+\.?[0-9]*|\.[0-9]+))")
 _FULL_TURN_DEG = 360.0
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Position:
     """A nominal attitude: its code, the matrix body → geographic (N, U, E), and a short name ("X up")."""
 
@@ -48,7 +48,7 @@ class Position:
         return np.asarray(self.matrix.T @ _AXES["U"])
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Move:
     """How the next position is reached: a turn by `angle` (rad, signed) about the geographic unit vector
     `axis`; None and None where any movement will do."""
@@ -124,6 +124,17 @@ def programme(name: str) -> Programme:
         advice = f"; did you mean {near[0]!r}?" if near else ""
         raise ProgrammeError(f"programme: expected one of {', '.join(BUILT_IN)}, found {name!r}{advice}")
     return BUILT_IN[name]()
+
+
+def programme_of(given: str | Sequence[str]) -> Programme:
+    """The built-in programme of a name, or that of positions listed by their attitude codes. Raises ProgrammeError for
+    a name or a code that is not known.
+
+    >>> import tumble
+    >>> [len(tumble.programme_of(given).positions) for given in ("rough-table", ["NUE", "NUE N+45"])]
+    [15, 2]
+    """
+    return programme(given) if isinstance(given, str) else from_attitudes(given)
 
 
 def from_attitudes(codes: Sequence[str]) -> Programme:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tumble.errors import InputError
-from tumble.files import whole_file
+from tumble.files import FilePath, whole_file
 from tumble.programme.positions import Programme
 from tumble.programme.sheet_pictures import (
     BODY_COLOURS,
@@ -146,10 +146,21 @@ def _position(row: SheetRow) -> str:
 
 
 def write_sheet(
-    path: Path, programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE, serial: str = ""
+    path: FilePath,
+    programme: Programme,
+    *,
+    rest: float = REST,
+    rate: float = RATE,
+    move: float = MOVE,
+    serial: str = "",
 ) -> None:
     """Write the page (.html) or the drawing (.svg) by the ending of `path`. Raises InputError for another ending and
-    where it cannot be written, and ProgrammeError as `sheet_rows`."""
+    where it cannot be written, and ProgrammeError as `sheet_rows`.
+
+    >>> import tumble
+    >>> tumble.write_sheet("sheet.svg", tumble.programme_of("nine"), rest=30.0)
+    """
+    path = Path(path)
     if path.suffix == ".html":
         text = sheet_page(programme, rest=rest, rate=rate, move=move, serial=serial)
     elif path.suffix == ".svg":

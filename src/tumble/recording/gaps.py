@@ -89,7 +89,7 @@ def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
     return np.asarray(kept[~again])
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogRows:
     """Rows of a file in order: their numbers (m,), times (m,), s, and the numbers of accelerometers (m, na), gyros
     (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them. `unread`: what was found in rows of which

@@ -1,4 +1,4 @@
-"""Logs: columns of files become SI arrays, in chunks.
+"""Logs: columns of files, or of tables in memory, become SI arrays, in chunks.
 
 A file is read as a stream of tables of a bounded size (`log_files`), which become rows: times in s, numbers as the file
 has them, and the number of their first data row (counted from 1), so that a message can name the row. Runs of lost
@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from pathlib import Path
 
 import numpy as np
 
@@ -19,8 +20,9 @@ from tumble.errors import LogError
 from tumble.recording.dialect import LINE_BYTES
 from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
 from tumble.recording.readers import Kind, LogSource, readable, source_of
+from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec, Session
-from tumble.units import Array
+from tumble.units import ZERO_CELSIUS, Array
 
 _HEAD_ROWS = 1000
 """LogRows from which the interval of a file is taken, their median."""
@@ -30,7 +32,7 @@ _RATE_TOLERANCE = 0.1
 _SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # beyond, nothing can be computed
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Chunk:
     """Consecutive samples of one file, `file` being its index in session.log.files: end time and interval of
     each sample, s; accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperature, K; magnetometer (m, 3) in its
@@ -74,12 +76,13 @@ class Log:
                     yield _part(chunk, slice(start, start + rows))
 
     def sha256(self) -> str:
-        """SHA-256 of the bytes of all files in order, hexadecimal: for one file that of `sha256sum`."""
+        """SHA-256 of the bytes of all files in order, hexadecimal: for one file that of `sha256sum`; of samples in
+        memory that of the names and numbers of the columns that are read."""
         digest = hashlib.sha256()
-        for source in self._sources:
-            with readable(source.path), source.path.open("rb") as stream:
-                while piece := stream.read(LINE_BYTES):
-                    digest.update(piece)
+        for file in self.session.log.files:
+            pieces = file.content(self.session.log.columns) if isinstance(file, Samples) else _bytes_of(file)
+            for piece in pieces:
+                digest.update(piece)
         return digest.hexdigest()
 
     def _samples(self, file: int) -> Iterator[Chunk]:
@@ -95,20 +98,33 @@ class Log:
                 dt=dt,
                 accel=spec.accel.to_si(values[0], dt),
                 gyro=spec.gyro.to_si(values[1], dt) if spec.gyro else None,
-                temperature=values[-1][:, 0] + _ZERO_CELSIUS if spec.temperature else None,
+                temperature=values[-1][:, 0] + ZERO_CELSIUS if spec.temperature else None,
                 magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
             )
 
 
-_ZERO_CELSIUS = 273.15
-"""0 °C in K, exact (ITS-90)."""
+def _bytes_of(path: Path) -> Iterator[bytes]:
+    with readable(path), path.open("rb") as stream:
+        while piece := stream.read(LINE_BYTES):
+            yield piece
 
 
 def open_log(session: Session) -> Log:
     """The log of a session: every file is there, has the columns the session names and a plausible time.
 
+    >>> import numpy as np, tumble
+    >>> description = {
+    ...     "format": 1,
+    ...     "device": {"serial": "A-0007"},
+    ...     "log": {"rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}},
+    ... }
+    >>> still = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.ones(300)}
+    >>> log = tumble.open_log(tumble.session_of(description, still))
+    >>> [chunk.accel.shape for chunk in log.chunks(rows=200)]
+    [(200, 3), (100, 3)]
+
     Raises LogError for a format that cannot be read, a damaged or empty file, missing or repeated columns."""
-    sources = tuple(source_of(path, session.log.dialect) for path in session.log.files)
+    sources = tuple(source_of(file, session.log.dialect) for file in session.log.files)
     for source in sources:
         _check_columns(source, session.log)
     grids = tuple(_grid(source, session.log) for source in sources)

@@ -1,4 +1,4 @@
-"""The files of a log: one reader per format, each giving tables of a bounded size.
+"""The files of a log: one reader per format, each giving tables of a bounded size; a table in memory is read as one.
 
 A text file, compressed or not, is cut into pieces of whole lines for polars to parse, whatever its dialect. Where
 polars refuses a piece, or leaves a value empty, the piece is halved until Python can read the few lines in question
@@ -15,10 +15,11 @@ import io
 import re
 import sys
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -28,6 +29,7 @@ import polars as pl
 from tumble.errors import LogError
 from tumble.recording.clock import day_of, seconds_of
 from tumble.recording.dialect import BLANKS, LINE_BYTES, Dialect, Recoded, head_lines, top_of
+from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec
 from tumble.units import Array
 
@@ -42,6 +44,7 @@ _PIECE_BYTES = 1 << 24
 _SLOW_BYTES = 1 << 14
 _SHOWN = 40
 _PARQUET_ROWS = 1 << 15
+_SLICE_ROWS = 1 << 17
 
 
 class Kind(Enum):
@@ -96,6 +99,10 @@ class LogSource(Protocol):
         """Its rows in order as tables of a bounded size: these columns as float64, times of day and dates in the column
         `clock` as seconds; and the rows in which something could not be read, NaN there."""
 
+    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        """Its rows in order as tables of a bounded size with every column, `numbers` as float64, the others as they
+        are: of a text file the text."""
+
     def place(self, row: int, column: str | None = None) -> str:
         """File, data row and column as a message names them."""
 
@@ -113,9 +120,23 @@ def readable(path: Path) -> Iterator[None]:
         ) from None
 
 
-def source_of(path: Path, dialect: Dialect | None = None) -> LogSource:
-    """The reader of a file; with a dialect, of a text file of any name. Raises LogError for a format that cannot be
-    read and an empty or damaged file."""
+@contextmanager
+def rows_of_numbers(path: Path) -> Iterator[None]:
+    """Whatever polars says of the content of a file becomes one line."""
+    try:
+        yield
+    except pl.exceptions.PolarsError as error:
+        said = " ".join(str(error).split())[:200]
+        raise LogError(f"{path}: expected rows of numbers, found: {said}; see `tumble inspect`") from None
+
+
+def source_of(file: Path | Samples, dialect: Dialect | None = None) -> LogSource:
+    """The reader of a file, or of a table in memory; with a dialect, of a text file of any name. Raises LogError for a
+    format that cannot be read and an empty or damaged file."""
+    return _Frame.of(file.path, file.table.lazy) if isinstance(file, Samples) else _source_of_file(file, dialect)
+
+
+def _source_of_file(path: Path, dialect: Dialect | None) -> LogSource:
     ending = _ending(path)
     if ending not in ENDINGS and dialect is None:
         raise LogError(
@@ -136,11 +157,22 @@ def _ending(path: Path) -> str:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Parquet:
+class _Frame:
+    """A Parquet file, or a table in memory; `scan` begins to read it."""
+
     path: Path
-    names: tuple[str, ...]
     types: Mapping[str, pl.DataType]
     rows: int
+    scan: Callable[[], pl.LazyFrame]
+
+    @classmethod
+    def of(cls, path: Path, scan: Callable[[], pl.LazyFrame]) -> _Frame:
+        types = dict(scan().collect_schema())
+        return cls(path=path, types=types, rows=scan().select(pl.len()).collect().item(), scan=scan)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.types)
 
     def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
         with readable(self.path):
@@ -167,10 +199,23 @@ class _Parquet:
                     f"{self.path}: column '{column}': expected numbers, found the type {self.types[column]}; "
                     "write it as float64"
                 )
-        scan = pl.scan_parquet(self.path, glob=False).select(columns)
+        scan = self.scan().select(columns)
         if clock is not None and isinstance(self.types[clock], pl.Datetime):
-            scan = scan.with_columns(_since_midnight(self.path, clock))
+            scan = scan.with_columns(self._since_midnight(clock))
         return scan.select(pl.col(columns).cast(pl.Float64))
+
+    def _since_midnight(self, clock: str) -> pl.Expr:
+        """Seconds of a column of dates with times, since midnight of the first."""
+        first = self.scan().select(pl.col(clock).dt.truncate("1d").first()).collect().item()
+        return (pl.col(clock) - pl.lit(first)).dt.total_nanoseconds() * 1e-9
+
+    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        # in slices: as one scan a file would stay mapped, and count, as a whole
+        for first in range(0, self.rows, _SLICE_ROWS):
+            with readable(self.path):
+                table = self.scan().slice(first, _SLICE_ROWS).collect()
+            with rows_of_numbers(self.path):
+                yield table.with_columns(pl.col(numbers).cast(pl.Float64))
 
     def _check_no_nulls(self, table: pl.DataFrame, first: int) -> None:
         for column in table:
@@ -181,17 +226,8 @@ class _Parquet:
         return f"{self.path}: row {row}" + _in_column(column)
 
 
-def _since_midnight(path: Path, clock: str) -> pl.Expr:
-    """Seconds of a column of dates with times, since midnight of the first."""
-    first = pl.scan_parquet(path, glob=False).select(pl.col(clock).dt.truncate("1d").first()).collect().item()
-    return (pl.col(clock) - pl.lit(first)).dt.total_nanoseconds() * 1e-9
-
-
-def _open_parquet(path: Path) -> _Parquet:
-    scan = pl.scan_parquet(path, glob=False)
-    types = dict(scan.collect_schema())
-    rows = scan.select(pl.len()).collect().item()
-    return _Parquet(path=path, names=tuple(types), types=types, rows=rows)
+def _open_parquet(path: Path) -> _Frame:
+    return _Frame.of(path, partial(pl.scan_parquet, path, glob=False))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -220,6 +256,11 @@ class _Csv:
             table, unread = text.table(piece, first)
             first += table.height
             yield table, unread
+
+    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
+        with readable(self.path), rows_of_numbers(self.path):
+            for table in text_tables(self, numbers):
+                yield table.with_columns(pl.col(numbers).cast(pl.Float64))
 
     def pieces(self) -> Iterator[bytes]:
         """The rows in pieces of whole lines that are parsed alike whatever the dialect."""

@@ -1,24 +1,26 @@
-"""Session folders: session.toml read, checked and written.
+"""Sessions: session.toml read, checked and written, and the same description of samples in memory.
 
-A session is one power-on of one IMU: a folder with session.toml and the log it names. Reading gives a
-`Session`, SI and radians inside. The keys, with examples, are in docs/session-file.md; `session_tables` checks them.
+A session is one power-on of one IMU: a folder with session.toml and the log it names, or such a description with arrays
+or frames in place of the log. Both give a `Session`, SI and radians inside. The keys, with examples, are in
+docs/session-file.md; `session_keys` checks them.
 """
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tomli_w
 from pydantic import ValidationError
 
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
-from tumble.errors import SessionError
-from tumble.files import whole_file
+from tumble.errors import InputError, SessionError
+from tumble.files import FilePath, whole_file
 from tumble.recording.dialect import Dialect
 from tumble.recording.session_keys import (
     CLOCK,
@@ -34,12 +36,17 @@ from tumble.recording.session_keys import (
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, G_STANDARD, TIME_UNITS, Array, Unit
 
+if TYPE_CHECKING:
+    from tumble.recording.samples import Data, Samples
+
 SESSION_FILE = "session.toml"
 
 UNKNOWN_SITE_GRAVITY_U = 0.03
 """Standard uncertainty of standard gravity as a value of local gravity at an unknown place on Earth, m/s²."""
 
 _FAULTS_SHOWN = 3
+_DESCRIPTION = "session"
+"""What messages call the description of a session that is not in a file."""
 
 
 # -------------------- what a session is --------------------
@@ -66,7 +73,7 @@ class Site:
     field: float | None = None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Channels:
     """The n sensors of one kind, and what their columns are worth.
 
@@ -93,6 +100,12 @@ class Channels:
             out = out / dt[:, None]
         return out
 
+    def from_si(self, rates: Array) -> Array:
+        """The log's numbers (m, n) of rates or, for increments, of increments in SI."""
+        gain = self.scale / self.unit.factor
+        out = rates * gain if (gain != 1.0).any() else rates
+        return out + self.offset if self.offset.any() else out
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Magnetometer:
@@ -104,11 +117,11 @@ class Magnetometer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogSpec:
-    """The log's files and columns. Either `time`, a column in units of `time_factor` s, or `rate`, Hz. `clock`: the
-    times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever their times are; `dialect`:
-    how text files are written, None for CSV files with their names in the first line."""
+    """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
+    `rate`, Hz. `clock`: the times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever
+    their times are; `dialect`: how text files are written, None for CSV files with their names in the first line."""
 
-    files: tuple[Path, ...]
+    files: tuple[Path | Samples, ...]
     time: str | None
     time_factor: float
     rate: float | None
@@ -161,14 +174,32 @@ class Exclusion:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Session:
-    """What session.toml says. `programme` is None for a free session: orientations are not assumed."""
+    """What session.toml, or the description of samples in memory, says. `programme` is None for a free session:
+    orientations are not assumed. `folder` is None in memory.
 
-    folder: Path
+    >>> import numpy as np, tumble
+    >>> description = {
+    ...     "format": 1,
+    ...     "device": {"serial": "A-0007"},
+    ...     "log": {"rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}},
+    ... }
+    >>> still = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.ones(300)}
+    >>> session = tumble.session_of(description, still)
+    >>> session.name, session.log.accel.unit_name
+    ('session of A-0007 in memory', 'g')
+    """
+
+    folder: Path | None
     device: Device
     site: Site
     log: LogSpec
     programme: ProgrammeSpec | None
     excluded: tuple[Exclusion, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"session of {self.device.serial} in memory" if self.folder is None else str(self.folder)
 
     @property
     def accel_block(self) -> Block:
@@ -184,24 +215,82 @@ class Session:
 # -------------------- reading and writing --------------------
 
 
-def read_session(folder: Path) -> Session:
+def read_session(folder: FilePath) -> Session:
     """The session of a folder, or of the path of its session.toml.
 
     Raises SessionError, one line, with up to three faults of the file: missing, not TOML, an unknown key, a
-    value that is not what its key expects, a log that does not exist."""
-    path = folder if folder.is_file() or folder.name == SESSION_FILE else folder / SESSION_FILE
-    document = _checked(_parsed(path), path)
+    value that is not what its key expects, a log that does not exist.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1)
+    >>> tumble.read_session(folder).device.serial
+    'mems-1'
+    """
+    given = Path(folder)
+    path = given if given.is_file() or given.name == SESSION_FILE else given / SESSION_FILE
+    document = _checked(_parsed(path), str(path))
     session = _session(document, path.parent)
-    _check_files(session, path)
+    _check_files(session, str(path))
     return session
 
 
-def write_session(folder: Path, content: Mapping[str, Any]) -> None:
+def session_of(description: Mapping[str, Any], data: Data | None = None) -> Session:
+    """The session of a description, the content of session.toml as a mapping. With `data` (arrays by column name, a
+    polars or a pandas frame, or a sequence of them for a log of several files) the description names no log.file;
+    without, its files are relative to the working folder.
+
+    Raises SessionError as `read_session`, and LogError for data that are not columns of one length.
+
+    >>> import numpy as np, tumble
+    >>> accel = {"columns": ["ax", "ay", "az"], "unit": "count", "scale": 1000.0, "scale_per": "g"}
+    >>> description = {"format": 1, "device": {"serial": "A-0007"}, "log": {"rate_hz": 100.0, "accel": accel}}
+    >>> counts = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.full(300, 1000.0)}
+    >>> chunk = next(tumble.open_log(tumble.session_of(description, counts)).chunks())
+    >>> chunk.accel[0].tolist()
+    [0.0, 0.0, 9.80665]
+    """
+    if data is None:
+        session = _session(_checked(description, _DESCRIPTION), None)
+        _check_files(session, _DESCRIPTION)
+        return session
+    from tumble.recording.samples import samples_of  # polars is heavy, and only needed here
+
+    log, samples = description.get("log"), samples_of(data)
+    if isinstance(log, Mapping) and "file" in log:
+        raise SessionError(f"{_DESCRIPTION}: log.file: expected none beside samples in memory, found {log['file']!r}")
+    if isinstance(log, Mapping):
+        description = {**description, "log": {**log, "file": [part.name for part in samples]}}
+    session = _session(_checked(description, _DESCRIPTION), None)
+    session = replace(session, log=replace(session.log, files=samples))
+    _check_files(session, _DESCRIPTION)
+    return session
+
+
+def session_from(given: Session | FilePath) -> Session:
+    """A session as it is, or that of a folder. Raises InputError for anything else."""
+    if isinstance(given, Session):
+        return given
+    if not isinstance(given, str | os.PathLike):
+        raise InputError(
+            f"session: expected the path of a session folder or a Session, found {type(given).__name__}; give arrays "
+            "by name: accel=…, gyro=…, time=… or rate=…"
+        )
+    return read_session(given)
+
+
+def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
     """Write session.toml with this content, keys and values as in the file, into a folder, made if need be.
 
-    Raises SessionError if the content is not a session's; the log need not exist yet."""
+    Raises SessionError if the content is not a session's; the log need not exist yet.
+
+    >>> import numpy as np, tumble
+    >>> session = tumble.session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
+    >>> content = tumble.description_of(session)
+    >>> tumble.write_session("session", content | {"log": {"file": "log.csv", **content["log"]}})
+    """
+    folder = Path(folder)
     path = folder / SESSION_FILE
-    _checked(content, path)
+    _checked(content, str(path))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:
@@ -228,7 +317,7 @@ def _parsed(path: Path) -> dict[str, Any]:
         raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
 
 
-def _checked(content: Mapping[str, Any], path: Path) -> SessionDocument:
+def _checked(content: Mapping[str, Any], where: str) -> SessionDocument:
     try:
         return SessionDocument.model_validate(content)
     except ValidationError as error:
@@ -236,32 +325,32 @@ def _checked(content: Mapping[str, Any], path: Path) -> SessionDocument:
     said = faults[:_FAULTS_SHOWN]
     if len(faults) > len(said):
         said.append(f"and {len(faults) - len(said)} more")
-    raise SessionError(f"{path}: {'; '.join(said)}")
+    raise SessionError(f"{where}: {'; '.join(said)}")
 
 
-def _check_files(session: Session, path: Path) -> None:
+def _check_files(session: Session, where: str) -> None:
     for file in session.log.files:
-        if not file.is_file():
-            raise SessionError(f"{path}: log.file: expected a log at {file}, found no such file")
+        if isinstance(file, Path) and not file.is_file():
+            raise SessionError(f"{where}: log.file: expected a log at {file}, found no such file")
     passport = session.device.systematic
     if passport is not None and not passport.is_file():
-        raise SessionError(f"{path}: device.systematic: expected a calibration file at {passport}, found no such file")
+        raise SessionError(f"{where}: device.systematic: expected a calibration file at {passport}, found no such file")
 
 
 # -------------------- from the tables to SI --------------------
 
 
-def _session(document: SessionDocument, folder: Path) -> Session:
-    device = document.device
+def _session(document: SessionDocument, folder: Path | None) -> Session:
+    device, place = document.device, folder or Path()
     return Session(
         folder=folder,
         device=Device(
             serial=device.serial,
             model=device.model,
-            systematic=None if device.systematic is None else folder / device.systematic,
+            systematic=None if device.systematic is None else place / device.systematic,
         ),
         site=_site(document.site),
-        log=_log(document.log, folder),
+        log=_log(document.log, place),
         programme=None if document.programme is None else _programme(document.programme),
         excluded=tuple(_exclusion(given) for given in document.exclude),
     )

@@ -56,7 +56,7 @@ FLICKER = 2.0 * np.log(2.0) / np.pi
 IntArray = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class AllanDeviation:
     """Overlapping Allan deviation of c channels at k averaging times.
 
@@ -110,7 +110,14 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     """Overlapping Allan deviation of samples (m,) or (m, c) taken at a constant `rate` (Hz), at four averaging
     times an octave up to a quarter of the record. One channel is worked on at a time.
 
-    Raises InputError for fewer than 32 samples or a value that is not a number."""
+    Raises InputError for fewer than 32 samples or a value that is not a number.
+
+    >>> import numpy as np, tumble
+    >>> white = np.random.default_rng(1).normal(size=(10_000, 1))
+    >>> found = tumble.allan_deviation(white, 100.0)
+    >>> bool(abs(found.deviation[0, 0] * np.sqrt(found.tau[0]) - 0.1) < 0.01)
+    True
+    """
     columns = samples if samples.ndim == 2 else samples[:, None]
     count = len(columns)
     if count < MIN_SAMPLES:
@@ -182,7 +189,7 @@ def identify(adev: AllanDeviation) -> tuple[NoiseParameters, ...]:
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Transfer:
     """Transfer functions W (k, f) of the Allan variance at averaging times tau (k,), with the spectra (f, 4) of
     the terms of (1) at unit coefficients and the widths (f,) of the frequency bins, Hz."""
@@ -212,7 +219,7 @@ class _Transfer:
         return np.asarray(covariance / np.outer(scale, scale)) if scale.all() else np.eye(len(scale))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Fit:
     """Estimates of σ² of one channel and their degrees of freedom (k,), to be fitted by (1)."""
 

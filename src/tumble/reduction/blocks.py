@@ -45,15 +45,8 @@ class ChannelState:
     """Longest row of equal samples at the minimum or the maximum, and where it ended."""
     extreme_stop: float
 
-    @property
-    def unresolved(self) -> float:
-        """Standard uncertainty of a mean from the resolution: step/√12 where more than half of the samples repeat the
-        one before, so that noise does not average it out; else 0."""
-        coarse = 2 * self.repeats > self.samples and np.isfinite(self.step)
-        return self.step / np.sqrt(12.0) if coarse else 0.0
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Tail:
     """The samples after the last whole block of a file: their weighted `total` (n,); and the weights (K + 1,) of the
     blocks and of the tail in a mean."""
@@ -69,7 +62,7 @@ class Tail:
         return np.asarray(total / weight)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FileBlocks:
     """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the
     accelerometers (K, n) and gyros (K, n) in SI, of the temperature, and of the magnetometer (K, 3) in its unit."""
@@ -86,6 +79,7 @@ class FileBlocks:
     gyro_tail: Tail | None
     accel_end: Array
     gyro_end: Array | None
+    magnetometer_end: Array | None
     """The last sample of each block, (K, n): what shows the resolution of the channels."""
     magnetometer: Array | None
     magnetometer_tail: Tail | None
@@ -324,6 +318,7 @@ class Reducer:
             temperature=self._temperature.rows[:, 0] if len(self._temperature.rows) else None,
             accel_end=accel.ends.rows,
             gyro_end=gyro.ends.rows if gyro else None,
+            magnetometer_end=field.ends.rows if field else None,
             accel_tail=accel.tail(covered),
             gyro_tail=gyro.tail(covered) if gyro else None,
             magnetometer=field.means.rows if field else None,

@@ -11,12 +11,20 @@ with γ_j continued by the recursion. Subtracting the mean of a rest lowers ever
 that is put back and the fit repeated until it no longer changes, without which a correlation time of a twentieth
 of the rest would be underestimated by a third. A rest that is evidently noisier or quieter than the others has
 its own level. Correlation between channels is that of the innovations.
+
+A rest more than LONG times as long as most, as the first one by hand is, shows drift that the others have no time for,
+and so much of it that it would pass for their noise. For their sake it is cut into pieces as long as they are, of which
+those that are evidently noisier are left out; it has a noise of its own, fitted to the long rests alone.
+
+A drift along a line moves the mean of a rest by nothing, but would pass for noise of so long a memory that a mean does
+not get rid of it. Where the rests bend less than such noise would, the line of each rest is taken off like its mean.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,11 +33,13 @@ from tumble.units import Array
 BATCHES = 120
 MAX_ORDER = 32
 LEVEL_SIGMAS = 5.0
+LONG = 2.0
+STRAIGHT_SIGMAS = 2.3
 LEAST = 1e-3  # of what white noise of the same variance would give: quantisation gives more, rounding may give less
 NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ColouredNoise:
     """Noise of block means: autocovariances (c, L) of batches of `batch` blocks from lag 0, correlation (c, c)
     between channels, and the level (r, c) of each rest as a factor on the variance."""
@@ -38,6 +48,8 @@ class ColouredNoise:
     autocovariance: Array
     correlation: Array
     level: Array
+    apart: Mapping[int, tuple[ColouredNoise, int]] = field(default_factory=dict)
+    """The noise of rests that are much longer than most, by the number of the rest, and which rest of it each is."""
 
     def variance_of_mean(self, blocks: float) -> Array:
         """Variance (c,) of the mean over so many blocks, at level 1."""
@@ -45,24 +57,59 @@ class ColouredNoise:
 
     def covariance_of_mean(self, blocks: float, rest: int | None = None) -> Array:
         """Covariance (c, c) of the mean over so many blocks, at the level of a rest or at level 1."""
+        if rest is not None and rest in self.apart:
+            noise, index = self.apart[rest]
+            return noise.covariance_of_mean(blocks, index)
         variance = self.variance_of_mean(blocks) * (1.0 if rest is None else self.level[rest])
         return np.asarray(self.correlation * np.sqrt(np.outer(variance, variance)))
 
 
 def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
     """The noise of the block means of several rests, each (K, c), half of them with K ≥ 8."""
-    batch = max(1, round(float(np.median([len(rest) for rest in rests])) / BATCHES))
+    typical = float(np.median([len(rest) for rest in rests]))
+    long = [i for i, rest in enumerate(rests) if len(rest) > LONG * typical]
+    if not long:
+        return _fit(rests)
+    ordinary = [i for i, rest in enumerate(rests) if len(rest) <= LONG * typical]
+    pieces = [piece for i in long for piece in np.array_split(rests[i], math.ceil(len(rests[i]) / typical))]
+    alike = _alike([rests[i] for i in ordinary], pieces)
+    noise, own = _fit([rests[i] for i in ordinary] + alike), fit_coloured_noise([rests[i] for i in long])
+    level = np.empty((len(rests), rests[0].shape[1]))
+    level[ordinary], level[long] = noise.level[: len(ordinary)], own.level
+    return replace(noise, level=level, apart={rest: (own, index) for index, rest in enumerate(long)})
+
+
+def _alike(rests: list[Array], pieces: list[Array]) -> list[Array]:
+    """Those of the pieces that are not evidently noisier than the rests."""
+    noise = _fit(rests)
+    centred = _centred(rests + pieces, noise.batch)
+    levels = [_levels([x[:, c] for x in centred], a) for c, a in enumerate(noise.autocovariance)]
+    louder = np.max(levels, axis=0)[len(rests) :] > 1.0
+    return [piece for piece, loud in zip(pieces, louder, strict=True) if not loud]
+
+
+def _centred(rests: Sequence[Array], batch: int) -> list[Array]:
+    """Means of every `batch` blocks of each rest, less their mean."""
     batched = [rest[: len(rest) // batch * batch].reshape(-1, batch, rest.shape[1]).mean(axis=1) for rest in rests]
-    centred = [rest - rest.sum(axis=0) / max(1, len(rest)) for rest in batched]
+    return [rest - rest.sum(axis=0) / max(1, len(rest)) for rest in batched]
+
+
+def _fit(rests: Sequence[Array]) -> ColouredNoise:
+    """The noise of rests of much the same length."""
+    batch = max(1, round(float(np.median([len(rest) for rest in rests])) / BATCHES))
+    centred = _centred(rests, batch)
     longest, channels = max(len(c) for c in centred), centred[0].shape[1]
     level = np.ones((len(centred), channels))
     autocovariance = np.zeros((channels, longest))
     innovations: list[list[Array]] = []
     for c in range(channels):
-        series = [x[:, c] for x in centred]
+        series, sloping = [x[:, c] for x in centred], False
         for _ in range(5):  # rests at their levels, until no other rest stands out
             scaled = [x / np.sqrt(s) for x, s in zip(series, level[:, c], strict=True)]
-            coefficients, autocovariance[c] = _fit_channel(scaled, longest)
+            coefficients, autocovariance[c] = _fit_channel(scaled, longest, sloping)
+            if not sloping and _straight(scaled, autocovariance[c]):
+                sloping, series = True, [_without_slope(x) for x in series]
+                continue
             levels = _levels(series, autocovariance[c])
             if np.array_equal(levels == 1.0, level[:, c] == 1.0):
                 break
@@ -80,8 +127,46 @@ def _variance_of_mean(autocovariance: Array, batches: float) -> Array:
     return np.asarray(np.maximum(variance, LEAST * autocovariance[..., 0] / batches))
 
 
-def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
-    """Prediction-error filter (1, −a₁, … −a_p) and autocovariance (longest,) of one channel."""
+def _slope(n: int) -> Array:
+    """The linear function over n samples, of mean 0 and length 1."""
+    x = np.arange(n) - 0.5 * (n - 1)
+    return np.asarray(x / max(float(np.linalg.norm(x)), 1e-300))
+
+
+def _without_slope(series: Array) -> Array:
+    slope = _slope(len(series))
+    return np.asarray(series - (slope @ series) * slope)
+
+
+def _straight(series: list[Array], autocovariance: Array) -> bool:
+    """Whether the rests bend less than noise of this autocovariance would: the means of their thirds, first − 2 second
+    + third, which no slope changes, judged as a chi-square at STRAIGHT_SIGMAS (Wilson and Hilferty)."""
+    if autocovariance[0] <= 0.0:
+        return False
+    ratio = []
+    for x in series:
+        third = len(x) // 3
+        if third >= 3:
+            w = np.repeat([1.0, -2.0, 1.0], third) / third
+            r = np.correlate(w, w, "full")[len(w) - 1 :]
+            expected = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1 : len(r)])
+            ratio.append((w @ x[: len(w)]) ** 2 / max(expected, 1e-12 * autocovariance[0]))
+    sigma = np.sqrt(2.0 / (9.0 * len(ratio))) if ratio else np.inf
+    return len(ratio) > 0 and float(np.cbrt(np.mean(ratio))) < 1.0 - sigma**2 - STRAIGHT_SIGMAS * sigma
+
+
+def _slope_lost(autocovariance: Array, n: int, lags: int) -> Array:
+    """By how much taking its slope off lowers the autocovariances of a rest of n samples: λ Σ q_t q_{t+j} / (n − j),
+    with the slope q and its variance λ."""
+    q = _slope(n)
+    r = np.correlate(q, q, "full")[n - 1 :]
+    variance = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1:n])
+    return np.asarray(max(variance, 0.0) * r[:lags] / (n - np.arange(lags)))
+
+
+def _fit_channel(series: list[Array], longest: int, sloping: bool) -> tuple[Array, Array]:
+    """Prediction-error filter (1, −a₁, … −a_p) and autocovariance (longest,) of one channel; `sloping`: the slope was
+    taken off the series, as the mean always is."""
     lengths = [len(x) for x in series]
     order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), sum(lengths)
     raw = np.zeros(order_limit + 1)
@@ -91,16 +176,20 @@ def _fit_channel(series: list[Array], longest: int) -> tuple[Array, Array]:
         raw[lag] /= sum(len(x) - lag for x in long)  # pairs: another divisor would shorten the memory
     if raw[0] <= 0.0:
         return np.array([1.0]), np.zeros(longest)
-    lost = 0.0
+    different, often = np.unique([n for n in lengths if n], return_counts=True)
+    shares = different * often / total
+    lost, bent = 0.0, np.zeros(order_limit + 1)
     for _ in range(50):
-        corrected = raw + lost
+        corrected = raw + lost + bent
         filters, powers = _levinson(corrected)
         best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
         autocovariance = _continued(corrected, filters[best], longest)
-        now = float(sum(n * _variance_of_mean(autocovariance, n) for n in lengths if n) / total)
+        now = float(shares @ [_variance_of_mean(autocovariance, float(n)) for n in different])
         if abs(now - lost) <= 1e-4 * now:
             break
         lost = now
+        if sloping:
+            bent = _slope_lost(autocovariance, int(np.median(lengths)), order_limit + 1)
     return filters[best], autocovariance
 
 
@@ -140,7 +229,8 @@ def _levels(series: list[Array], autocovariance: Array) -> Array:
     if autocovariance[0] <= 0.0:
         return level
     lengths = np.array([len(series[i]) for i in long])
-    expected = autocovariance[0] - np.array([_variance_of_mean(autocovariance, n) for n in lengths])
+    different, which = np.unique(lengths, return_inverse=True)
+    expected = autocovariance[0] - np.array([_variance_of_mean(autocovariance, float(n)) for n in different])[which]
     power = np.array([series[i] @ series[i] for i in long]) / lengths / np.maximum(expected, 1e-12 * autocovariance[0])
     if np.median(power) == 0.0:
         return level

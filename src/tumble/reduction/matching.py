@@ -18,7 +18,7 @@ from tumble.errors import ProgrammeError
 from tumble.programme.positions import Position, Programme, from_attitudes, programme
 from tumble.recording.session import ProgrammeSpec, Session
 from tumble.reduction.blocks import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.segmentation import RestSpan, Segmentation, stated_rest
+from tumble.reduction.segmentation import STILL_SECONDS, RestSpan, Segmentation, stated_rest
 from tumble.units import DEGREE, Array, IntArray
 
 POSITION_LIMIT = 7.0 * DEGREE
@@ -31,7 +31,7 @@ SHORTEST_STATED = 1.0
 """s: below, a rest has too few blocks for the noise of its mean."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Match:
     """The rests to use, and where there is a programme, it and the index of each rest's position in it (N,)."""
 
@@ -53,12 +53,13 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     means = np.array([_blocks(reduction, s).accel_mean(s.first, s.last) for s in rests])
     readings = means @ np.linalg.pinv(session.log.accel.axes).T
     verticals = _verticals(readings, listed, session.site.gravity)
+    passed_over = "".join(f"{said}; " for said in segmentation.passed_over())
     if not listed.ordered:
-        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals))
+        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, passed_over))
     seen = session.log.gyro is not None
     groups = _groups(session, reduction, rests) if seen else _groups_by_vertical(listed, verticals)
     first = [group[0] for group in groups]
-    _check_order(listed, [rests[i] for i in first], verticals[first])
+    _check_order(listed, [rests[i] for i in first], verticals[first], passed_over)
     _check_turns(session, reduction, listed, rests, groups)
     position = np.array([next(k for k, group in enumerate(groups) if i in group) for i in range(len(rests))])
     return Match(rests=rests, programme=listed, position=position)
@@ -163,8 +164,8 @@ def _seen(vertical: Array) -> str:
     return "(" + ", ".join(f"{v:+.2f}" for v in vertical) + ")"
 
 
-def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array) -> None:
-    """Every position has its rest, in order."""
+def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, passed_over: str) -> None:
+    """Every position has its rest, in order; `passed_over` says what was nearly one."""
     expected = len(listed.positions)
     if len(rests) == expected:
         for k, (rest, vertical) in enumerate(zip(rests, verticals, strict=True)):
@@ -176,8 +177,8 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array) -> 
     counted = f"programme {listed.name}: expected {expected} rests, found {len(rests)}"
     if missing:
         raise ProgrammeError(
-            f"{counted}; no rest for {_named(listed, missing[0])}: was it skipped or shorter than 3 s? "
-            "`tumble inspect` shows what was found and rejected"
+            f"{counted}; no rest for {_named(listed, missing[0])}: was it skipped or shorter than {STILL_SECONDS} s? "
+            f"{passed_over}`tumble inspect` shows what was found and rejected"
         )
     rest = rests[surplus[0]]
     raise ProgrammeError(
@@ -245,7 +246,7 @@ def _across(vector: Array, axis: Array) -> float:
     return float(np.linalg.norm(vector - axis * (vector @ axis)))
 
 
-def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array) -> IntArray:
+def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, passed_over: str) -> IntArray:
     """The position of every rest. Every position must have one, and once: rests that follow each other in it, as of a
     cube turned on its face, count as one."""
     off = np.array([[_off(v, p) for v in verticals] for p in listed.positions])
@@ -259,11 +260,11 @@ def _any_order(listed: Programme, rests: tuple[RestSpan, ...], verticals: Array)
                 f"the body as in the nearest, {_named(listed, k)}, found {_seen(verticals[j])}, "
                 f"{off[k, j] / DEGREE:.1f}° off; at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
             )
-    _check_once(listed, rests, nearest)
+    _check_once(listed, rests, nearest, passed_over)
     return np.asarray(nearest)
 
 
-def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArray) -> None:
+def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArray, passed_over: str) -> None:
     """Every position was taken, and left only once."""
     taken: dict[int, list[RestSpan]] = {}
     for k, members in groupby(range(len(rests)), key=position.tolist().__getitem__):
@@ -278,8 +279,8 @@ def _check_once(listed: Programme, rests: tuple[RestSpan, ...], position: IntArr
     if missing:
         also = f"; {doubled[0]}" if doubled else ""
         raise ProgrammeError(
-            f"{count}; no rest for {' and '.join(missing)}{also}: was it skipped or shorter than 3 s? "
-            "`tumble inspect` shows what was found and rejected"
+            f"{count}; no rest for {' and '.join(missing)}{also}: was it skipped or shorter than {STILL_SECONDS} s? "
+            f"{passed_over}`tumble inspect` shows what was found and rejected"
         )
     if doubled:
         raise ProgrammeError(

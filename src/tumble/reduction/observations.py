@@ -25,7 +25,7 @@ import numpy as np
 from tumble.programme.positions import Programme
 from tumble.recording.gaps import Gap
 from tumble.recording.session import Site
-from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
+from tumble.reduction.blocks import FileBlocks, Reduction
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.matching import Match
 from tumble.reduction.moments import (
@@ -39,8 +39,9 @@ from tumble.reduction.moments import (
     moments_of,
 )
 from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.rest_noise import accel_covariance, channel_rounding, density, drift
+from tumble.reduction.rounding import Rounding, rounding_notes
 from tumble.reduction.segmentation import RestSpan
-from tumble.rotation import tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
@@ -55,7 +56,7 @@ VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: w
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rests:
     """N rests: file, start and stop (s), mean readings and their covariances in SI; drift is the change of a
     reading over the rest (slope times duration) and noise its density, unit/√Hz. The gyro arrays are empty
@@ -81,7 +82,7 @@ class Rests:
         return len(self.start)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Turns:
     """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
     M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
@@ -104,7 +105,7 @@ class Turns:
         return len(self.duration)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnSamples:
     """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`."""
 
@@ -145,7 +146,7 @@ def _pieces(parts: list[tuple[Array, Array, Array]], pieces: list[tuple[int, int
     return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turn, start=start, stop=stop)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnReadings:
     """Integrals (K, n) of the gyro readings over the turns, rad, and their covariance (K, n, n) from noise: what a
     redundant block says beyond the rotation of the body."""
@@ -154,7 +155,7 @@ class TurnReadings:
     covariance: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observations:
     """All that a method sees of a session. `position` (N,) is the index in the programme of each rest's position,
     where there is one."""
@@ -171,6 +172,10 @@ class Observations:
     """Parameter values to start from, by name; zero where there is none."""
     turn_readings: TurnReadings | None = None
     """Only where there are more than three gyros."""
+    rounding: Mapping[str, Rounding] = field(default_factory=dict)
+    """Resolution of the accelerometers, "accel", and of the gyros, "gyro", and what it does to their means."""
+    notes: tuple[str, ...] = ()
+    """What is remarkable in the log, in words."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
 
@@ -211,20 +216,22 @@ def _linear(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: Sen
     )
 
 
-def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None, site: Site) -> Observations:
-    """Reduce the rests and turns of a log to observations. At least one rest is needed."""
-    spans = match.rests
+def reduced_rests(
+    reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyro: Block | None
+) -> tuple[Rests, ColouredNoise | None, dict[str, Rounding]]:
+    """The rests at these spans, at least one, the noise of the gyros and the rounding by kind of channel."""
     by_file = {f.file: f for f in reduction.files}
     blocks = [by_file[s.file] for s in spans]
     durations = np.array([s.stop - s.start for s in spans])
     accel_series = [f.accel[s.first : s.last] for f, s in zip(blocks, spans, strict=True)]
     gyro_series = [_gyro_of(f)[s.first : s.last] for f, s in zip(blocks, spans, strict=True)]
-    block_seconds = reduction.files[0].size / reduction.rate
-    accel_mean = np.array([f.accel_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
-    gyro_mean = np.array([f.gyro_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
-    accel_covariance = _accel_covariance(accel_series, accel) + _unresolved(reduction.accel_channels)
-    gyro_fit = fit_coloured_noise(gyro_series) if gyro is not None else None
-    gyro_covariance = _gyro_covariance(gyro_series, gyro_fit) + _unresolved(reduction.gyro_channels)
+    rounded = {"accel": channel_rounding(reduction, spans, "accel")}
+    accel_spread = accel_covariance(accel_series, accel) + np.diag(ACCEL_FLOOR**2 + rounded["accel"].of_rest ** 2)
+    gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
+    if gyro is not None:
+        gyro_noise, rounded["gyro"] = fit_coloured_noise(gyro_series), channel_rounding(reduction, spans, "gyro")
+        gyro_spread = np.array([gyro_noise.covariance_of_mean(len(s), i) for i, s in enumerate(gyro_series)])
+        gyro_spread += np.diag(GYRO_FLOOR**2 + rounded["gyro"].of_rest ** 2)
     temperatures = [
         f.temperature[s.first : s.last].mean() for f, s in zip(blocks, spans, strict=True) if f.temperature is not None
     ]
@@ -233,25 +240,33 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         file=np.array([s.file for s in spans]),
         start=np.array([s.start for s in spans]),
         stop=np.array([s.stop for s in spans]),
-        accel=accel_mean,
-        accel_covariance=accel_covariance,
-        accel_drift=_drift(accel_series),
-        accel_noise=_density(accel_covariance, durations),
-        gyro=gyro_mean,
-        gyro_covariance=gyro_covariance,
-        gyro_drift=_drift(gyro_series),
-        gyro_noise=_density(gyro_covariance, durations),
+        accel=np.array([f.accel_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)]),
+        accel_covariance=accel_spread,
+        accel_drift=drift(accel_series),
+        accel_noise=density(accel_spread, durations),
+        gyro=np.array([f.gyro_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)]),
+        gyro_covariance=gyro_spread,
+        gyro_drift=drift(gyro_series),
+        gyro_noise=density(gyro_spread, durations),
         temperature=np.array(temperatures) if temperatures else None,
         magnetometer=magnetometer,
         magnetometer_covariance=magnetometer_covariance,
     )
+    return rests, gyro_noise, rounded
+
+
+def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None, site: Site) -> Observations:
+    """Reduce the rests and turns of a log to observations. At least one rest is needed."""
+    spans = match.rests
+    rests, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
     turns, samples, readings = None, None, None
-    if gyro is not None and gyro_fit is not None and reduction.samples is not None:
-        accel_fit = fit_coloured_noise(accel_series)
+    if gyro is not None and gyro_noise is not None and reduction.samples is not None:
+        by_file, block_seconds = {f.file: f for f in reduction.files}, reduction.files[0].size / reduction.rate
+        accel_noise = fit_coloured_noise([by_file[s.file].accel[s.first : s.last] for s in spans])
         whole = _recorded_turns(spans, reduction.gaps)
-        noises = (accel, accel_fit), (gyro, gyro_fit)
+        noises = (accel, accel_noise), (gyro, gyro_noise)
         turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
-        readings = _turn_readings(by_file, spans, turns, gyro_fit, block_seconds) if gyro.size > 3 else None
+        readings = _turn_readings(by_file, spans, turns, gyro_noise, block_seconds) if gyro.size > 3 else None
     return Observations(
         accel_block=accel,
         gyro_block=gyro,
@@ -262,7 +277,23 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         programme=match.programme,
         position=match.position,
         turn_readings=readings,
+        rounding=rounded,
+        notes=(*_copies(reduction), *rounding_notes(rounded)),
     )
+
+
+def _copies(reduction: Reduction) -> tuple[str, ...]:
+    """What there is to say of copied and lost samples."""
+    samples = reduction.accel_channels[0].samples
+    said = []
+    if reduction.held:
+        said.append(
+            f"{reduction.held} of {samples} samples ({100.0 * reduction.held / samples:.2g} %) repeat the one before "
+            "in every channel: they were held, or sent twice"
+        )
+    if reduction.lost:
+        said.append(f"long intervals leave room for {reduction.lost} lost samples among {samples}")
+    return tuple(said)
 
 
 def _gyro_of(f: FileBlocks) -> Array:
@@ -282,69 +313,7 @@ def _magnetometer(
     mean = np.array([f.magnetometer_mean(s.first, s.last) for f, s in zip(blocks, spans, strict=True)])
     noise = fit_coloured_noise(series)
     covariance = np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series)])
-    return mean, covariance + _unresolved(reduction.magnetometer_channels)
-
-
-def _accel_covariance(series: list[Array], block: Block) -> Array:
-    """Covariance (N, n, n) of the mean accelerometer readings.
-
-    A rest in which the body slowly tilts shows it in the horizontal directions, where it would pass for sensor
-    noise; the vertical, and for n > 3 the directions that no specific force explains, are free of it to first
-    order. The two kinds of direction therefore have noises of their own. Channels are first divided by their
-    noise from block to block; a rough bias is taken off first, lest it should turn the directions."""
-    size = np.sqrt(np.median([np.diff(s, axis=0).var(axis=0) for s in series], axis=0))
-    size = np.where(size > 0.0, size, 1.0)
-    mean = np.array([s.mean(axis=0) for s in series])
-    force = mean @ np.linalg.pinv(block.axes).T
-    force = force - _rough_bias(force)
-    tilted = np.einsum("pk,ijk->ipj", block.axes, tangent_basis(force / np.linalg.norm(force, axis=1, keepdims=True)))
-    basis, _ = np.linalg.qr(tilted / size[:, None], mode="complete")
-    rotated = [s / size @ q for s, q in zip(series, basis, strict=True)]
-    variance = np.empty_like(mean)
-    for group in (slice(0, 2), slice(2, None)):
-        columns = [r[:, group][:, [c]] for r in rotated for c in range(r[:, group].shape[1])]
-        fit = fit_coloured_noise(columns)
-        each = [fit.covariance_of_mean(len(x), i)[0, 0] for i, x in enumerate(columns)]
-        variance[:, group] = np.array(each).reshape(len(series), -1).mean(axis=1, keepdims=True)
-    scaled = basis * size[:, None]
-    covariance = scaled * variance[:, None, :] @ np.swapaxes(scaled, 1, 2)
-    return np.asarray(covariance + ACCEL_FLOOR**2 * np.eye(mean.shape[1]))
-
-
-def _rough_bias(force: Array) -> Array:
-    """The centre (3,) of the sphere through specific forces (N, 3) at rest; zero where they do not tell."""
-    rows = np.column_stack([2.0 * force, np.ones(len(force))])
-    solution, _, rank, singular = np.linalg.lstsq(rows, (force**2).sum(axis=1))
-    size = float(np.linalg.norm(force, axis=1).mean())
-    seen = rank == 4 and len(force) >= 6 and singular[-1] > 0.1
-    return np.asarray(solution[:3]) if seen and float(np.linalg.norm(solution[:3])) < 0.5 * size else np.zeros(3)
-
-
-def _gyro_covariance(series: list[Array], fit: ColouredNoise | None) -> Array:
-    """Covariance (N, n, n) of the mean gyro readings."""
-    if fit is None:
-        return np.empty((len(series), 0, 0))
-    floor = GYRO_FLOOR**2 * np.eye(series[0].shape[1])
-    return np.array([fit.covariance_of_mean(len(s), i) for i, s in enumerate(series)]) + floor
-
-
-def _unresolved(channels: tuple[ChannelState, ...]) -> Array:
-    """Variance (n, n) of a mean from the resolution of its channel."""
-    return np.diag([channel.unresolved**2 for channel in channels])
-
-
-def _density(covariance: Array, seconds: Array) -> Array:
-    """Noise density (N, n), unit/√Hz, behind the covariance of the means."""
-    return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds[:, None])
-
-
-def _drift(series: list[Array]) -> Array:
-    """Change of the readings over each rest: least-squares slope times duration."""
-    out = []
-    for s in series:
-        x = np.arange(len(s)) - 0.5 * (len(s) - 1)
-        out.append(x @ s / (x @ x) * len(s))
-    return np.array(out)
+    return mean, covariance + np.diag(channel_rounding(reduction, spans, "magnetometer").of_rest ** 2)
 
 
 def _recorded_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> list[tuple[int, int]]:

@@ -13,7 +13,12 @@
 3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
    shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two
    rests of a file is a turn.
-4. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
+4. Gyros that feel specific force have a level of their own in every attitude, and the one level of steps 1 and 2 passes
+   over rests. Stretches that are quiet and steady but off the level are therefore looked at again (`gyro_levels`):
+   where a linear function of the specific force explains the levels, it is taken off the rates, and steps 1 and 2 are
+   repeated. No stretch is accepted but one whose level the others predict, so that a slow turn about the vertical
+   stays a turn.
+5. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
    are those of the movement.
 
 Without gyros only the accelerometers decide: their scatter, and the step between the means of two neighbouring
@@ -22,12 +27,15 @@ seconds, which shows a turn about a nearly vertical axis by the little it tilts.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
+from tumble.reduction.gyro_levels import OffLevel, Span, g_sensitivity
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
@@ -37,9 +45,14 @@ SCATTER_FACTOR = 10.0
 QUIET_FACTOR = 2.0
 EDGE_SIGMAS = 4.0
 MIN_REST_SECONDS = 2.0
+LEVEL_SPREAD = 0.5 * DEGREE
+"""rad/s: how far the level of a gyro at rest may be from that in another attitude."""
+STAYS = 0.05 * DEGREE
 DENSITY_POINTS = 1000
 MARGIN_FRACTION = 0.05
 MARGIN_SECONDS = (0.2, 1.0)
+STILL_SECONDS = math.ceil(MIN_REST_SECONDS + 2.0 * MARGIN_SECONDS[0])
+"""How long to lie still, so that a rest of MIN_REST_SECONDS is left between its margins."""
 TILT_LIMIT = 2.0 * DEGREE
 ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
 GYRO_ROUNDING = 1e-7  # rad/s
@@ -58,11 +71,13 @@ class RestSpan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rejected:
-    """A quiet stretch that is not a rest, and the number that decided."""
+    """A quiet stretch that is not a rest, in what it fails (its duration, the scatter of the accelerometers, the
+    constancy of the vertical, or the level of the gyros), and the number that decided."""
 
     file: int
     start: float
     stop: float
+    fails: Literal["duration", "scatter", "vertical", "level"]
     reason: str
 
 
@@ -75,6 +90,27 @@ class Segmentation:
     rejected: tuple[Rejected, ...]
     rate_limit: float | None
     scatter_limit: float
+
+    def passed_over(self) -> tuple[str, ...]:
+        """Quiet stretches that were nearly rests, counted, in words: the too short ones, and those discarded for the
+        level of the gyros."""
+        short = [r for r in self.rejected if r.fails == "duration"]
+        off = [r for r in self.rejected if r.fails == "level"]
+        said = []
+        if short:
+            said.append(f"{_counted(short)} too short: rests must be {STILL_SECONDS} s")
+        if off:
+            said.append(f"{_counted(off)} discarded because the gyros read otherwise than at rest")
+        return tuple(said)
+
+
+def _counted(rejected: list[Rejected]) -> str:
+    """Such as "17 quiet stretches of 1.0–2.3 s are"."""
+    shortest, longest = min(r.stop - r.start for r in rejected), max(r.stop - r.start for r in rejected)
+    length = f"{shortest:.1f} s" if longest - shortest < 0.05 else f"{shortest:.1f}–{longest:.1f} s"
+    return (
+        f"a quiet stretch of {length} is" if len(rejected) == 1 else f"{len(rejected)} quiet stretches of {length} are"
+    )
 
 
 def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
@@ -97,18 +133,35 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
     rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
     quiet = [s < QUIET_FACTOR * floor + coarse[0] for s in scatter]
     spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
-    restless = [
-        Rejected(
-            file=f.file,
-            start=float(f.edges[i]),
-            stop=float(f.edges[j]),
-            reason=f"accelerometer scatter {s[i:j].max():.2g} m/s^2 within a second is above {scatter_limit:.2g} m/s^2",
+    off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, window)
+    noise_limit = _noise_limit(rates, spans, off, coarse[1], window)
+    if (g := g_sensitivity(specific_force, rates, spans, off, noise_limit, window)) is not None:
+        rates = [w - f @ g.matrix.T for w, f in zip(rates, specific_force, strict=True)]
+        spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
+        spans = [_overlapping(new, like) for new, like in zip(spans, g.accepted, strict=True)]
+        off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, window)
+    restless = [_rejected(reduction.files[s.place], s.first, s.last, "level", _off_reason(s, rate_limit)) for s in off]
+    restless += [
+        _rejected(
+            f,
+            i,
+            j,
+            "scatter",
+            f"accelerometer scatter {s[i:j].max():.2g} m/s^2 within a second is above {scatter_limit:.2g} m/s^2",
         )
         for f, s, still, c in zip(reduction.files, scatter, unmoved, calm, strict=True)
         for i, j in still
         if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
     ]
     return _assemble(reduction, specific_force, rates, spans, coarse, window, scatter_limit, rate_limit, restless)
+
+
+def _off_reason(off: OffLevel, limit: float) -> str:
+    rate = float(np.linalg.norm(off.rate)) / DEGREE
+    return (
+        f"the accelerometers are quiet, but the gyros read {rate:.2g} °/s off their level at rest, more than "
+        f"{limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on attitude"
+    )
 
 
 def _resolution(channels: tuple[ChannelState, ...], rounding: float) -> float:
@@ -119,14 +172,14 @@ def _resolution(channels: tuple[ChannelState, ...], rounding: float) -> float:
 
 def _still_spans(
     rates: list[Array], calm: list[BoolArray], quiet: list[BoolArray], coarse: float, window: int
-) -> tuple[list[list[tuple[int, int]]], list[list[tuple[int, int]]], float]:
+) -> tuple[list[list[Span]], list[list[Span]], float]:
     """Stretches of blocks, per file, in which the body is calm and does not turn, those in which it only does not turn,
     and the limit of the rate, rad/s."""
     smooth = [_moving_mean(w, window) for w in rates]
     in_quiet = np.concatenate(quiet)
     densest = _densest(np.concatenate([s[::window][q[::window]] for s, q in zip(smooth, quiet, strict=True)]))
     level = [np.broadcast_to(densest, s.shape) for s in smooth]
-    spans: list[list[tuple[int, int]]] = [[] for _ in rates]
+    spans: list[list[Span]] = [[] for _ in rates]
     still, limit = calm, 0.0
     for _ in range(5):  # the level follows slow drift from rest to rest
         distance = [np.linalg.norm(s - at, axis=1) for s, at in zip(smooth, level, strict=True)]
@@ -138,6 +191,59 @@ def _still_spans(
         spans = found
         level = [_interpolated_level(w, f, at) for w, f, at in zip(rates, spans, level, strict=True)]
     return spans, [_runs(s) for s in still], limit
+
+
+def _off_level(
+    reduction: Reduction,
+    specific_force: list[Array],
+    rates: list[Array],
+    calm: list[BoolArray],
+    spans: list[list[Span]],
+    limit: float,
+    window: int,
+) -> list[OffLevel]:
+    """Quiet stretches in which the gyros are steady, but off their level at rest by more than `limit` and less than
+    LEVEL_SPREAD, and the vertical stays where a turn of that rate would not leave it."""
+    known = [w[i:j] for w, found in zip(rates, spans, strict=True) for i, j in found]
+    if not known:
+        return []
+    default = np.concatenate(known).mean(axis=0)
+    scatter = [_moving_scatter(w, window) for w in rates]
+    steady_limit = SCATTER_FACTOR * _floor(np.concatenate(scatter))
+    out = []
+    for k, (f, w, s, c, force) in enumerate(zip(reduction.files, rates, scatter, calm, specific_force, strict=True)):
+        level = _interpolated_level(w, spans[k], np.broadcast_to(default, w.shape))
+        for i, j in _runs(c & (s < steady_limit)):
+            seconds = float(f.edges[j] - f.edges[i])
+            covered = sum(min(j, b) - max(i, a) for a, b in _overlapping(spans[k], [(i, j)]))
+            if seconds < MIN_REST_SECONDS or j - i < 2 * window or covered > 0.5 * (j - i):
+                continue
+            off = OffLevel(place=k, first=i, last=j, rate=w[i:j].mean(axis=0) - level[(i + j) // 2])
+            if limit < float(np.linalg.norm(off.rate)) < LEVEL_SPREAD and _stays(force[i:j], off.rate, seconds, window):
+                out.append(off)
+    return out
+
+
+def _noise_limit(rates: list[Array], spans: list[list[Span]], off: list[OffLevel], coarse: float, window: int) -> float:
+    """The limit of the distance of a level, rad/s, that the noise within stretches asks for."""
+    stretches = [rates[k][i:j] for k, found in enumerate(spans) for i, j in found if j - i >= 2 * window]
+    stretches += [rates[s.place][s.first : s.last] for s in off]
+    distance = [np.linalg.norm(_inner_mean(w, window) - w.mean(axis=0), axis=1) for w in stretches]
+    return FLOOR_FACTOR * _floor(np.concatenate([*distance, [0.0]])) + 2.0 * EARTH_RATE + coarse
+
+
+def _stays(force: Array, rate: Array, seconds: float, window: int) -> bool:
+    """Whether the vertical moves by less than a third of what this rate (rad/s) would move it in so many seconds."""
+    before, after = (part.mean(axis=0) for part in (force[:window], force[-window:]))
+    size = float(np.linalg.norm(before))
+    moved = float(np.linalg.norm(after - before)) / size
+    turned = float(np.linalg.norm(np.cross(rate, before))) / size * (seconds - WINDOW_SECONDS)
+    return moved < max(turned / 3.0, STAYS)
+
+
+def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
+    """The stretches that overlap one of the others."""
+    return [(i, j) for i, j in spans if any(i < b and a < j for a, b in others)]
 
 
 def _interpolated_level(rate: Array, spans: list[tuple[int, int]], default: Array) -> Array:
@@ -155,7 +261,7 @@ def _assemble(
     reduction: Reduction,
     specific_force: list[Array],
     rates: list[Array] | None,
-    spans: list[list[tuple[int, int]]],
+    spans: list[list[Span]],
     coarse: tuple[float, float],
     window: int,
     scatter_limit: float,
@@ -173,19 +279,15 @@ def _assemble(
             after = margin if last < len(f.edges) - 1 else 0.0
             if duration - before - after < MIN_REST_SECONDS:
                 if duration > 0.5:
-                    reason = f"{duration:.1f} s is too short for a rest of {MIN_REST_SECONDS:g} s and its margins"
-                    rejected.append(
-                        Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), reason=reason)
-                    )
+                    reason = f"{duration:.1f} s is too short: rests must be {STILL_SECONDS} s"
+                    rejected.append(_rejected(f, first, last, "duration", reason))
                 continue
             tilt = _tilt(force[first:last], window)
             if tilt > TILT_LIMIT:
                 reason = f"the vertical moves by {tilt / DEGREE:.0f}°, in a rest at most {TILT_LIMIT / DEGREE:g}°"
-                rejected.append(
-                    Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), reason=reason)
-                )
+                rejected.append(_rejected(f, first, last, "vertical", reason))
                 continue
-            rests.append(_span(f, f.edges[first] + before, f.edges[last] - after))
+            rests.append(rest_between(f, f.edges[first] + before, f.edges[last] - after))
     return Segmentation(
         rests=tuple(rests),
         rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),
@@ -194,12 +296,18 @@ def _assemble(
     )
 
 
+def _rejected(
+    f: FileBlocks, first: int, last: int, fails: Literal["duration", "scatter", "vertical", "level"], reason: str
+) -> Rejected:
+    return Rejected(file=f.file, start=float(f.edges[first]), stop=float(f.edges[last]), fails=fails, reason=reason)
+
+
 def stated_rest(reduction: Reduction, start: float, stop: float) -> RestSpan:
     """A rest at stated times (s) of the first file, to whole blocks inside them."""
-    return _span(reduction.files[0], start, stop)
+    return rest_between(reduction.files[0], start, stop)
 
 
-def _span(f: FileBlocks, start: float, stop: float) -> RestSpan:
+def rest_between(f: FileBlocks, start: float, stop: float) -> RestSpan:
     """The whole blocks between two times of a file."""
     first = int(np.searchsorted(f.edges, start - 1e-9))
     last = int(np.searchsorted(f.edges, stop + 1e-9, side="right")) - 1

@@ -7,6 +7,7 @@ database from its first query to its last and waits for nobody.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tumble.errors import InputError, needs_extra
+from tumble.files import FilePath
 
 if TYPE_CHECKING:
     from sqlalchemy import URL, Connection, Engine
@@ -62,14 +64,20 @@ class Registry:
 
 
 @contextmanager
-def open_registry(place: str | None = None, *, create: bool = False) -> Iterator[Registry]:
+def open_registry(place: FilePath | None = None, *, create: bool = False) -> Iterator[Registry]:
     """The registry at a file or URL (default: registry.sqlite in the user's data folder), its schema up to date. With
     `create` one that does not exist is made.
 
     Raises InputError, one line: no such registry, another program's database, a newer schema, a server that does not
-    answer; MissingExtraError without the extra."""
+    answer; MissingExtraError without the extra.
+
+    >>> import tumble
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     tumble.records(registry)
+    []
+    """
     with extra_named():
-        registry = _connected(place, create)
+        registry = _connected(None if place is None else os.fspath(place), create)
     try:
         yield registry
     finally:

@@ -23,7 +23,17 @@ class Due:
 
 
 def due(registry: Registry) -> list[Due]:
-    """Every device, the most urgent first; those without an interval last."""
+    """Every device, the most urgent first; those without an interval last.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     _ = tumble.add_calibration(registry, "calibration.json")
+    ...     found = tumble.due(registry)
+    >>> [item.record.serial for item in found]
+    ['mems-1']
+    """
     in_force = limits_in_force(registry)
     parsed = {m: parse_limits(x.file, x.systematic, f"limits {x.number}") for m, x in in_force.items()}
     found = []

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 from sqlalchemy import select
 
 from tumble.errors import InputError
+from tumble.files import FilePath
 from tumble.registry.connect import Registry
 from tumble.registry.limits import parse_limits
 from tumble.registry.records import OCCASIONS, STATES, Particulars, submission, utc
@@ -67,11 +68,12 @@ def _line(content: Mapping[str, Any]) -> str:
     return json.dumps(content, ensure_ascii=False)
 
 
-def import_file(registry: Registry, path: Path) -> Imported:
+def import_file(registry: Registry, file: FilePath) -> Imported:
     """Add what an export holds. Raises InputError, one line, and adds nothing, where a line cannot be added."""
+    path = Path(file)
     try:
-        with path.open(encoding="utf-8") as file, registry.writing() as connection:
-            return _Import(connection, str(path)).run(file)
+        with path.open(encoding="utf-8") as opened, registry.writing() as connection:
+            return _Import(connection, str(path)).run(opened)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -47,7 +47,17 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
     """The trends of a device, or of one of its parameters.
 
     The frame is that of the limits, or without limits that of the latest record. Raises InputError for an unknown
-    device or parameter, and for a record in another frame that cannot be taken to this one."""
+    device or parameter, and for a record in another frame that cannot be taken to this one.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     _ = tumble.add_calibration(registry, "calibration.json")
+    ...     found = tumble.monitored(registry, "mems-1", "accel.bias.x")
+    >>> [trend.series.name for trend in found.trends]
+    ['accel.bias.x']
+    """
     latest = latest_record(registry, serial)
     limits = _in_force(registry, latest)
     frame = latest.frame if limits is None else limits.frame

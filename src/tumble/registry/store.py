@@ -10,17 +10,22 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Row, Select, func, insert, select
 
 from tumble.errors import InputError
+from tumble.files import FilePath
 from tumble.registry.connect import Registry
-from tumble.registry.records import LaunchRow, ParameterRow, Record, Submission
+from tumble.registry.records import LaunchRow, ParameterRow, Particulars, Record, Submission, read_submission
 from tumble.registry.schema import CALIBRATION, LAUNCH, LIMITS, PARAMETER
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection
+
+
+NOTHING_SAID = Particulars()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,6 +59,21 @@ def add(registry: Registry, submission: Submission) -> Added:
     without a reason or of something that is no longer in force."""
     with registry.writing() as connection:
         return add_within(connection, submission, datetime.now(UTC), lambda model: _number_of_limits(connection, model))
+
+
+def add_calibration(registry: Registry, file: FilePath, particulars: Particulars = NOTHING_SAID) -> Added:
+    """Add the calibration of a file, unless it is there already, with what the file does not say of it. Raises as
+    `read_submission` and `add`.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     added = tumble.add_calibration(registry, "calibration.json")
+    >>> added.record.serial, added.new
+    ('mems-1', True)
+    """
+    return add(registry, read_submission(Path(file), particulars))
 
 
 def add_within(
@@ -181,7 +201,17 @@ def every_record(connection: Connection) -> list[Record]:
 def records(registry: Registry, serial: str | None = None) -> list[Record]:
     """The records of a device, or of all of them, superseded ones too, in the order in which they were performed.
 
-    Raises InputError for a device that has none."""
+    Raises InputError for a device that has none.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    ...     _ = tumble.add_calibration(registry, "calibration.json")
+    ...     found = tumble.records(registry, "mems-1")
+    >>> [record.method for record in found]
+    ['joint']
+    """
     with registry.reading() as connection:
         found = [r for r in every_record(connection) if serial in (None, r.serial)]
         if serial is not None and not found:

@@ -132,7 +132,7 @@ def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
 # -------------------- drift --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Line:
     """Weighted least squares at some τ: the values, their covariance, and chi-square."""
 

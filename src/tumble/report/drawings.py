@@ -44,7 +44,7 @@ BACK = np.diag([-1.0, 1.0, -1.0]) @ FRONT
 """The other side of the sphere, seen after half a turn about the vertical of the picture."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Directions:
     """Verticals in the body, unit vectors: `found` (N, 3) of the rests, and `nominal` (M, 3) of the programme."""
 

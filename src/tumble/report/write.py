@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from tumble.calibration.calibration_file import read_calibration
 from tumble.errors import InputError, needs_extra
-from tumble.files import whole_file
+from tumble.files import FilePath, whole_file
 
 ENDINGS = (".html", ".pdf")
 
 
-def write_report(calibrations: Sequence[Path], out: Path, *, limits: Path | None = None) -> list[str]:
-    """Write the report of calibration files of one device to `out`, HTML or PDF by its ending, and return why it is not
-    accepted: the reasons of the calibrations, and what is not within the acceptance limits of the file `limits`.
+def write_report(
+    calibrations: FilePath | Sequence[FilePath], out: FilePath, *, limits: FilePath | None = None
+) -> list[str]:
+    """Write the report of a calibration file, or of several of one device, to `out`, HTML or PDF by its ending, and
+    return why it is not accepted: the reasons of the calibrations, and what is not within the acceptance limits of the
+    file `limits`.
 
-    Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`."""
+    Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> tumble.calibrate(folder).write("calibration.json")
+    >>> tumble.write_report("calibration.json", "report.html")
+    []
+    """
+    files = [calibrations] if isinstance(calibrations, str | os.PathLike) else calibrations
+    out = Path(out)
     ending = out.suffix.lower()
     if ending not in ENDINGS:
         raise InputError(f"{out}: expected a name that ends in .html or .pdf, found {out.suffix or 'no ending'!r}")
@@ -27,9 +40,9 @@ def write_report(calibrations: Sequence[Path], out: Path, *, limits: Path | None
         from tumble.report.pdf import pdf
     from tumble.registry.limits import parse_limits, read_limits
 
-    acceptance = None if limits is None else parse_limits(*read_limits(limits), str(limits))
+    acceptance = None if limits is None else parse_limits(*read_limits(Path(limits)), str(limits))
     sources = [
-        Source(file=path.name, sha256=_sha256(path), calibration=read_calibration(path)) for path in calibrations
+        Source(file=path.name, sha256=_sha256(path), calibration=read_calibration(path)) for path in map(Path, files)
     ]
     made = document(sources, acceptance)
     content = page(made).encode() if ending == ".html" else pdf(made)

@@ -53,7 +53,7 @@ def frame_of(name: str) -> Frame:
     raise InputError(f"frame: expected one of {', '.join(FRAMES)}, found {name!r}")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Alignment:
     """The case seen from a frame b: `mat_cb` (3, 3), the covariance (3, 3), rad², of its error ψ (the true one is
     exp([ψ×]) mat_cb) that does not come from the accelerometer parameters, and `by_parameters` (3, m), the change of
@@ -64,7 +64,7 @@ class Alignment:
     by_parameters: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Framed:
     """Parameters of accelerometers, then gyros, in a frame, with covariance, and the sensor models they make.
     `jacobian` is their derivative with respect to those they came from, `rotation` the Q of M′ = M Q."""

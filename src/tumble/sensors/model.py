@@ -31,7 +31,7 @@ _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "
 _BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SensorModel:
     """`reading = matrix @ true + bias` of one block: matrix (n, 3), bias (n,) in m/s² or rad/s."""
 
@@ -51,7 +51,7 @@ class SensorModel:
         return np.asarray(true @ self.matrix.T + self.bias)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Block:
     """n sensors of one kind with nominal sensing directions `axes` (n, 3) in the body frame, and what their
     parameters are called. Parameter vectors of a block are in the order of `names`."""

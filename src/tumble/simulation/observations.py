@@ -90,7 +90,7 @@ def simulate_observations(
     return replace(observations, turns=observations.turns_about(scenario.gyro.nominal()))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _NoisyBlock:
     """A block at work: its coefficients K (n, 15) in the middle of the session and their drift, 1/s, the change (N,
     n) that its bias has at each rest and in the move that follows, and the density of its white noise."""

@@ -42,7 +42,7 @@ _CHUNK = 1 << 13
 """Samples made at a time."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Recording:
     """A simulated log and what really happened. `time` (N,), s; `accel` (N, n), m/s²; `gyro` (N, n), rad/s;
     `attitudes` (R, 3, 3), true body → geographic at the rests; `rests` (R, 2), their start and stop, s;

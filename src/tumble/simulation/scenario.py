@@ -188,7 +188,7 @@ def draw_further(spreads: Mapping[str, float], accel: Block, gyro: Block, rng: n
     }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Itinerary:
     """Where a simulated device rests and how it gets there: `attitudes`, `rests`, `moves` and `positions` as in a
     `Recording`; `programmed` (R − 1,): whether the programme prescribes the turn."""

@@ -10,21 +10,21 @@ from typing import Any, Literal
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.files import whole_file
+from tumble.files import FilePath, whole_file
 from tumble.planning.setup import Setup
 from tumble.programme.positions import BUILT_IN, Programme
-from tumble.recording.session import write_session
+from tumble.recording.session import Session, session_of, write_session
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, OnTable, Scenario, Vibration, scenario_of
-from tumble.units import DEGREE
+from tumble.units import DEGREE, Array
 
 LogFormat = Literal["parquet", "csv"]
 TRUTH_FILE = "truth.json"
 
 
 def simulate_session(
-    folder: Path,
+    folder: FilePath,
     setup: Setup,
     *,
     seed: int,
@@ -36,10 +36,15 @@ def simulate_session(
 
     The same set-up, seed and launch give the same numbers; another launch of a seed is the same device, put on the
     table and turned anew. Raises InputError, one line, for a set-up that is impossible, and for a folder that holds a
-    session already."""
+    session already.
+
+    >>> import tumble
+    >>> tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1).name
+    'session'
+    """
     truth, course = np.random.default_rng(seed), np.random.default_rng([seed, launch])
     scenario = scenario_of(setup, truth, serial=f"{setup.instrument}-{seed}", vibration=vibration)
-    return write_simulation(folder, scenario, course, log_format=log_format)
+    return write_simulation(Path(folder), scenario, course, log_format=log_format)
 
 
 def vibration_of(text: str) -> Vibration:
@@ -76,6 +81,13 @@ def write_simulation(
     return folder
 
 
+def session_in_memory(scenario: Scenario, rng: np.random.Generator) -> Session:
+    """A scenario recorded as a session in memory, the same as `write_simulation` writes."""
+    content = _content(scenario, "parquet")
+    log = {key: value for key, value in content["log"].items() if key != "file"}
+    return session_of(content | {"log": log}, _columns_of(scenario, record(scenario, rng)))
+
+
 def read_truth(path: Path) -> dict[str, float]:
     """True values by parameter name from a truth.json. Raises InputError for a file that is none."""
     try:
@@ -99,14 +111,17 @@ def _columns(block: Block) -> list[str]:
     return [f"{block.kind[0]}{'xyz'[p] if along else p}" for p in range(block.size)]
 
 
+def _columns_of(scenario: Scenario, recording: Recording) -> dict[str, Array]:
+    """The log by the names of its columns, SI."""
+    accel = dict(zip(_columns(scenario.accel), recording.accel.T, strict=True))
+    return {"t": recording.time} | accel | dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
+
+
 def _write_log(file: Path, scenario: Scenario, recording: Recording) -> None:
     """The log in SI; float64 survives in both formats."""
     import polars as pl  # heavy, and only needed here
 
-    columns = {"t": recording.time}
-    columns |= dict(zip(_columns(scenario.accel), recording.accel.T, strict=True))
-    columns |= dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
-    frame = pl.DataFrame(columns)
+    frame = pl.DataFrame(_columns_of(scenario, recording))
     with whole_file(file) as temporary:
         if file.suffix == ".csv":
             frame.write_csv(temporary)

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from tumble.calibration.observed import Observed
 from tumble.reduction.observations import Observations
-from tumble.reduction.segmentation import Segmentation
 from tumble.terminal.table import add_numbers, plain_table
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, BoolArray
-
-if TYPE_CHECKING:
-    pass
-
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, BoolArray
 
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
 
-def inspection_report(segmentation: Segmentation, observations: Observations | None) -> RenderableType:
+def inspection_report(observed: Observed) -> RenderableType:
     """Rests, turns and rejected stretches of a log."""
+    segmentation, observations = observed.segmentation, observed.observations
     limits = f"thresholds found: accelerometer scatter {segmentation.scatter_limit:.3g} m/s²"
     if segmentation.rate_limit is not None:
         limits += f", distance from the rest level of the gyros {segmentation.rate_limit / DEGREE:.3g} °/s"
@@ -31,13 +27,14 @@ def inspection_report(segmentation: Segmentation, observations: Observations | N
     if observations is not None:
         parts += [_rests_found(observations), Text(""), _turns_found(observations)]
         parts += _half_sums(observations)
+        parts += [Text(""), *map(Text, observations.notes)] if observations.notes else []
     if segmentation.rejected:
         table = plain_table()
         add_numbers(table, "rejected from s", "to s")
         table.add_column("because")
         for r in segmentation.rejected:
             table.add_row(f"{r.start:z.1f}", f"{r.stop:z.1f}", r.reason)
-        parts += [Text(""), table]
+        parts += [Text(""), table, *map(Text, segmentation.passed_over())]
     return Group(*parts)
 
 
@@ -72,7 +69,7 @@ def _rests_found(observations: Observations) -> Table:
         if gyros:
             row += _noise_columns(rests.gyro_covariance[i], rests.gyro_drift[i], DEGREE / 3600.0)
         if rests.temperature is not None:
-            row.append(f"{rests.temperature[i]:.1f}")
+            row.append(f"{rests.temperature[i] - ZERO_CELSIUS:.1f}")
         table.add_row(*row)
     return table
 

@@ -13,6 +13,7 @@ from rich.text import Text
 from tumble.estimation.observability import in_words, sum_in_words
 from tumble.planning.best_positions import Aim, Compared, Next
 from tumble.planning.bounds import Bound
+from tumble.planning.plan import PlanResult
 from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme, duration
 from tumble.programme.sheet_words import clock, move_text
@@ -26,6 +27,16 @@ LARGEST = 4
 LITTLE, MOSTLY = 0.05, 0.75
 """Learned fractions below which a programme leaves a group to what is usual, and above which it is determined: u is
 97 % and half of the prior."""
+
+
+def plan_report(plan: PlanResult, aim: Aim) -> RenderableType:
+    """What a programme can show at best, with what one more position would add; or the best programme that was found,
+    what it can show, and others beside it."""
+    best = bound_report(plan.setup, plan.bound, plan.whole)
+    if not plan.programmes:
+        return Group(best, Text(""), next_report(plan.bound, plan.following, aim))
+    found = positions_report(plan.setup.programme)
+    return Group(found, Text(""), best, Text(""), comparison_report(plan.setup, plan.programmes, aim))
 
 
 def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:

@@ -49,6 +49,7 @@ from tumble.estimation.likelihood import (
     COMPONENTS,
     NO_PRIOR,
     Left,
+    Linearised,
     Noise,
     Point,
     Prior,
@@ -694,6 +695,20 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
             gravity=observations.site.gravity,
             rate=_usual_rate(fitted.solved.last.about),
         ),
+        linearised=_linearised(fitted),
+    )
+
+
+def _linearised(fitted: _Fitted) -> Linearised:
+    """The likelihood about the solution."""
+    last = fitted.solved.last
+    return Linearised(
+        problem=fitted.problem,
+        point=last.point,
+        about=last.about,
+        rows=last.rows,
+        noise=fitted.out.noise(fitted.problem, last.rows),
+        scatter=fitted.scatter,
     )
 
 

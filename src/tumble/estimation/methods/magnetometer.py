@@ -31,7 +31,7 @@ SCATTER_LIMIT = 2e-2
 same in every rest."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MagnetometerEstimate:
     """Values (9,) of the parameters NAMES, biases in the magnetometer's unit, with covariance (9, 9), and the model
     they make; None where the rests do not determine them. `reasons` against the result, and `notes` about it."""

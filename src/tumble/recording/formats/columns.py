@@ -107,6 +107,15 @@ def _time_unit(name: str) -> str | None:
     return _UNITS[TIME_KIND].get(unit) or (_TIME_WORDS.get(words[-1]) if words else None)
 
 
+def unit_of_name(kind: str, name: str) -> str | None:
+    """The unit that the name of a column of this kind says: `ax [g]` g, `gyro_x_dps` deg/s; None where it says none.
+
+    >>> unit_of_name("accel", "ax [mg]"), unit_of_name("gyro", "gyro_x")
+    ('mg', None)
+    """
+    return _UNITS[kind].get(_split(name)[1])
+
+
 def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
     """Columns by kind and name without the axis, and then by axis."""
     found: dict[tuple[str, str], dict[str, str]] = {}

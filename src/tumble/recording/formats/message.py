@@ -20,7 +20,7 @@ class Sensors:
     unit: str | None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Message:
     """A kind of message: its name, the number of its rows, its sensors, the column of the temperature in °C, and
     `rows`, tables of a bounded size in order, with the column TIME where `timed`. `remark` is what a user of the data

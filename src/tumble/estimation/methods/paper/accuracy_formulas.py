@@ -384,7 +384,7 @@ def misaligned_turn_error(
 # -------------------- the turns of a programme --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class KnownTurns:
     """K known turns: rests `first` and `last` (K,), whether each `opens` a series, geographic `axis` (K, 3), signed
     `angle` (K,), rad, and nominal attitudes at its `start` and `stop` (K, 3, 3)."""

@@ -41,7 +41,7 @@ from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperMethod:
     """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2, and
     `check(nominal)` raises ProgrammeError where the rests, with nominal verticals (N, 3), are not enough."""
@@ -51,7 +51,7 @@ class PaperMethod:
     check: Callable[[Array], None]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ProgrammeCourse:
     """What is known of a session's rests and turns from its programme: nominal verticals (N, 3) in the body, series
     of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix."""

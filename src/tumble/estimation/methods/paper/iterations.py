@@ -82,7 +82,7 @@ class _Turned:
         return np.asarray(rotation_matrix(-turned) @ self.turns.C)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _SessionData:
     """A session as one vector of data, the mean readings in body axes, the errors of the turns and gravity, and one
     of values, the parameters of the blocks in their order; with either, leading axes for many at once."""
@@ -235,7 +235,7 @@ _GROUPS = {
 """Groups of residuals: the scatter they judge, and its unit."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _PassResiduals:
     """The residuals that a pipeline leaves, and their derivatives with respect to the data: at fixed values, and with
     what the values take up."""

@@ -29,7 +29,7 @@ from tumble.sensors.parameters import limits_of
 from tumble.units import Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Accelerometers:
     """Stage 1: values and their solution, the verticals found, and what the residuals say."""
 
@@ -69,7 +69,7 @@ def estimate_accelerometers(observations: Observations) -> Accelerometers:
     return _finished(observations, values, system, scatter, float(degrees), increments)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _RestRows:
     """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
     the readings (N, n − 2, n) and to g (N, n − 2)."""

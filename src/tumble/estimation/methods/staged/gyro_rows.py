@@ -37,7 +37,7 @@ class GyroScatter:
     turn: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GyroRows:
     """Residuals (r,) of rests (three each: along the vertical, then two horizontal) and turns (two each), their
     derivatives (r, m), their covariance (r, r) without scatter, what a unit variance of scatter adds to it, and
@@ -82,7 +82,7 @@ def gyro_rows(
     return _with_covariance(state, design)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Design:
     """The rows while they are put together: residual (r,), derivatives with respect to the values (r, m), to the
     vertical, the measured rate and the unseen Earth's rate of every rest (r, N, 3), the covariance (r, r) from
@@ -98,7 +98,7 @@ class _Design:
     by_turn_scatter: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _State:
     """What the rows need: the gyro model, the rates ω (N, 3) it gives at rest with their covariance, the verticals
     and how they depend on noise and on the accelerometer values, and the Earth's rate as far as it is known."""

@@ -28,7 +28,7 @@ from tumble.sensors.parameters import limits_of
 from tumble.units import Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Gyros:
     """Stage 2: values and their solution, and what the residuals say of rests and turns."""
 
@@ -108,7 +108,7 @@ def _groups(observations: Observations) -> dict[str, tuple[slice, int]]:
     return {"rests": (slice(0, n), 3), "turns": (slice(n, n + 2 * k), 2)}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _GyroResiduals:
     """Residuals (r,) after the fit, the covariance (r, r) of the rows, and that of what is left of them."""
 

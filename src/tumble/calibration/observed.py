@@ -1,0 +1,111 @@
+"""From a session to its observations, and what is wrong on the way: the one chain that everything goes through.
+
+    session → log → blocks → rests and turns → observations → (programme) → observations of its positions
+
+A log is opened, read and reduced here and nowhere else. `inspect_session` takes every rest that was found;
+`observations_for_calibration` takes those of the session's programme.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.estimation.diagnosis import no_rests, recording_faults, sense_faults
+from tumble.estimation.estimate import Outcome
+from tumble.files import FilePath
+from tumble.recording.gaps import Gap
+from tumble.recording.log import Chunk, Log, open_log
+from tumble.recording.session import Session, session_from
+from tumble.reduction.blocks import Reduction, reduce_log
+from tumble.reduction.matching import Match, match_rests
+from tumble.reduction.observations import Observations, observe
+from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+
+Progress = Callable[[Log], Iterable[Chunk]]
+"""Gives the chunks of a log, to show how far reading is or to keep samples on the way."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Observed:
+    """What a session's log shows: the SHA-256 of its content, the gaps that were bridged, the rests and turns that were
+    found and rejected, and the observations of all of them (None where nothing rests); `faults`, in sentences, are
+    what is wrong with the recording.
+
+    `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
+    alone show: in a wrong unit every turn is too slow to be one."""
+
+    session: Session
+    sha256: str
+    gaps: tuple[Gap, ...]
+    reduction: Reduction
+    segmentation: Segmentation
+    observations: Observations | None
+    trial: Observations | None
+    faults: tuple[str, ...]
+
+    @property
+    def rate(self) -> float:
+        """Sample rate, Hz."""
+        return self.reduction.rate
+
+
+def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chunks) -> Observed:
+    """The rests and turns of a session, a `Session` or the path of its folder, without matching them to a programme,
+    and what is wrong with the recording. Raises InputError for a session or a log that cannot be read.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1)
+    >>> found = tumble.inspect_session(folder)
+    >>> len(found.segmentation.rests), found.faults
+    (4, ())
+    """
+    session = session_from(session)
+    log = open_log(session)
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        digest = beside.submit(log.sha256)
+        reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+    faults = recording_faults(reduction, session)
+    with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
+        segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+        observations = _observed(session, reduction, segmentation.rests)
+        trial = observations
+        if trial is None and not faults:
+            trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
+    if trial is not None and not faults:
+        faults = sense_faults(trial, session, reduction.rate)
+    return Observed(
+        session=session,
+        sha256=digest.result(),
+        gaps=log.gaps,
+        reduction=reduction,
+        segmentation=segmentation,
+        observations=observations,
+        trial=trial,
+        faults=tuple(faults),
+    )
+
+
+def _observed(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...]) -> Observations | None:
+    """The observations of all of these rests."""
+    if not rests:
+        return None
+    match = Match(rests=rests, programme=None, position=None)
+    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+
+
+def observations_for_calibration(observed: Observed) -> Observations | Outcome:
+    """The observations of the positions of a session's programme, or of all rests where it has none; or why there is
+    nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
+    if observed.faults:
+        return Outcome(reasons=observed.faults)
+    session = observed.session
+    match = match_rests(session, observed.reduction, observed.segmentation)
+    if not match.rests:
+        return no_rests(observed.segmentation)
+    if observed.observations is not None and match.rests == observed.segmentation.rests:
+        return replace(observed.observations, programme=match.programme, position=match.position)
+    return observe(observed.reduction, match, session.accel_block, session.gyro_block, session.site)

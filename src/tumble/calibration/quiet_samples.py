@@ -1,0 +1,168 @@
+"""The samples of a recording at rest, for the Allan deviation: the longest rest of a session, or all of a log.
+
+A log is read once: its samples are kept while it is reduced, in memory while they are few, else in a temporary file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import SpooledTemporaryFile
+from typing import Any
+
+import numpy as np
+
+from tumble.calibration.observed import Progress, inspect_session
+from tumble.errors import InputError, SessionError
+from tumble.files import FilePath
+from tumble.recording.log import Chunk, Log, open_log
+from tumble.recording.session import SESSION_FILE, Session, session_from, session_of
+from tumble.reduction.allan_deviation import Panel, allan_deviation, identify
+from tumble.units import Array
+
+_IN_MEMORY_BYTES = 1 << 26
+_MARGIN = 1e-9  # s, of the ends of a rest
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class QuietRecord:
+    """Samples at rest, SI: accelerometers (m, n), gyros (m, n) or (m, 0), `rate` in Hz, where they are from in words,
+    and the columns they came from."""
+
+    accel: Array
+    gyro: Array
+    rate: float
+    source: str
+    accel_columns: tuple[str, ...]
+    gyro_columns: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class RecordedNoise:
+    """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, and where
+    they are from in words."""
+
+    panels: tuple[Panel, ...]
+    rate: float
+    source: str
+
+
+def noise(recording: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
+    """The noise of every sensor from the longest rest of a session, a `Session` or the path of its folder; with
+    `layout`, the table [log] of session.toml less the file, from all of a log at rest.
+
+    Raises InputError where nothing rests, and for a recording that cannot be read.
+
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=3)
+    >>> found = tumble.noise(folder)
+    >>> found.source, [panel.title for panel in found.panels]
+    ('the longest rest, 0.0–39.0 s', ['accelerometers', 'gyros'])
+    """
+    if isinstance(recording, Session) or _is_session(Path(recording)):
+        record = longest_rest(session_from(recording))
+    elif layout is None:
+        raise InputError(f"{recording}: expected --accel with the columns of the accelerometers, found none")
+    else:
+        record = whole_log(Path(recording), layout)
+    return RecordedNoise(panels=noise_panels(record), rate=record.rate, source=record.source)
+
+
+def _is_session(path: Path) -> bool:
+    if not path.exists():
+        raise InputError(f"{path}: expected a session folder or a log, found no such file")
+    return path.is_dir() or path.name == SESSION_FILE or path.suffix == ".toml"
+
+
+def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietRecord:
+    """The longest rest of a session. Raises InputError where nothing rests."""
+    with SpooledTemporaryFile[bytes](max_size=_IN_MEMORY_BYTES) as store:
+        samples = _Samples(session, store)
+        found = inspect_session(session, progress=lambda log: samples.kept(progress(log)))
+        rests = found.segmentation.rests
+        if not rests:
+            raise InputError(
+                f"{session.name}: expected a rest to take the noise from, found none; see `tumble inspect`"
+            )
+        longest = max(rests, key=lambda rest: rest.stop - rest.start)
+        accel, gyro = samples.between(longest.file, longest.start, longest.stop)
+    return _record(session, accel, gyro, found.rate, f"the longest rest, {longest.start:z.1f}–{longest.stop:z.1f} s")
+
+
+def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
+    """All of a log file at rest, with `layout` as the table [log] of session.toml has it, less the file. Raises
+    InputError like a session would."""
+    described = {"format": 1, "device": {"serial": file.name}, "log": {"file": str(file.resolve()), **layout}}
+    try:
+        session = session_of(described)
+    except SessionError as error:
+        raise InputError(f"{file}: {str(error).split(': ', 1)[1]}; describe the log with the options") from None
+    log = open_log(session)
+    chunks = list(log.chunks())
+    accel, gyro = np.concatenate([c.accel for c in chunks]), np.concatenate([_gyro_of(c) for c in chunks])
+    return _record(session, accel, gyro, log.rate, f"all of {file.name}")
+
+
+def _record(session: Session, accel: Array, gyro: Array, rate: float, source: str) -> QuietRecord:
+    return QuietRecord(
+        accel=accel,
+        gyro=gyro,
+        rate=rate,
+        source=source,
+        accel_columns=session.log.accel.columns,
+        gyro_columns=session.log.gyro.columns if session.log.gyro else (),
+    )
+
+
+def _gyro_of(chunk: Chunk) -> Array:
+    return np.empty((len(chunk.time), 0)) if chunk.gyro is None else chunk.gyro
+
+
+class _Samples:
+    """The samples of a session's log, kept in `store` while it is read, row by row: time, accelerometers, gyros."""
+
+    def __init__(self, session: Session, store: SpooledTemporaryFile[bytes]) -> None:
+        self._store = store
+        self._sensors = len(session.log.accel.columns)
+        self._width = 1 + self._sensors + (len(session.log.gyro.columns) if session.log.gyro else 0)
+        self._pieces: list[tuple[int, float, int]] = []  # file, last time, rows
+
+    def kept(self, chunks: Iterable[Chunk]) -> Iterator[Chunk]:
+        """The same chunks."""
+        for chunk in chunks:
+            self._store.write(np.column_stack([chunk.time, chunk.accel, _gyro_of(chunk)]).tobytes())
+            self._pieces.append((chunk.file, float(chunk.time[-1]), len(chunk.time)))
+            yield chunk
+
+    def between(self, file: int, start: float, stop: float) -> tuple[Array, Array]:
+        """Readings (m, n) of accelerometers and gyros of the samples of a file after `start` up to `stop`, s."""
+        found: list[Array] = []
+        first = 0
+        for of, last, rows in self._pieces:
+            if of == file and last > start and (not found or found[-1][-1, 0] <= stop):
+                self._store.seek(first * self._width * 8)
+                piece = self._store.read(rows * self._width * 8)
+                found.append(np.frombuffer(piece).reshape(rows, self._width))
+            first += rows
+        table = np.concatenate(found)
+        table = table[(table[:, 0] > start + _MARGIN) & (table[:, 0] <= stop + _MARGIN)]
+        accel, gyro = np.hsplit(table[:, 1:], [self._sensors])
+        return np.ascontiguousarray(accel), np.ascontiguousarray(gyro)
+
+
+def noise_panels(record: QuietRecord) -> tuple[Panel, ...]:
+    """Allan deviation and noise coefficients of the accelerometers and of the gyros."""
+    kinds = (
+        ("accelerometers", "m/s^2", record.accel_columns, record.accel),
+        ("gyros", "rad/s", record.gyro_columns, record.gyro),
+    )
+    panels = []
+    for title, unit, columns, samples in kinds:
+        if samples.shape[1]:
+            deviation = allan_deviation(samples, record.rate)
+            parameters = identify(deviation)
+            panels.append(
+                Panel(title=title, unit=unit, channels=columns, deviation=deviation, parameters=tuple(parameters))
+            )
+    return tuple(panels)

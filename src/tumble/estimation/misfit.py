@@ -1,0 +1,177 @@
+"""Residuals that the noise does not explain: how likely by chance, how large, what is behind them, and what follows.
+
+An estimate is accepted with scatter where a group of residuals is larger than the noise within rests explains, or where
+a cause stands out (`tumble.estimation.causes`); all tests together give a false alarm in less than one of a hundred
+clean sessions. It is not accepted where its uncertainty cannot be trusted: where the scatter is many times the noise,
+for then it is no small disturbance of a known model; and where a cause that stands out, being left out, moves one of
+the 21 parameters by more than DAMAGE of its u, for then the error is not random.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.estimation.causes import Cause, Concerns, Projection, causes, variance_chance
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.likelihood import Linearised, Scatter
+from tumble.reduction.observations import Observations
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
+
+GROUP_PROBABILITY = 1e-3
+"""A group of residuals is larger than its noise where chance alone would make it so less often: one of four."""
+
+CAUSE_PROBABILITY = 1e-4
+"""A cause stands out where chance alone would show as much less often: one of about fifteen."""
+
+NAMED_PROBABILITY = 0.02
+"""A cause is named for scatter that is there where chance alone would show as much less often."""
+
+MOST_NAMED = 3
+
+MANY = 30.0
+"""Times the noise: a larger scatter is no disturbance of a model that otherwise holds."""
+
+NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5}
+"""m/s², rad/s, rad: scatter that no use of an inertial unit would notice, however small the noise of the log."""
+
+DAMAGE = 3.0
+"""Times u: a parameter that errs by more because a cause was left out."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Group:
+    """A group of residuals: its component of scatter, which sensors it concerns, words, and (SI, name) of a unit."""
+
+    component: str
+    concerns: Concerns
+    words: str
+    unit: tuple[float, str]
+
+
+GROUPS = (
+    Group(
+        component="accel",
+        concerns="accel",
+        words="readings of the accelerometers at rest",
+        unit=(1e-6 * G_STANDARD, "µg"),
+    ),
+    Group(component="gyro", concerns="gyro", words="readings of the gyros at rest", unit=(DEGREE_PER_HOUR, "°/h")),
+    Group(component="turn", concerns="gyro", words="rotations of the turns", unit=(DEGREE, "°")),
+    Group(component="velocity", concerns="accel", words="velocities of the turns", unit=(1e-3, "mm/s")),
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Misfit:
+    """Reasons and remarks with what they concern, and the names of the causes that stand out, the most likely first."""
+
+    reasons: tuple[tuple[Concerns, str], ...] = ()
+    remarks: tuple[tuple[Concerns, str], ...] = ()
+    causes: tuple[str, ...] = ()
+
+
+def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
+    """What the residuals of an estimate say; None where the method keeps no likelihood."""
+    linearised = estimate.linearised
+    if linearised is None:
+        return None
+    chances = group_chances(linearised)
+    larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < GROUP_PROBABILITY]
+    found = causes(linearised, Projection(linearised, linearised.scatter))
+    named = [cause for cause in found if cause.probability < CAUSE_PROBABILITY]
+    if larger:
+        named += _likely(found, {group.component for group in larger}, {group.concerns for group in larger})
+    named = named[:MOST_NAMED]
+    ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
+    reasons = [
+        _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
+    ]
+    reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < CAUSE_PROBABILITY]
+    remarks = [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
+    remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
+    return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=tuple(cause.name for cause in named))
+
+
+def _likely(found: list[Cause], components: set[str], concerned: set[Concerns]) -> list[Cause]:
+    """Causes for a scatter that is there. What makes turns scatter and not the gyros at rest is random itself, so that
+    nothing systematic need fit well: it comes first."""
+    likely = [c for c in found if c.probability >= CAUSE_PROBABILITY and concerned & {c.concerns, "both"}]
+    random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in components else []
+    if random and random[0].probability > 0.05:
+        random.insert(0, _movement())
+    elif random:
+        random.append(_movement())
+    others = [c for c in likely if c.probability < NAMED_PROBABILITY and c not in random]
+    return others + random if "gyro" in components else random + others
+
+
+def group_chances(linearised: Linearised) -> list[float]:
+    """Probability, by group, that chance alone makes residuals as large, from the noise within rests."""
+    alone, noise = Projection(linearised, Scatter()), linearised.noise
+    r = noise.rest.shape[1]
+    pairs = zip(noise.rest_directions, noise.merged_directions, strict=True)
+    return [variance_chance(alone, rest, merged[:, r:]) for rest, merged in list(pairs)[: len(GROUPS)]]
+
+
+def _scatter(group: Group, linearised: Linearised) -> float:
+    return float(getattr(linearised.scatter, group.component))
+
+
+def _ratio(group: Group, linearised: Linearised, observations: Observations) -> float:
+    """The scatter of a group in parts of its noise."""
+    return _scatter(group, linearised) / _noise(group, observations)
+
+
+def _noise(group: Group, observations: Observations) -> float:
+    rests, turns = observations.rests, observations.turns
+    covariances = {"accel": rests.accel_covariance, "gyro": rests.gyro_covariance}
+    if turns is not None:
+        covariances |= {"turn": turns.covariance, "velocity": turns.velocity_covariance}
+    return _typical(covariances[group.component])
+
+
+def _typical(covariance: Array) -> float:
+    return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2) / covariance.shape[1])))
+
+
+def _many(group: Group, ratios: dict[str, float], linearised: Linearised) -> bool:
+    """Whether a group scatters beyond use. Velocities may: they carry little of what is estimated."""
+    floor = NOTHING.get(group.component, np.inf)
+    return ratios[group.component] > MANY and _scatter(group, linearised) > floor
+
+
+def _said(group: Group, ratio: float, linearised: Linearised) -> str:
+    size, unit = group.unit
+    said = f"{_scatter(group, linearised) / size:.2g} {unit}".replace(" °", "°")
+    return f"{said}, {ratio:.2g} times their noise"
+
+
+def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
+    if _scatter(group, linearised) == 0.0:
+        return f"the {group.words} are further from the fit than their noise explains"
+    return f"the {group.words} scatter by {_said(group, ratio, linearised)}; u contains it as far as it is random"
+
+
+def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Concerns, str]:
+    return (
+        group.concerns,
+        f"the {group.words} scatter by {_said(group, ratio, linearised)}, more than {MANY:.0f}: something is there that "
+        "the model does not have" + ("; look for lost or held samples" if group.component == "turn" else ""),
+    )
+
+
+def _damaging(cause: Cause) -> str:
+    return f"{cause.sentence}; without it parameters err by up to {cause.damage:.2g} times their u"
+
+
+def _movement() -> Cause:
+    """The turns scatter more than the gyros at rest."""
+    return Cause(
+        name="movement",
+        concerns="gyro",
+        probability=1.0,
+        damage=0.0,
+        sentence="a device that moved after it was put down, or before it was taken up: wait until it lies still",
+    )

@@ -1,0 +1,49 @@
+"""The best a programme allows, the best next position, and programmes beside each other, for one set-up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from tumble.planning.best_positions import Aim, Compared, Next, compared, next_positions, of_the_literature, optimised
+from tumble.planning.bounds import Bound, bound
+from tumble.planning.reachable_attitudes import ANY, TurnTable
+from tumble.planning.setup import Setup, with_all_groups
+
+FOR_ALL = Aim()
+"""The mean uncertainty of all parameters in units of their spreads, gyros included."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlanResult:
+    """What a set-up's programme can show at best. `whole` is the bound with all groups of parameters that
+    instruments of the grade have; `following` are the positions it would gain most by, where it was given; `programmes` the programme that was found and those of the literature, where one was to be found."""
+
+    setup: Setup
+    bound: Bound
+    whole: Bound
+    following: tuple[Next, ...]
+    programmes: tuple[Compared, ...]
+
+
+def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, table: TurnTable = ANY) -> PlanResult:
+    """The least uncertainty that the programme of a set-up allows, and the best next positions on a table; with
+    `positions` the best programme of so many that is found, beside those of the literature. Raises InputError for
+    values that make no sense, and where there is no noise.
+
+    >>> import tumble
+    >>> setup = tumble.Setup.of(rest=120.0)
+    >>> found = tumble.plan(setup)
+    >>> len(found.following), found.bound.groups[0]
+    (5, 'accel.bias')
+    """
+    if positions is None:
+        best = bound(setup, gyros=aim.gyros)
+        following = next_positions(setup, aim, table)
+        return PlanResult(setup=setup, bound=best, whole=_whole(setup, aim), following=following, programmes=())
+    setup = replace(setup, programme=optimised(setup, positions, aim, table))
+    rows = compared(setup, (setup.programme, *of_the_literature()), aim)
+    return PlanResult(setup=setup, bound=rows[0].bound, whole=_whole(setup, aim), following=(), programmes=rows)
+
+
+def _whole(setup: Setup, aim: Aim) -> Bound:
+    return bound(with_all_groups(setup), gyros=aim.gyros)

@@ -1,0 +1,193 @@
+"""Readings in memory, checked where they come in: SI arrays, polars or pandas frames become arrays and sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tumble.errors import InputError
+from tumble.recording.formats.columns import unit_of_name
+from tumble.recording.session import Session, session_of
+from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, ZERO_CELSIUS, Array
+
+SI = {"accel": ("m/s^2", "m/s"), "gyro": ("rad/s", "rad")}
+"""Units of rates and of increments."""
+_UNITS = {"accel": ACCEL_UNITS, "gyro": GYRO_UNITS}
+_COLDEST = 150.0  # K; what is less was in °C
+_GRAVITY_LIKE = (7.0, 13.0)
+"""m/s²: the median length of readings that are mostly taken at rest."""
+
+
+def session_of_arrays(
+    *,
+    accel: npt.ArrayLike,
+    gyro: npt.ArrayLike | None = None,
+    time: npt.ArrayLike | None = None,
+    rate: float | None = None,
+    temperature: npt.ArrayLike | None = None,
+    latitude: float | None = None,
+    height: float = 0.0,
+    gravity: float | None = None,
+    gravity_u: float | None = None,
+    accel_axes: npt.ArrayLike | None = None,
+    gyro_axes: npt.ArrayLike | None = None,
+    programme: str | Sequence[str] | None = None,
+    serial: str = "unknown",
+) -> Session:
+    """The session of SI readings (N, n) in memory: specific force, m/s², and angular rate, rad/s, as arrays, polars or
+    pandas frames; the end times of the samples (N,), s, or their rate, Hz; temperature (N,), K; geodetic latitude, rad,
+    height, m, gravity and its standard uncertainty, m/s². The nominal axes (n, 3) of more than three sensors are
+    unit vectors in the body. `programme` names a built-in programme or lists attitude codes.
+
+    Raises InputError for another shape, another unit, and numbers that are not finite.
+
+    >>> import numpy as np, tumble
+    >>> still = np.tile([0.0, 0.0, 9.81], (300, 1))
+    >>> tumble.session_of_arrays(accel=still, rate=100.0, serial="A-0007").log.columns
+    ('accel_x', 'accel_y', 'accel_z')
+    """
+    if (time is None) == (rate is None):
+        raise InputError(
+            f"time, rate: expected one of them, the times of the samples, s, or their rate, Hz, found "
+            f"{'none' if time is None else 'both'}"
+        )
+    log: dict[str, Any] = {"rate_hz": _number("rate", rate)} if rate is not None else {"time": "time"}
+    data: dict[str, Array] = {}
+    kinds = (("accel", accel, accel_axes), ("gyro", gyro, gyro_axes))
+    for kind, given, axes in kinds:
+        if given is not None:
+            readings = readings_of(kind, given)
+            columns = _columns(kind, readings.shape[1])
+            log[kind] = {"columns": columns, "unit": SI[kind][0]} | _axes(axes)
+            data |= dict(zip(columns, readings.T, strict=True))
+    _check_gravity(np.column_stack([data[column] for column in log["accel"]["columns"]]))
+    if time is not None:
+        data["time"] = _series("time", time)
+    if temperature is not None:
+        data["temperature"] = _series("temperature", temperature)
+        log["temperature"] = {"columns": ["temperature"], "unit": "degC"}
+    _check_lengths(data)
+    if temperature is not None:
+        data["temperature"] = _celsius(data["temperature"])
+    description: dict[str, Any] = {
+        "format": 1,
+        "device": {"serial": serial},
+        "site": _site(latitude, height, gravity, gravity_u),
+        "log": log,
+    }
+    if programme is not None:
+        description["programme"] = _programme(programme)
+    return session_of(description, data)
+
+
+def readings_of(kind: str, given: npt.ArrayLike) -> Array:
+    """Readings (N, n) in SI of an array or a frame. Raises InputError for another shape, and as `numbers_of`."""
+    readings = numbers_of(kind, given)
+    if readings.ndim != 2 or not len(readings) or readings.shape[1] < 3 or readings.shape[1] > max(len(readings), 3):
+        turned = "; transpose it" if readings.ndim == 2 and readings.shape[0] >= 3 else ""
+        raise InputError(
+            f"{kind}: expected an array of shape (samples, sensors) with three sensors or more, found the shape "
+            f"{readings.shape}{turned}"
+        )
+    return readings
+
+
+def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> Array:
+    """An array of finite numbers in SI of an array or a frame; `what` is "accel" or "gyro" where they are readings.
+    Raises InputError for anything else, and for columns of a frame whose names say another unit."""
+    numbers = _numbers(what, given)
+    check_finite(what, numbers)
+    if what in SI:
+        rate, increment = SI[what]
+        _check_unit(what, given, increment if increments else rate)
+    return numbers
+
+
+def _check_unit(kind: str, given: npt.ArrayLike, si: str) -> None:
+    for column in map(str, getattr(given, "columns", ())):
+        unit = unit_of_name(kind, column)
+        if unit not in (None, si):
+            known = _UNITS[kind][unit]
+            advice = f"multiply it by {known.factor:.9g}" if known.kind == "rate" else "convert it"
+            raise InputError(f"{kind}: expected {si}, found a column {column!r} in {unit}; {advice}")
+
+
+def check_finite(what: str, numbers: Array) -> None:
+    """Raises InputError that names the first number that is not finite."""
+    if not np.isfinite(numbers).all():
+        at = tuple(int(i) for i in np.argwhere(~np.isfinite(numbers))[0])
+        where = f"sample {at[0]}" + (f" of sensor {at[1]}" if len(at) > 1 else "")
+        raise InputError(
+            f"{what}: expected finite numbers, found {numbers[at]} in {where} (from 0); cut or fill such samples"
+        )
+
+
+def _numbers(what: str, given: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what}: expected an array of numbers, found {type(given).__name__}: {error}") from None
+
+
+def _series(what: str, given: npt.ArrayLike) -> Array:
+    values = np.squeeze(_numbers(what, given))
+    if values.ndim != 1:
+        raise InputError(f"{what}: expected an array of shape (samples,), found the shape {values.shape}")
+    check_finite(what, values)
+    return values
+
+
+def _number(what: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InputError(f"{what}: expected a number, found {value!r}")
+    return float(value)
+
+
+def _columns(kind: str, sensors: int) -> list[str]:
+    return [f"{kind}_{'xyz'[i] if sensors == 3 else i}" for i in range(sensors)]
+
+
+def _axes(axes: npt.ArrayLike | None) -> dict[str, Any]:
+    return {} if axes is None else {"axes": _numbers("axes", axes).tolist()}
+
+
+def _check_gravity(accel: Array) -> None:
+    """Three accelerometers or more read about gravity at the median."""
+    length = float(np.median(np.linalg.norm(accel, axis=1)) * np.sqrt(3.0 / accel.shape[1]))
+    if not _GRAVITY_LIKE[0] <= length <= _GRAVITY_LIKE[1]:
+        raise InputError(
+            f"accel: expected m/s^2, about 9.8 at rest, found {length:.4g} at the median; multiply readings in g by "
+            "9.80665, divide increments by their intervals"
+        )
+
+
+def _celsius(kelvin: Array) -> Array:
+    if kelvin.min() < _COLDEST:
+        raise InputError(f"temperature: expected kelvin, found {kelvin.min():.4g}; add 273.15 to degrees Celsius")
+    return kelvin - ZERO_CELSIUS
+
+
+def _check_lengths(data: Mapping[str, Array]) -> None:
+    first, *others = data
+    for name in others:
+        if len(data[name]) != len(data[first]):
+            raise InputError(
+                f"{name}: expected {len(data[first])} samples, as many as {first} has, found {len(data[name])}"
+            )
+
+
+def _site(latitude: float | None, height: float, gravity: float | None, gravity_u: float | None) -> dict[str, Any]:
+    site = {"height_m": _number("height", height)}
+    if latitude is not None:
+        if not abs(_number("latitude", latitude)) <= np.pi / 2:
+            raise InputError(f"latitude: expected radians from -π/2 to π/2, found {latitude:g}; use np.radians(…)")
+        site["latitude_deg"] = _number("latitude", latitude) / DEGREE
+    given = {"gravity": gravity, "gravity_u": gravity_u}
+    return site | {name: _number(name, value) for name, value in given.items() if value is not None}
+
+
+def _programme(given: str | Sequence[str]) -> dict[str, Any]:
+    return {"name": given} if isinstance(given, str) else {"position": [{"attitude": code} for code in given]}

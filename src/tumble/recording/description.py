@@ -1,0 +1,96 @@
+"""A session as session.toml would say it: the way back from `Session` to the keys and values of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tumble.recording.dialect import Dialect
+from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site
+from tumble.recording.session_keys import CLOCK
+from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
+
+
+def description_of(session: Session) -> dict[str, Any]:
+    """The content of session.toml of a session, paths absolute; without log.file where its samples are in memory.
+    Channels with nominal scale and offset have them in the log's unit; full scales are left out.
+
+    >>> import numpy as np, tumble
+    >>> session = tumble.session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
+    >>> tumble.description_of(session)["log"]
+    {'rate_hz': 100.0, 'accel': {'columns': ['accel_x', 'accel_y', 'accel_z'], 'unit': 'm/s^2'}}
+    """
+    device = {"serial": session.device.serial, "model": session.device.model}
+    passport = session.device.systematic
+    content: dict[str, Any] = {
+        "format": 1,
+        "device": _given(device | {"systematic": None if passport is None else str(passport.resolve())}),
+        "site": _site(session.site),
+        "log": _log(session.log),
+    }
+    return content | ({} if session.programme is None else {"programme": _programme(session.programme)})
+
+
+def _given(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _site(site: Site) -> dict[str, Any]:
+    values = {
+        "latitude_deg": None if site.latitude is None else site.latitude / DEGREE,
+        "height_m": site.height,
+        "gravity": site.gravity,
+        "gravity_u": site.gravity_u,
+        "field": site.field,
+    }
+    return _given(values)
+
+
+def _log(spec: LogSpec) -> dict[str, Any]:
+    files = [str(file.resolve()) for file in spec.files if isinstance(file, Path)]
+    unit = CLOCK if spec.clock else next(name for name, factor in TIME_UNITS.items() if factor == spec.time_factor)
+    magnetometer = spec.magnetometer
+    values = {
+        "file": files[0] if len(files) == 1 else files or None,
+        "time": spec.time,
+        "time_unit": None if spec.time is None or unit == "s" else unit,
+        "regular": spec.regular or None,
+        "rate_hz": spec.rate,
+        "accel": _channels(spec.accel, ACCEL_UNITS),
+        "gyro": None if spec.gyro is None else _channels(spec.gyro, GYRO_UNITS),
+        "temperature": None if spec.temperature is None else {"columns": [spec.temperature], "unit": "degC"},
+        "magnetometer": None
+        if magnetometer is None
+        else {"columns": list(magnetometer.columns), "unit": magnetometer.unit},
+    }
+    return _given(values | _dialect(spec.dialect))
+
+
+def _dialect(dialect: Dialect | None) -> dict[str, Any]:
+    return {} if dialect is None else asdict(dialect)
+
+
+def _channels(channels: Channels, units: Mapping[str, Unit]) -> dict[str, Any]:
+    content: dict[str, Any] = {"columns": list(channels.columns), "unit": channels.unit_name}
+    if units[channels.unit_name].kind == "raw":
+        content["scale"] = channels.scale.tolist()
+        content["scale_per"] = next(name for name, unit in units.items() if unit == channels.unit)
+        content["offset"] = channels.offset.tolist()
+    if not np.array_equal(channels.axes, np.eye(3)):
+        content["axes"] = channels.axes.tolist()
+    return content
+
+
+def _programme(spec: ProgrammeSpec) -> dict[str, Any]:
+    if spec.name is not None:
+        return {"name": spec.name}
+    return {
+        "position": [
+            _given({"attitude": position.attitude, "start": position.start, "stop": position.stop})
+            for position in spec.positions
+        ]
+    }

@@ -1,0 +1,112 @@
+"""The level of the gyros at rest as a function of the attitude.
+
+A gyro that feels specific force, 0.1 °/s/g in a MEMS unit, reads in every attitude another rate at rest. Then
+
+    level = b + G f
+
+with the specific force f. A stretch in which the accelerometers are quiet and the gyros steady is a rest, or a turn
+about the vertical so slow that it is not seen to be one: a turn about any other axis moves the vertical, and the
+accelerometers see it. Which it is only the other stretches say. G is fitted to all of them with the sum of the
+distances as the measure, which a minority cannot bend, and a stretch off the level is accepted if the fit to the
+others predicts its level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.units import DEGREE, G_STANDARD, Array, BoolArray
+
+USUAL_SENSITIVITY = 0.2 * DEGREE / G_STANDARD
+"""rad/s per m/s²: what keeps G small where the attitudes do not show it."""
+
+LEAST_STRETCHES = 8
+LEAST_SHARE = 2.0 / 3.0
+LEAST_GAIN = 0.2
+"""So many stretches, and this share of them, must follow the function; this share more than follow one level."""
+
+MOST_UNCERTAIN = 1.5
+"""Times the limit: how uncertain a prediction from the other stretches may be."""
+
+Span = tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OffLevel:
+    """A quiet and steady stretch, blocks first … last − 1 of the file at `place` in the log, in which the gyros read a
+    `rate` (3,), rad/s, off their level at rest."""
+
+    place: int
+    first: int
+    last: int
+    rate: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GSensitivity:
+    """G (3, 3), rad/s per m/s², and by file the stretches whose level follows it."""
+
+    matrix: Array
+    accepted: list[list[Span]]
+
+
+def g_sensitivity(
+    force: list[Array], rates: list[Array], rests: list[list[Span]], off: list[OffLevel], limit: float, least: int
+) -> GSensitivity | None:
+    """G from the mean forces and rates of rests of at least `least` blocks and of stretches off the level, by file.
+    None where no function of the force explains to `limit` (rad/s) the levels of most, or one level does as well."""
+    found = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
+    stretches = found + [(s.place, s.first, s.last) for s in off]
+    if len(stretches) < LEAST_STRETCHES:
+        return None
+    level = np.array([rates[k][i:j].mean(axis=0) for k, i, j in stretches])
+    rows = np.array([[1.0, *(USUAL_SENSITIVITY / limit * force[k][i:j].mean(axis=0))] for k, i, j in stretches])
+    near, constant = _near(rows, level, limit), int(_near(rows[:, :1], level, limit).sum())
+    if near.sum() < max(LEAST_STRETCHES, LEAST_SHARE * len(near), constant + LEAST_GAIN * len(near)):
+        return None
+    matrix = _least_squares(rows[near], level[near], np.ones(int(near.sum())))[1:].T * USUAL_SENSITIVITY / limit
+    accepted: list[list[Span]] = [[] for _ in rates]
+    for n, (k, i, j) in enumerate(stretches):
+        if near[n] and (n < len(found) or _predicted(rows, level, near, n, limit)):
+            accepted[k].append((i, j))
+    return GSensitivity(matrix=matrix, accepted=accepted)
+
+
+def _near(rows: Array, level: Array, limit: float) -> BoolArray:
+    """Which levels (N, 3) are within `limit` of the function with the smallest sum of distances."""
+    fitted = _least_distances(rows, level, limit)
+    return np.asarray(np.linalg.norm(level - rows @ fitted, axis=1) < limit)
+
+
+def _least_squares(rows: Array, level: Array, weight: Array) -> Array:
+    """Bias and G (4, 3), or the bias alone (1, 3), by weighted least squares; rows are scaled so that G is 1 where it
+    is usual, in limits."""
+    normal = (rows * weight[:, None]).T @ rows + _usual(rows)
+    return np.asarray(np.linalg.solve(normal, (rows * weight[:, None]).T @ level))
+
+
+def _usual(rows: Array) -> Array:
+    """The weight of G being of the usual size, and of nothing known of the bias."""
+    return np.diag([0.0, 1.0, 1.0, 1.0][: rows.shape[1]])
+
+
+def _least_distances(rows: Array, level: Array, limit: float) -> Array:
+    """Bias and G (4, 3), or the bias alone (1, 3), with the smallest sum of distances from the levels, distances below
+    the tenth part of `limit` squared (weights iterated)."""
+    weight = np.ones(len(rows))
+    for _ in range(50):
+        fitted = _least_squares(rows, level, weight)
+        distance = np.linalg.norm(level - rows @ fitted, axis=1)
+        weight = 0.1 * limit / np.maximum(distance, 0.1 * limit)
+    return fitted
+
+
+def _predicted(rows: Array, level: Array, near: BoolArray, k: int, limit: float) -> bool:
+    """Whether the other stretches near the function determine the level of stretch k, and it is there."""
+    others = near & (np.arange(len(rows)) != k)
+    fitted = _least_squares(rows[others], level[others], np.ones(int(others.sum())))
+    normal = rows[others].T @ rows[others] + _usual(rows)
+    uncertain = float(rows[k] @ np.linalg.solve(normal, rows[k]))
+    return uncertain < MOST_UNCERTAIN**2 and float(np.linalg.norm(level[k] - rows[k] @ fitted)) < limit

@@ -1,0 +1,128 @@
+"""What the resolution of a channel does to its mean at rest.
+
+The values of a channel that was rounded lie on a grid of one step, the resolution L. White noise of standard deviation
+σ before rounding makes the mean of many rounded samples follow the true value: the error that is left is a sawtooth of
+the place x of the true value between two steps, smoothed by the noise,
+
+    e(x) = (L/π) Σ_k (−1)^k exp(−2π²k²σ²/L²) sin(2πk x/L) / k,
+
+of mean square B(σ) = (L²/2π²) Σ_k exp(−4π²k²σ²/L²)/k² over all x: L²/12 without noise, and nothing to speak of from
+half a step of noise on. It does not fall with the length of a rest. Rests whose readings are many steps apart have
+errors of their own; rests that read the same, as gyros do, all have the same error, and it passes for a bias.
+
+Source: Widrow & Kollár, Quantization Noise, 2008, on the moments of a rounded Gaussian.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.reduction.blocks import ChannelState
+from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array
+
+ON_GRID = 0.1
+"""How far a difference may be from a whole number of steps, in steps, and still be on the grid."""
+GRID_SHARE = 0.95
+GRID_STEPS = 64
+"""Differences of more steps than these say nothing about the grid."""
+LEAST_DIFFERENCES, MOST = 3, 2000
+ENOUGH_NOISE = 0.5
+"""Noise, in steps, from which on rounding is forgotten."""
+_TERMS = np.arange(1, 40)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rounding:
+    """Resolution of n channels and what it does to their means, in the unit of the readings: the step (n,), 0 where the
+    values are on no grid, the noise (n,) of a sample before rounding, the standard uncertainty (n,) of the mean of a
+    rest whose reading is nothing special between two steps, and that of what is common to all rests."""
+
+    step: Array
+    noise: Array
+    of_rest: Array
+    common_u: Array
+
+
+def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelState]) -> Rounding:
+    """The rounding of channels from samples (m, n) of all of a log, those (k, n) of each rest in the order of time,
+    some 0.1 s apart, and the states of the channels."""
+    step = np.array([_step(values, channel) for values, channel in zip(samples.T, channels, strict=True)])
+    changes = np.concatenate([np.zeros((1, len(step))), *(np.diff(rest, axis=0) for rest in rests)])[1:]
+    scatter = np.sqrt(0.5 * (changes**2).sum(axis=0) / max(1, len(changes)))
+    noise = np.array([_noise(s, L) for s, L in zip(scatter, step, strict=True)])
+    relative = np.divide(noise, step, out=np.full(len(step), np.inf), where=step > 0.0)
+    amplitude = np.exp(-2.0 * np.pi**2 * relative**2) / np.pi
+    return Rounding(
+        step=step,
+        noise=noise,
+        of_rest=step * np.sqrt(_left(relative)),
+        common_u=np.where(relative < ENOUGH_NOISE, step * np.minimum(amplitude, 12.0**-0.5), 0.0),
+    )
+
+
+def rounding_notes(found: Mapping[str, Rounding]) -> tuple[str, ...]:
+    """Channels whose noise is too small for rounding to average out, in words; `found` by "accel" and "gyro"."""
+    kinds = {"accel": ("accelerometer", 1e-6 * G_STANDARD, "µg"), "gyro": ("gyro", DEGREE_PER_HOUR, "°/h")}
+    said = []
+    for kind, each in found.items():
+        name, unit, shown = kinds[kind]
+        for i in np.flatnonzero(each.common_u):
+            said.append(
+                f"{name} {i + 1}: its noise is {each.noise[i] / each.step[i]:.2g} of its resolution of "
+                f"{each.step[i] / unit:.3g} {shown}, so that rounding does not average out: standard uncertainty "
+                f"{each.common_u[i] / unit:.2g} {shown}, common to all rests that read the same"
+            )
+    return tuple(said)
+
+
+def _left(relative: Array) -> Array:
+    """B(σ)/L² of the module docstring for σ/L (n,)."""
+    return np.asarray((np.exp(-4.0 * np.pi**2 * np.outer(relative**2, _TERMS**2)) / _TERMS**2).sum(axis=1)) / (
+        2.0 * np.pi**2
+    )
+
+
+def _noise(scatter: float, step: float) -> float:
+    """σ before rounding from the scatter s of rounded samples, on average over x: s² = σ² + L²/12 − B(σ)."""
+    if step == 0.0 or scatter > step:
+        return float(np.sqrt(max(scatter**2 - step**2 / 12.0, 0.0)))
+    sigma = np.linspace(0.0, 1.2, 1201)
+    left = np.append([1.0 / 12.0], _left(sigma[1:]))  # the sum converges slowly at 0
+    return float(step * np.interp((scatter / step) ** 2, sigma**2 + 1.0 / 12.0 - left, sigma))
+
+
+def _step(values: Array, channel: ChannelState) -> float:
+    """The step of the grid of the values (m,); the smallest step seen where they are too few to show a grid, but more
+    than half of all samples repeat the one before; 0 where there is none."""
+    distinct = np.unique(values)
+    differences = np.diff(distinct)
+    differences = np.sort(differences[differences > 1e-12 * max(np.abs(distinct).max(initial=0.0), 1e-300)])[:MOST]
+    if len(differences) >= LEAST_DIFFERENCES:
+        candidates = [channel.step, *np.quantile(differences, [0.0, 0.05, 0.2, 0.5])]
+        for candidate in sorted({float(c) for c in candidates if np.isfinite(c)}, reverse=True):
+            step = _refined(differences, candidate)
+            if _on_grid(differences, step):
+                return step
+    coarse = 2 * channel.repeats > channel.samples and np.isfinite(channel.step)
+    return channel.step if coarse else 0.0
+
+
+def _refined(differences: Array, step: float) -> float:
+    """A step fitted to differences of ever more steps."""
+    for steps in (1.5, 4.5, 16.5, GRID_STEPS + 0.5):
+        near = differences[differences < steps * step]
+        count = np.round(near / step)
+        if count.any():
+            step = float(count @ near / (count @ count))
+    return step
+
+
+def _on_grid(differences: Array, step: float) -> bool:
+    """Whether nearly all differences are whole numbers of steps."""
+    count = differences[differences < (GRID_STEPS + 0.5) * step] / step
+    off = np.abs(count - np.round(count))
+    smaller = float(np.mean(count < 0.5)) if len(count) else 1.0
+    return len(count) >= LEAST_DIFFERENCES and float(np.mean(off < ON_GRID)) >= GRID_SHARE and smaller < 0.05

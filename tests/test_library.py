@@ -1,0 +1,288 @@
+"""The library: names that type checkers and dir() see, a quick start, results that show themselves."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import pkgutil
+import re
+import subprocess
+import sys
+import types
+from dataclasses import fields, is_dataclass, replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from matplotlib.figure import Figure
+
+import tumble
+from tumble.commands import __path__ as commands
+from tumble.errors import InputError, MissingExtraError
+from tumble.estimation.estimate import Outcome
+from tumble.planning.setup import Setup
+from tumble.simulation.session import simulate_session
+
+REPOSITORY = Path(__file__).parents[1]
+CACHE = REPOSITORY / ".mypy_cache" / "user"
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> tumble.Calibration:
+    folder = tmp_path_factory.mktemp("library") / "session"
+    return tumble.calibrate(str(simulate_session(folder, Setup.of(grade="mems", positions=12, rest=3.0), seed=4)))
+
+
+# -------------------- names --------------------
+
+
+def run(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+def test_import_loads_neither_numpy_nor_scipy() -> None:
+    heavy = "{'numpy', 'scipy', 'polars', 'pydantic', 'rich', 'matplotlib'}"
+    assert run(f"import sys, tumble; dir(tumble); print(sorted({heavy} & set(sys.modules)))") == "[]\n"
+    assert run(f"import sys, tumble.cli; print(sorted({heavy} & set(sys.modules)))") == "[]\n"
+
+
+def test_dir_shows_the_public_names() -> None:
+    assert set(dir(tumble)) == set(tumble.__all__)
+    for name in tumble.__all__:
+        assert getattr(tumble, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
+        tumble.calibrat  # type: ignore[attr-defined]  # noqa: B018
+
+
+def checked(tmp_path: Path, code: str) -> str:
+    """What mypy says of a user's file."""
+    (tmp_path / "user.py").write_text(code)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "mypy",
+            "--strict",
+            "--config-file=",
+            "--follow-imports=silent",
+            f"--cache-dir={CACHE}",
+            "user.py",
+        ],
+        cwd=tmp_path,
+        env={"MYPYPATH": str(REPOSITORY / "src"), "PATH": ""},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stdout
+
+
+def test_a_type_checker_catches_a_wrong_call(tmp_path: Path) -> None:
+    said = checked(
+        tmp_path,
+        "import tumble\n"
+        'tumble.calibrate(42, metod="joint")\n'
+        "tumble.calibrat()\n"
+        'tumble.read_calibration("a.json").tabel()\n'
+        "n: int = tumble.read_calibration(7)\n",
+    )
+    assert re.search(r"user.py:2: error: No overload variant of \"calibrate\"", said), said
+    assert re.search(r'user.py:3: error: Module has no attribute "calibrat"', said), said
+    assert re.search(r'user.py:4: error: "Calibration" has no attribute "tabel"', said), said
+    assert re.search(r"user.py:5: error: Incompatible types in assignment", said), said
+    assert re.search(r"user.py:5: error: Argument 1 to \"read_calibration\"", said), said
+
+
+def test_a_type_checker_accepts_right_calls(tmp_path: Path) -> None:
+    said = checked(
+        tmp_path,
+        "from pathlib import Path\n"
+        "import numpy as np\n"
+        "import polars as pl\n"
+        "import tumble\n"
+        "a: tumble.Calibration = tumble.calibrate(Path('session'), method='staged')\n"
+        "b = tumble.calibrate(accel=np.ones((9, 3)), gyro=pl.DataFrame(), rate=100.0, latitude=1.0)\n"
+        "p: tumble.Parameter = b['accel.bias.x']\n"
+        "v: tumble.Verification = tumble.verify_calibration('a.json', 'check')\n"
+        "c: tumble.Comparison = tumble.compare_calibrations(a, 'b.json')\n"
+        "f: pl.DataFrame = a.to_polars()\n"
+        "print(a.outcome.accepted, a.table(), p.value, v.reasons, c.agree, f)\n",
+    )
+    assert said.startswith("Success"), said
+
+
+def test_type_checkers_see_the_names_where_they_are() -> None:
+    tree = ast.parse((REPOSITORY / "src/tumble/__init__.py").read_text())
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
+    seen = {alias.name: node.module for node in imports for alias in node.names if alias.name == alias.asname}
+    assert seen == {name: f"tumble.{module}" for name, module in tumble._PUBLIC.items()}
+
+
+CALLS = {
+    "apply": "apply_to_session",
+    "budget": "budget",
+    "calibrate": "calibrate_launches",
+    "campaign": "campaign",
+    "compare": "compare_calibrations",
+    "ellipsoid": "calibrate_table",
+    "export": "export_calibration",
+    "fleet": "fleet",
+    "inspect": "inspect_session",
+    "new": "new_session",
+    "noise": "noise",
+    "plan": "plan",
+    "programme": "programme_of",
+    "registry": "open_registry",
+    "report": "write_report",
+    "require": "require",
+    "selftest": "run_selftest",
+    "simulate": "simulate_session",
+    "verify": "verify_calibration",
+}
+"""The public call behind every command."""
+
+
+def test_every_command_is_a_public_call() -> None:
+    assert sorted(CALLS) == sorted(m.name for m in pkgutil.iter_modules(commands) if m.name != "arguments")
+    for command, call in CALLS.items():
+        assert call in tumble.__all__
+        assert re.search(rf"\b{call}\b", (Path(commands[0]) / f"{command}.py").read_text()), command
+
+
+# -------------------- equality --------------------
+
+
+def modules() -> list[types.ModuleType]:
+    found = pkgutil.walk_packages(tumble.__path__, "tumble.")
+    return [importlib.import_module(m.name) for m in found if ".migrations" not in m.name]
+
+
+def test_no_dataclass_with_arrays_compares_them() -> None:
+    for module in modules():
+        for item in vars(module).values():
+            if isinstance(item, type) and is_dataclass(item) and item.__module__ == module.__name__:
+                arrays = [f.name for f in fields(item) if re.search("Array|DataFrame", str(f.type))]
+                assert not arrays or item.__eq__ is object.__eq__, f"{module.__name__}.{item.__name__}: {arrays}"
+
+
+def test_results_can_be_compared(calibration: tumble.Calibration) -> None:
+    again = replace(calibration)
+    assert calibration == calibration
+    assert calibration != again
+    assert len({calibration, again}) == 2
+
+
+# -------------------- a calibration shows itself --------------------
+
+
+def test_repr_is_a_line(calibration: tumble.Calibration) -> None:
+    assert repr(calibration) == "<Calibration of mems-4: joint, 21 parameters, accepted>"
+    refused = replace(calibration, outcome=Outcome(reasons=("too few rests",)))
+    assert repr(refused) == "<Calibration of mems-4: joint, 21 parameters, not accepted>"
+
+
+def test_the_table_has_a_row_for_every_parameter_rounded_by_its_uncertainty(calibration: tumble.Calibration) -> None:
+    lines = calibration.table().splitlines()
+    rows = {line.split()[0]: line.split() for line in lines[2:]}
+    assert set(rows) == {p.name for p in calibration.parameters}
+    bias = calibration["accel.bias.x"]
+    assert bias.u is not None
+    _, value, u, expanded, unit = rows["accel.bias.x"]
+    assert unit in ("µg", "mg")
+    size = 9.80665e-6 if unit == "µg" else 9.80665e-3
+    assert float(value) * size == pytest.approx(bias.value, abs=bias.u)
+    assert float(expanded) == pytest.approx(2.0 * float(u), rel=0.1)
+
+
+class Text(HTMLParser):
+    """What a page says, and its tags."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.said: list[str] = []
+        self.tags: list[str] = []
+
+    def handle_data(self, data: str) -> None:
+        self.said.append(data)
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:  # noqa: ARG002
+        self.tags.append(tag)
+
+
+def test_html_is_escaped(calibration: tumble.Calibration) -> None:
+    page = Text()
+    evil = replace(calibration, serial="<script>alert(1)</script>", outcome=Outcome(reasons=("a < b & c",)))
+    page.feed(evil._repr_html_())
+    assert "script" not in page.tags
+    assert "a < b & c" in page.said
+    assert page.tags.count("tr") == 1 + len(calibration.parameters)
+
+
+def test_a_polars_frame_has_the_parameters_in_si(calibration: tumble.Calibration) -> None:
+    frame = calibration.to_polars()
+    assert frame["value"].to_list() == [p.value for p in calibration.parameters]
+    assert frame["u"].to_list() == [p.u for p in calibration.parameters]
+    assert frame.schema["deviation"] == pl.Float64
+
+
+def test_a_pandas_frame_is_made_with_pandas_and_refused_without(
+    calibration: tumble.Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match="pip install pandas"):
+        calibration.to_pandas()
+    pandas = types.ModuleType("pandas")
+    pandas.DataFrame = dict  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "pandas", pandas)
+    assert calibration.to_pandas()["name"] == [p.name for p in calibration.parameters]
+
+
+def test_a_calibration_is_drawn_on_given_axes(calibration: tumble.Calibration) -> None:
+    axes = Figure().add_subplot()
+    calibration.plot(axes)
+    residuals = np.array([rest.residual for rest in calibration.rests])
+    drawn = np.asarray(axes.lines[-1].get_ydata())
+    assert np.corrcoef(drawn, residuals)[0, 1] == pytest.approx(1.0)
+    assert axes.get_title() == "Calibration of mems-4: joint, 21 parameters, accepted"
+    axes = Figure().add_subplot()
+    replace(calibration, rests=()).plot(axes)
+    assert [label.get_text() for label in axes.get_xticklabels()] == [p.name for p in calibration.parameters]
+
+
+# -------------------- apply --------------------
+
+
+def test_arrays_lists_and_frames_are_corrected_alike(calibration: tumble.Calibration) -> None:
+    readings = np.array([[0.1, 0.2, 9.8], [9.8, 0.0, 0.1]])
+    expected, none = calibration.apply(readings)
+    assert none is None
+    for given in (readings.tolist(), pl.DataFrame(readings, schema=["ax", "ay", "az"])):
+        np.testing.assert_array_equal(calibration.apply(given)[0], expected)
+    np.testing.assert_allclose(calibration.apply(readings[0])[0], expected[0], rtol=1e-15, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("accel", "gyro", "dt", "expected"),
+    [
+        (np.ones((5, 4)), None, None, "accel readings: expected 3 numbers a sample, one for each sensor"),
+        (np.ones((5, 3)), np.ones((3, 5)), None, "gyro readings: expected 3 numbers a sample"),
+        (np.full((5, 3), np.nan), None, None, "accel: expected finite numbers, found nan in sample 0 of sensor 0"),
+        (
+            pl.DataFrame({"ax [g]": [1.0], "b": [0.0], "c": [0.0]}),
+            None,
+            None,
+            "expected m/s^2, found a column 'ax [g]'",
+        ),
+        ([["x", "y", "z"]], None, None, "accel: expected an array of numbers, found list"),
+        (np.ones((5, 3)), None, np.ones(4), "dt: expected an interval for each sample, (5,), found the shape (4,)"),
+    ],
+)
+def test_readings_that_do_not_fit_are_refused(
+    calibration: tumble.Calibration, accel: Any, gyro: Any, dt: Any, expected: str
+) -> None:
+    with pytest.raises(InputError, match=re.escape(expected)):
+        calibration.apply(accel, gyro, dt=dt)

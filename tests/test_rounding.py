@@ -1,0 +1,88 @@
+"""The resolution of channels: found from the grid of their values, and what it does to their means."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tumble.reduction.blocks import ChannelState
+from tumble.reduction.rounding import Rounding, rounding, rounding_notes
+from tumble.units import Array
+
+STEP = 1.19709e-3
+RESTS, BLOCKS, SIZE = 26, 50, 10
+
+
+def state(values: Array) -> ChannelState:
+    """The state of a channel as far as it matters here."""
+    steps = np.abs(np.diff(values))
+    return ChannelState(
+        samples=len(values),
+        minimum=float(values.min()),
+        maximum=float(values.max()),
+        repeats=int(np.sum(steps == 0.0)),
+        run=0,
+        run_stop=0.0,
+        run_value=0.0,
+        step=float(steps[steps > 0.0].min(initial=np.inf)),
+        extreme_run=0,
+        extreme_stop=0.0,
+    )
+
+
+def rounded(noise: float, rng: np.random.Generator, decimals: int | None = None) -> tuple[Rounding, Array]:
+    """26 rests at random levels and turns between them, of noise in steps, and the errors of the means of the rests."""
+    levels = rng.uniform(-900.0, 900.0, RESTS) * STEP
+    still = np.repeat(levels, BLOCKS * SIZE)
+    true = np.concatenate([still, rng.uniform(-1000.0, 1000.0, 3000) * STEP])
+    seen = np.round((true + noise * STEP * rng.standard_normal(len(true))) / STEP) * STEP
+    seen = seen if decimals is None else np.round(seen, decimals)
+    ends = seen[SIZE - 1 :: SIZE, None]
+    found = rounding(ends, [ends[i * BLOCKS : (i + 1) * BLOCKS] for i in range(RESTS)], [state(seen)])
+    return found, seen[: len(still)].reshape(RESTS, -1).mean(axis=1) - levels
+
+
+@pytest.mark.parametrize("decimals", [None, 6])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.3, 0.5, 1.0, 3.0])
+def test_the_step_is_that_of_the_grid(noise: float, decimals: int | None) -> None:
+    """Also where the file has its numbers to six decimals, a thousandth of a step."""
+    found, _ = rounded(noise, np.random.default_rng(1), decimals)
+    assert found.step[0] == pytest.approx(STEP, rel=1e-5)
+
+
+def test_values_on_no_grid_have_no_step() -> None:
+    values = np.random.default_rng(2).standard_normal(5000)
+    found = rounding(values[::10, None], [values[:1000:10, None]], [state(values)])
+    np.testing.assert_array_equal([found.step, found.of_rest, found.common_u], np.zeros((3, 1)))
+
+
+@pytest.mark.parametrize(("noise", "expected"), [(0.0, 0.2887), (0.1, 0.1866), (0.2, 0.1023), (0.3, 0.0381)])
+def test_the_error_of_a_mean_is_what_is_said(noise: float, expected: float) -> None:
+    """40 sets of 26 rests; a root mean square has a standard error of 2 %. The noise that is found is uncertain, and
+    the error follows it steeply."""
+    rng = np.random.default_rng(3)
+    sets = [rounded(noise, rng) for _ in range(40)]
+    seen = np.sqrt(np.mean([errors**2 for _, errors in sets])) / STEP
+    white = noise / np.sqrt(BLOCKS * SIZE)
+    assert np.sqrt(seen**2 - white**2) == pytest.approx(expected, rel=0.12)
+    said = np.median([found.of_rest[0] for found, _ in sets]) / STEP
+    assert said == pytest.approx(expected, rel=0.3)
+    assert np.median([found.noise[0] for found, _ in sets]) / STEP == pytest.approx(noise, abs=0.03)
+
+
+def test_what_is_common_is_at_most_that_of_no_noise_and_forgotten_from_half_a_step_on() -> None:
+    """Without noise LSB/√12; at a fifth of a step LSB e^(−2π²σ²/LSB²)/π = 0.145 LSB."""
+    rng = np.random.default_rng(4)
+    silent, some, loud = (rounded(noise, rng)[0] for noise in (0.0, 0.2, 0.7))
+    assert silent.common_u[0] == pytest.approx(STEP / np.sqrt(12.0))
+    relative = some.noise[0] / some.step[0]
+    assert some.common_u[0] == pytest.approx(STEP * np.exp(-2.0 * np.pi**2 * relative**2) / np.pi, rel=1e-4)
+    assert loud.common_u[0] == 0.0
+    assert loud.of_rest[0] < 1e-3 * STEP
+
+
+def test_notes_name_the_channels_that_rounding_limits() -> None:
+    found, _ = rounded(0.0, np.random.default_rng(5))
+    (note,) = rounding_notes({"gyro": found})
+    assert note.startswith("gyro 1: its noise is 0 of its resolution of 247 °/h")
+    assert rounding_notes({"accel": rounded(2.0, np.random.default_rng(6))[0]}) == ()
