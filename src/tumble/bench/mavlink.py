@@ -34,7 +34,9 @@ class Mavlink:
         try:
             self._link: Any = mavutil.mavlink_connection(address, baud=int(baud) if kind != "udp" else 115200)
         except (OSError, ValueError) as error:
-            raise InputError(f"--listen {self.name}: expected mavlink:udp:PORT or mavlink:DEVICE:BAUD: {error}") from None
+            raise InputError(
+                f"--listen {self.name}: expected mavlink:udp:PORT or mavlink:DEVICE:BAUD: {error}"
+            ) from None
         self._seen: set[str] = set()
         self._chosen: str | None = None
         self._first = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -27,21 +27,20 @@ from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
 from tumble.files import FilePath
 from tumble.recording.arrays import session_of_arrays
-from tumble.
-<<<<<<< ours
-recording
-=======
-reduction import exclusion
-from tumble.reduction
->>>>>>> theirs
-.gaps import Gap
+from tumble.recording.gaps import Gap
 from tumble.recording.log import Log
 from tumble.recording.session import Channels, Session, session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.frames import Convention, Frame, convert
+from tumble.sensors.grades import guessed_grade
+from tumble.sensors.parameters import sensor_kind, usual_sizes
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
 DEFAULT_METHOD = "joint"
+Terms = Literal["full", "linear"]
+"""Which parameters: all groups of the table, or bias, scale factor and axis angles alone."""
+MANY_DEGREES = 1e5
+"""Degrees of freedom from which Student's t is the normal distribution."""
 METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
 ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequential": sequential, "scalar": scalar}
 """The pipelines of the paper, which take a number of iterations."""
@@ -54,6 +53,7 @@ def calibrate(
     method: str = ...,
     iterations: int | None = ...,
     frame: Frame = ...,
+    terms: Terms = ...,
     progress: Progress = ...,
 ) -> Calibration: ...
 
@@ -77,6 +77,7 @@ def calibrate(
     method: str = ...,
     iterations: int | None = ...,
     frame: Frame = ...,
+    terms: Terms = ...,
 ) -> Calibration: ...
 
 
@@ -86,12 +87,13 @@ def calibrate(
     method: str = DEFAULT_METHOD,
     iterations: int | None = None,
     frame: Frame = "accelerometer",
+    terms: Terms = "full",
     progress: Progress = Log.chunks,
     **readings: Any,
 ) -> Calibration:
     """Calibrate the device of a session: a `Session`, the path of its folder, or readings in SI as
-    `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2). The
-    result is given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its
+    `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2), `terms`
+    for the method joint: `linear` leaves out what is not bias, scale factor or axis angle. The result is given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its
     outcome; unusable input raises an `InputError`.
 
     >>> import tumble
@@ -104,7 +106,7 @@ def calibrate(
     Convention(frame=frame, block=session.accel_block)
     systematic = _systematic(session)
     observed = inspect_session(session, progress=progress)
-    found = _estimated(observed, estimator, systematic)
+    found = _estimated(observed, estimator, systematic, terms if method == "joint" else "linear")
     provenance = _provenance(observed.sha256)
     if isinstance(found, Outcome):
         return _without_result(observed, method, found, provenance)
@@ -117,15 +119,7 @@ def _given(session: Session | FilePath | None, readings: Mapping[str, Any]) -> S
         return session_of_arrays(**readings)
     if session is None or readings:
         found = ", ".join(readings) or "nothing"
-        beside = "" if session
-<<<<<<< ours
-
-=======
-.gyro_block)
-    segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
-    found
->>>>>>> theirs
- is None else " beside a session"
+        beside = "" if session is None else " beside a session"
         raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
     return session_from(session)
 
@@ -140,23 +134,8 @@ def _estimator(method: str, iterations: int | None) -> Callable[[Observations], 
         raise InputError(f"method: expected one of {known}, found {method!r}")
     if iterations is not None:
         raise InputError(
-            f"iterations: expected none with the method {method!r}, which iterates until nothing 
-<<<<<<< ours
-changes,
-=======
-no_rests(segmentation)
-    reduction = exclusion.without_turns(reduction, match, session.excluded)
-    match = exclusion.without_rests(match, session.excluded)
-    if
->>>>>>> theirs
- found "
-            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take 
-<<<<<<< ours
-a number"
-=======
-segmentation.rests and not session.excluded:
->>>>>>> theirs
-
+            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
+            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
         )
     return METHODS[method]
 
@@ -175,19 +154,35 @@ def _systematic(session: Session) -> Mapping[str, float]:
     return {p.name: p.value for p in passport.parameters}
 
 
+def _usual(session: Session, observations: Observations, terms: Terms) -> tuple[dict[str, float], tuple[str, ...]]:
+    """The usual sizes of the groups beyond the linear model in instruments of this grade, and where the grade is from,
+    as a note; none for the linear model."""
+    if terms == "linear":
+        return {}, ()
+    grade, rests = session.device.grade, observations.rests
+    guessed = grade is None
+    if grade is None:
+        gyro = float(np.median(rests.gyro_noise)) if rests.gyro_noise.size else None
+        grade = guessed_grade(float(np.median(rests.accel_noise)), gyro)
+    said = f"usual sizes of what is not bias, scale or axis angle: those of the grade {grade}"
+    origin = ", guessed from the noise; [device] grade says another" if guessed else ""
+    return usual_sizes(grade, session.device.prior), (said + origin,)
+
+
 def _estimated(
-    observed: Observed, method: Callable[[Observations], Estimate], start: Mapping[str, float]
+    observed: Observed, method: Callable[[Observations], Estimate], start: Mapping[str, float], terms: Terms
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
     observations = observations_for_calibration(observed)
     if isinstance(observations, Outcome):
         return observations
-    observations = replace(observations, start=start)
+    usual, said = _usual(observed.session, observations, terms)
+    observations = replace(observations, start=start, usual=usual, notes=observations.notes + said)
     try:
         return method(observations), observations
     except np.linalg.LinAlgError as error:
-        said = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
-        return Outcome(reasons=(said,))
+        broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
+        return Outcome(reasons=(broken,))
 
 
 def _provenance(log_sha256: str) -> dict[str, str]:
@@ -350,7 +345,7 @@ def _result(
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
     estimate, case = estimate_in(frame, estimate, observations)
     systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
-    seen = np.flatnonzero(estimate.observable)
+    seen, learned = np.flatnonzero(estimate.observable), _learned(estimate)
     parameters = tuple(
         Parameter(
             name=estimate.names[i],
@@ -360,10 +355,12 @@ def _result(
             deviation=float(estimate.values[i]) - systematic[estimate.names[i]]
             if estimate.names[i] in systematic
             else None,
+            dof=_dof(estimate, int(i)),
+            **learned.get(estimate.names[i], {}),
         )
         for i in seen
     )
-    missing = {name.split(".")[0] for name in estimate.unobservable}
+    missing = {sensor_kind(name) for name in outcome.unobservable}
     return Calibration(
         serial=session.device.serial,
         model=session.device.model,
@@ -382,12 +379,47 @@ def _result(
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
         notes=_bridged(observed.gaps)
-        + exclusion.said(session.excluded) + _torn(observations)
+        + _torn(observations)
         + observations.notes
         + _unchecked(estimate)
         + _aligned(case),
         provenance=provenance,
+        groups=estimate.groups,
+        prediction=estimate.prediction,
+        axes=_axes(observations),
+        reference_temperature=_reference(observations),
     )
+
+
+def _axes(observations: Observations) -> dict[str, Array]:
+    """Nominal sensing directions by kind of sensor."""
+    blocks = (observations.accel_block, observations.gyro_block)
+    return {block.kind: block.axes for block in blocks if block is not None}
+
+
+def _reference(observations: Observations) -> float | None:
+    """The temperature, °C, at which parameters have their values: the mean of the rests."""
+    temperature = observations.rests.temperature
+    return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS
+
+
+def _dof(estimate: Estimate, i: int) -> float | None:
+    """Degrees of freedom behind the u of a parameter; None where there are more than matter."""
+    if estimate.degrees is None or estimate.degrees[i] > MANY_DEGREES:
+        return None
+    return float(estimate.degrees[i])
+
+
+def _learned(estimate: Estimate) -> dict[str, dict[str, float]]:
+    """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name."""
+    instrument = estimate.instrument
+    if instrument is None:
+        return {}
+    return {
+        name: {"prior": group.prior * group.widened, "learned": learned}
+        for group in estimate.groups
+        for name, learned in zip(estimate.names[instrument.members[group.name]], group.learned, strict=True)
+    }
 
 
 def _with_magnetometer(calibration: Calibration, session: Session, observations: Observations) -> Calibration:

@@ -37,12 +37,15 @@ from tumble.calibration.results import (
 )
 from tumble.calibration.shown import draw, headline, html, pandas_frame, polars_frame, text_table
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.estimate import Fit, Outcome
+from tumble.estimation.estimate import Fit, GroupFinding, Outcome
+from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
 from tumble.recording.arrays import numbers_of
 from tumble.recording.session import Site
+from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import Frame, Framed, convert, frame_of, triad_axes
 from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -80,6 +83,28 @@ class Calibration:
     notes: tuple[str, ...] = ()
     launches: tuple[Launch, ...] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)
+    groups: tuple[GroupFinding, ...] = ()
+    """What the session says of the groups of parameters beyond the linear model."""
+    prediction: Prediction | None = None
+    """What corrected readings are known to."""
+    axes: Mapping[str, Array] = field(default_factory=dict)
+    """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
+    reference_temperature: float | None = None
+    """°C, at which parameters that change with temperature have their values."""
+
+    @property
+    def compensator(self) -> Compensator:
+        """What corrects readings: the whole model. Raises CalibrationError without accelerometers."""
+        if self.accel is None:
+            raise CalibrationError("calibration: expected one with accelerometers, found none")
+        accel = Block(kind="accel", axes=self._axes("accel", self.accel))
+        gyro = None if self.gyro is None else Block(kind="gyro", axes=self._axes("gyro", self.gyro))
+        values = {p.name: p.value for p in self.parameters if not p.name.startswith("mag.")}
+        models = self.accel, self.gyro
+        return Compensator.of((accel, gyro), models, values, self.reference_temperature)
+
+    def _axes(self, kind: str, model: SensorModel) -> Array:
+        return self.axes[kind] if kind in self.axes else _nominal_axes(model)
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -143,6 +168,17 @@ class Calibration:
         except InputError as error:
             raise CalibrationError(str(error)) from error
 
+    def _with_further(self, kind: str, content: dict[str, Any] | None) -> dict[str, Any] | None:
+        """The model of a kind of sensor, and beside it the values of the groups beyond it."""
+        if content is None:
+            return None
+        further = {}
+        for group in self.groups:
+            members = [p for p in self.parameters if group_name(p.name) == group.name]
+            if group.kept and sensor_kind(group.name) == kind and members:
+                further[group.name.partition(".")[2]] = {p.name.split(".", 2)[-1]: p.value for p in members}
+        return content | further
+
     def write(self, path: FilePath, *, force: bool = False) -> None:
         """Write the calibration file, whole or not at all. An existing file is replaced only if it came from the
         same log by the same method, or with `force`."""
@@ -179,14 +215,14 @@ class Calibration:
             "frame": self.frame,
             "parameters": [parameter_content(p) for p in self.parameters],
             "covariance": None if self.covariance is None else self.covariance.tolist(),
-            "accel": _model_content(self.accel, "m/s^2"),
-            "gyro": _model_content(self.gyro, "rad/s"),
+            "accel": self._with_further("accel", _model_content(self.accel, "m/s^2")),
+            "gyro": self._with_further("gyro", _model_content(self.gyro, "rad/s")),
             "mag": _model_content(self.mag, self["mag.bias.x"].unit if self.mag is not None else ""),
-            "outcome": {
-                "accepted": self.outcome.accepted,
-                "reasons": list(self.outcome.reasons),
-                "unobservable": list(self.outcome.unobservable),
-            },
+            "outcome": self.outcome.content(),
+            "groups": [_group_content(group) for group in self.groups],
+            "prediction": None if self.prediction is None else asdict(self.prediction),
+            "axes": {kind: axes.tolist() for kind, axes in self.axes.items()},
+            "temperature": {"reference": self.reference_temperature},
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],
@@ -212,6 +248,23 @@ class Calibration:
             ],
             "provenance": dict(self.provenance),
         }
+
+
+def _group_content(group: GroupFinding) -> dict[str, Any]:
+    return {
+        "name": group.name,
+        "kept": group.kept,
+        "prior": group.prior,
+        "prior_widened": group.widened,
+        "learned": list(group.learned),
+    }
+
+
+def _nominal_axes(model: SensorModel) -> Array:
+    """Nominal axes of a model of which they are not known: the body axes of a triad, else the axes themselves."""
+    if len(model.bias) == 3:
+        return triad_axes(model.matrix)
+    return np.asarray(model.matrix / np.linalg.norm(model.matrix, axis=1, keepdims=True))
 
 
 def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> Array:
@@ -386,10 +439,11 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         accel=model(content["accel"]),
         gyro=model(content["gyro"]),
         mag=model(content.get("mag")),
-        outcome=Outcome(
-            reasons=tuple(map(text_from, outcome["reasons"])),
-            unobservable=tuple(map(text_from, outcome.get("unobservable", ()))),
-        ),
+        outcome=_outcome_from(outcome),
+        groups=tuple(_group_from(group) for group in content.get("groups", ())),
+        prediction=optional(_prediction_from, content.get("prediction")),
+        axes={kind: np.array(axes, float) for kind, axes in content.get("axes", {}).items()},
+        reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
         iterations=tuple(
             {text_from(p["name"]): float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]
         ),
@@ -414,4 +468,32 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
             for launch in content.get("launches", ())
         ),
         provenance={text_from(key): text_from(value) for key, value in content["provenance"].items()},
+    )
+
+
+def _outcome_from(content: Mapping[str, Any]) -> Outcome:
+    """The outcome of the file; before there were verdicts it had reasons alone."""
+    if "verdict" in content:
+        return Outcome.from_content(content)
+    return Outcome(
+        reasons=tuple(map(text_from, content["reasons"])),
+        unobservable=tuple(map(text_from, content.get("unobservable", ()))),
+    )
+
+
+def _group_from(content: Mapping[str, Any]) -> GroupFinding:
+    return GroupFinding(
+        name=text_from(content["name"]),
+        kept=bool(content["kept"]),
+        prior=float(content["prior"]),
+        widened=float(content["prior_widened"]),
+        learned=tuple(map(float, content["learned"])),
+    )
+
+
+def _prediction_from(content: Mapping[str, Any]) -> Prediction:
+    return Prediction(
+        force_u=float(content["force_u"]),
+        rate_u=optional(float, content["rate_u"]),
+        at_rate=optional(float, content["at_rate"]),
     )

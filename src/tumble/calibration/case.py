@@ -24,13 +24,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from tumble.errors import InputError
 from tumble.estimation.estimate import Estimate
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis
-from tumble.sensors.frames import Alignment, Frame, convert
+from tumble.sensors.frames import Alignment, Frame, carried_further, convert
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array, IntArray
 
@@ -263,27 +264,35 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         return estimate, None
     if frame == "case":
         found = case_of(observations, _verticals_of_rests(estimate, observations), estimate.gyro)
+    linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
     framed = convert(
         accel,
         None if estimate.gyro is None else observations.gyro_block,
         source="accelerometer",
-        values=estimate.values,
-        covariance=estimate.covariance,
+        values=estimate.values[:linear],
+        covariance=estimate.covariance[:linear, :linear],
         target=frame,
         alignment=None if found is None else found.alignment,
     )
     assert framed.covariance is not None
     unseen = set(estimate.unobservable)
+    names = framed.names + estimate.names[linear:]
+    further = np.eye(len(estimate.names) - linear)
+    if estimate.instrument is not None:
+        further = carried_further(estimate.instrument, framed.rotation)
+    jacobian = block_diag(framed.jacobian, further)
+    covariance = jacobian @ estimate.covariance @ jacobian.T
+    covariance[: len(framed.names), : len(framed.names)] = framed.covariance
     moved = replace(
         estimate,
-        names=framed.names,
-        units=framed.units,
-        values=framed.values,
-        covariance=framed.covariance,
-        observable=np.array([name not in unseen for name in framed.names]),
+        names=names,
+        units=framed.units + estimate.units[linear:],
+        values=np.append(framed.values, further @ estimate.values[linear:]),
+        covariance=covariance,
+        observable=np.array([name not in unseen for name in names]),
         accel=framed.accel,
         gyro=framed.gyro,
-        increments=tuple(framed.jacobian @ step for step in estimate.increments),
+        increments=tuple(jacobian @ step for step in estimate.increments),
     )
     return moved, found
 

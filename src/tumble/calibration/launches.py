@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from tumble.calibration.calibrate import DEFAULT_METHOD, calibrate
+from tumble.calibration.calibrate import DEFAULT_METHOD, Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
@@ -48,6 +48,7 @@ def calibrate_launches(
     method: str = DEFAULT_METHOD,
     iterations: int | None = None,
     frame: Frame = "accelerometer",
+    terms: Terms = "full",
     progress: Progress = Log.chunks,
 ) -> Calibration:
     """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`.
@@ -63,7 +64,9 @@ def calibrate_launches(
     runs = [
         Run(
             session=session,
-            calibration=calibrate(session, method=method, iterations=iterations, frame=frame, progress=progress),
+            calibration=calibrate(
+                session, method=method, iterations=iterations, frame=frame, terms=terms, progress=progress
+            ),
         )
         for session in map(session_from, sessions)
     ]

@@ -20,6 +20,7 @@ from tumble.files import FilePath
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session, session_from
+from tumble.reduction import exclusion
 from tumble.reduction.blocks import Reduction, reduce_log
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.observations import Observations, observe
@@ -71,6 +72,7 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
     faults = recording_faults(reduction, session)
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+        segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
         observations = _observed(session, reduction, segmentation.rests)
         trial = observations
         if trial is None and not faults:
@@ -106,6 +108,9 @@ def observations_for_calibration(observed: Observed) -> Observations | Outcome:
     match = match_rests(session, observed.reduction, observed.segmentation)
     if not match.rests:
         return no_rests(observed.segmentation)
-    if observed.observations is not None and match.rests == observed.segmentation.rests:
+    reduction = exclusion.without_turns(observed.reduction, match, session.excluded)
+    match = exclusion.without_rests(match, session.excluded)
+    whole = match.rests == observed.segmentation.rests and not session.excluded
+    if observed.observations is not None and whole:
         return replace(observed.observations, programme=match.programme, position=match.position)
-    return observe(observed.reduction, match, session.accel_block, session.gyro_block, session.site)
+    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)

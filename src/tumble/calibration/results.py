@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import erfc, inf, isfinite, sqrt
 from typing import Any, TypeVar
 
 import numpy as np
+from scipy.special import stdtrit
 
 from tumble.estimation.estimate import Fit
 from tumble.recording.session import Site
@@ -30,6 +32,22 @@ class Parameter:
     unit: str
     deviation: float | None = None
     run_to_run: float | None = None
+    dof: float | None = None
+    """Degrees of freedom with which u was estimated; None where the noise is known."""
+    prior: float | None = None
+    """Standard deviation of what was known before, where that is of any weight."""
+    learned: float | None = None
+    """How much of the prior's variance the session has taken off, 0 to 1."""
+
+    @property
+    def k(self) -> float:
+        """The coverage factor of U = k u, of 95.45 %: Student's t for `dof`."""
+        return coverage_factor(inf if self.dof is None else self.dof)
+
+
+def coverage_factor(degrees: float) -> float:
+    """t₉₅.₄₅(ν): within ±k u lies the true value in 95.45 of 100 cases, u being estimated with ν degrees of freedom."""
+    return float(-stdtrit(degrees, 0.5 * erfc(sqrt(2.0)))) if isfinite(degrees) else 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -99,7 +117,13 @@ class Launch:
 def parameter_content(parameter: Parameter) -> dict[str, Any]:
     """A parameter as the file has it."""
     content = {"name": parameter.name, "value": parameter.value, "u": parameter.u, "unit": parameter.unit}
-    more = {"deviation": parameter.deviation, "run_to_run": parameter.run_to_run}
+    more = {
+        "deviation": parameter.deviation,
+        "run_to_run": parameter.run_to_run,
+        "learned": parameter.learned,
+        "dof": parameter.dof,
+    }
+    content |= {"prior": parameter.prior, "k": parameter.k}
     return content | {key: value for key, value in more.items() if value is not None}
 
 
@@ -138,6 +162,9 @@ def parameter_from(content: Mapping[str, Any]) -> Parameter:
         unit=text_from(content["unit"]),
         deviation=optional(float, content.get("deviation")),
         run_to_run=optional(float, content.get("run_to_run")),
+        dof=optional(float, content.get("dof")),
+        prior=optional(float, content.get("prior")),
+        learned=optional(float, content.get("learned")),
     )
 
 

@@ -12,6 +12,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, METHOD_NAME
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
+    from tumble.calibration.calibrate import Terms
     from tumble.sensors.frames import Frame
 
 
@@ -28,6 +29,13 @@ if TYPE_CHECKING:
 )
 @click.option("--iterations", type=click.IntRange(min=1), help="Passes of sequential and scalar; default 2.")
 @click.option("--frame", type=click.Choice(FRAMES), default=FRAMES[0], show_default=True, help="Of the result.")
+@click.option(
+    "--terms",
+    type=click.Choice(["full", "linear"]),
+    default="full",
+    show_default=True,
+    help="Of joint: all groups of parameters, or bias, scale factor and axis angles alone.",
+)
 @click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
 @click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
@@ -36,6 +44,7 @@ def calibrate(
     methods: tuple[str, ...],
     iterations: int | None,
     frame: Frame,
+    terms: Terms,
     out: Path | None,
     force: bool,
     truth: Path | None,
@@ -58,7 +67,9 @@ def calibrate(
     known = read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
     result, *others = (
-        calibrate_launches(described, method=method, iterations=iterations, frame=frame, progress=with_progress)
+        calibrate_launches(
+            described, method=method, iterations=iterations, frame=frame, terms=terms, progress=with_progress
+        )
         for method in dict.fromkeys(methods)
     )
     target = out or Path(described[0].name) / "calibration.json"

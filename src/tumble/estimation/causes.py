@@ -374,7 +374,7 @@ def _products(session: _Session) -> Iterator[_Columns]:
     about = session.linearised.about
     for kind, block in _kinds(session):
         first = 0 if kind == "accel" else session.accel.size
-        chosen = [b for b, (k, l) in enumerate(PAIRS, start=PRODUCTS.start) if k != l or kind == "gyro"]
+        chosen = [b for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start) if k != other or kind == "gyro"]
         beta = functions(block, session.force, session.rate)[:, 0, chosen]
         q = block.size * len(chosen)
         rest, turn = session.nothing(q)
@@ -401,9 +401,9 @@ def _products(session: _Session) -> Iterator[_Columns]:
 def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Columns]:
     """What only turns show."""
     n, m = gyro.size, session.accel.size
-    square = about.moments.body_W[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
+    square = about.moments.body_rates[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
     rest, turn = session.nothing(n)
-    for by, rows in ((about.by_phi, slice(0, 3)), (about.by_V, slice(3, 6))):
+    for by, rows in ((about.by_phi, slice(0, 3)), (about.by_velocity, slice(3, 6))):
         turn[:, rows] = np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square)
     yield _Columns(
         name="gyro nonlinearity",
@@ -585,7 +585,7 @@ def _lost(session: _Session, projection: Projection) -> Cause:
     turned = about.moments.Phi[..., RATE]
     path = np.einsum("kipp->ki", turned)
     axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
-    size = np.sqrt(about.moments.body_W[:, [0, 3, 5]].sum(axis=1))
+    size = np.sqrt(about.moments.body_rates[:, [0, 3, 5]].sum(axis=1))
     turn[:, :3, 0] = size[:, None] * axis
     return Cause(
         name="lost samples",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +59,10 @@ class Device:
     serial: str
     model: str | None
     systematic: Path | None
+    grade: str | None = None
+    """The class of instrument, where the session says it."""
+    prior: Mapping[str, float] = field(default_factory=dict)
+    """Standard deviations, SI, of groups of parameters, where the data sheet gives them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -348,6 +352,8 @@ def _session(document: SessionDocument, folder: Path | None) -> Session:
             serial=device.serial,
             model=device.model,
             systematic=None if device.systematic is None else place / device.systematic,
+            grade=device.grade,
+            prior=device.priors(),
         ),
         site=_site(document.site),
         log=_log(document.log, place),

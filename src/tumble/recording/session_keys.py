@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
 from tumble.recording.dialect import DELIMITERS, Dialect
+from tumble.sensors.parameters import prior_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TIME_UNITS, Array, Unit
 
 CLOCK = "iso8601"
@@ -47,6 +48,27 @@ class DeviceTable(SessionTable):
     serial: str = Field(min_length=1, description="the serial number, a string that is not empty")
     model: str | None = Field(default=None, description="a string")
     systematic: str | None = Field(default=None, min_length=1, description="the path of a calibration file")
+    grade: Literal["navigation", "tactical", "mems", "consumer"] | None = Field(
+        default=None, description="one of navigation, tactical, mems, consumer"
+    )
+    prior: dict[str, str | dict[str, str]] = Field(
+        default_factory=dict, description='standard deviations such as accel_quadratic = "20 ug/g^2"'
+    )
+
+    def priors(self) -> dict[str, float]:
+        """Standard deviations, SI, by group. Raises ValueError for a group or a unit that is not known."""
+        found: dict[str, float] = {}
+        for key, value in self.prior.items():
+            if isinstance(value, str):
+                found |= [prior_of(key, value)]
+            else:
+                found |= [prior_of(f"{key}.{of}", each) for of, each in value.items()]
+        return found
+
+    @model_validator(mode="after")
+    def _check_prior(self) -> Self:
+        self.priors()
+        return self
 
 
 class SiteTable(SessionTable):

@@ -35,6 +35,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.rotation import skew
+from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.units import Array, IntArray
 
@@ -309,6 +310,18 @@ def convert(
         jacobian=jacobian,
         rotation=Q,
     )
+
+
+def carried_further(instrument: Instrument, Q: Array) -> Array:
+    """Derivative (q, q) of the parameters beyond the linear model in a frame turned by Q, M′ = M Q, with those before:
+    rows of g-sensitivity turn as those of M, lever arms as vectors. All others belong to the sensors alone."""
+    out = np.eye(len(instrument.names) - instrument.linear_count)
+    for name, members in instrument.members.items():
+        if name in ("gyro.g_sensitivity", "accel.lever"):
+            first = members.start - instrument.linear_count
+            for row in range(first, members.stop - instrument.linear_count, 3):
+                out[row : row + 3, row : row + 3] = Q.T
+    return out
 
 
 def _rotation(new: Convention, accel: SensorModel, source: Frame, alignment: Alignment | None) -> Array:

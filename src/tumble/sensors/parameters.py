@@ -16,6 +16,7 @@ Source of the groups: dynamics method, Eqs. (1), (2) and A7; of their usual size
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -331,6 +332,39 @@ def limits_of(parameters: Iterable[str]) -> Array:
     """How far from nominal parameters of these names may reasonably be, SI."""
     by_name = {group.name: group.limit for group in groups()}
     return np.array([by_name[group_name(parameter)] for parameter in parameters])
+
+
+def usual_sizes(grade: str, prior: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Standard deviations, SI, by group of the groups beyond the linear model in instruments of a grade, or those of
+    a data sheet (`prior`)."""
+    return {group.name: group.usual[grade] for group in FURTHER if grade in group.usual} | dict(prior or {})
+
+
+def prior_of(key: str, text: str) -> tuple[str, float]:
+    """The group of a key of [device.prior], such as "accel_quadratic" or "accel_temperature.bias", and the standard
+    deviation, SI, of a text such as "20 ug/g^2". Raises ValueError, one line, for a group or a unit that is none."""
+    stem, _, of = key.partition(".")
+    kind, _, what = stem.partition("_")
+    name = f"{kind}.{of}.{'t1' if what == 'temperature' else what}" if of else f"{kind}.{what}"
+    group = next((group for group in groups() if group.name == name and not group.linear), None)
+    if group is None:
+        known = ", ".join(g.name.replace(".", "_") for g in FURTHER if g.base is None)
+        raise ValueError(
+            f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_drift, gyro_drift"
+        )
+    number = re.match(r"\s*(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
+    unit = text[number.end() :].strip() if number else ""
+    units = {_plain(shown): size for size, shown in group.shown} | {group.unit: 1.0}
+    if number is None or _plain(unit) not in units or float(number.group()) <= 0.0:
+        raise ValueError(f"{key}: expected a positive number and one of {', '.join(units)}, found {text!r}")
+    return group.name, float(number.group()) * units[_plain(unit)]
+
+
+def _plain(unit: str) -> str:
+    """A unit as it is typed: ug/g^2 for µg/g², deg/s/g for °/s/g, mg/K for mg/°C."""
+    for shown, typed in (("/°C", "/K"), ("µ", "u"), ("²", "^2"), ("³", "^3"), ("°", "deg")):
+        unit = unit.replace(shown, typed)
+    return unit
 
 
 def positions_by_group(parameters: Iterable[str]) -> dict[str, list[int]]:
