@@ -3,6 +3,7 @@ rest is known, and the estimate. Everything of the chain that the bench uses is 
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from tumble.reduction.exclusion import without_rests, without_times
 from tumble.reduction.matching import Match
 from tumble.reduction.observations import observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+from tumble.sensors.parameters import usual_sizes
 from tumble.units import Array
 
 _ZERO_CELSIUS = 273.15
@@ -52,8 +54,10 @@ class Known:
 class Chain:
     """The chain of a session whose log grows, of one file."""
 
-    def __init__(self, session: Session, interval: float) -> None:
+    def __init__(self, session: Session, interval: float, grade: str) -> None:
+        """`grade` is that of the unit where the session does not say one."""
         log = session.log
+        self._grade = session.device.grade or grade
         self.session = session
         increments = tuple(c is not None and c.unit.kind == "increment" for c in (log.accel, log.gyro))
         self._reducer = Reducer(
@@ -128,11 +132,12 @@ class Chain:
         if len(match.rests) < 2:
             return None
         session = self.session
-        try:
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                return joint(observe(reduction, match, session.accel_block, session.gyro_block, session.site))
-        except np.linalg.LinAlgError:
-            return None
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+            for usual in (usual_sizes(self._grade, session.device.prior), {}):  # few rests bear the linear model alone
+                with contextlib.suppress(np.linalg.LinAlgError):
+                    return joint(replace(found, usual=usual))
+        return None
 
 
 def _from(file: FileBlocks, first: int) -> FileBlocks:

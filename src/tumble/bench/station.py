@@ -42,7 +42,7 @@ from tumble.bench.follow import BRIDGED, Clock, Follower
 from tumble.bench.intake import Intake
 from tumble.bench.sources import Source
 from tumble.bench.watch import Watch
-from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, wishes
+from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, rest_wishes, wishes
 from tumble.errors import TumbleError
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate
 from tumble.programme.positions import ANY_MOVE, Programme, from_attitudes
@@ -77,6 +77,11 @@ class Judged:
     nothing_more: bool
 
 
+_NO_ESTIMATE: dict[str, Any] = {
+    "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "seconds": 0.0
+}  # fmt: skip
+
+
 class Station:
     """A bench: `listen` makes the source of what is recorded, None where another program writes the log."""
 
@@ -85,6 +90,7 @@ class Station:
     ) -> None:
         self.folder, self._listen, self._texts, self._grade = folder, listen, wanted, grade
         self.wanted = wishes(wanted, grade)
+        self.rest_wanted = rest_wishes(self.wanted, grade)
         self._changed = threading.Condition()
         self._guard = threading.RLock()
         self._stop = threading.Event()
@@ -176,7 +182,7 @@ class Station:
             if samples is None or self._clock.interval is None:
                 continue
             if self._chain is None:
-                self._chain = Chain(self.session, self._clock.interval)
+                self._chain = Chain(self.session, self._clock.interval, self._grade)
                 self._watches = self._new_watches(self._clock.interval)
             accel, gyro = self._chain.feed(samples)
             self._samples += len(samples.time)
@@ -272,9 +278,9 @@ class Station:
         seconds = rest.stop - rest.start
         if known is None:
             return Judged(known=None, left=None, enough=False, nothing_more=False)
-        over = known.accel / self.wanted["accel.bias"]
+        over = known.accel / self.rest_wanted[0]
         if known.gyro is not None:
-            over = max(over, known.gyro / self.wanted["gyro.bias"])
+            over = max(over, known.gyro / self.rest_wanted[1])
         left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
         flat = known.twice > NOTHING_MORE and seconds > 10.0
         return Judged(known=known, left=left, enough=left <= 0.0 or flat, nothing_more=flat)
@@ -309,7 +315,7 @@ class Station:
             "session": self.folder.name,
             "listening": intake is not None and not intake.ended,
             "received": {
-                "source": "the log of another program" if intake is None else intake.source,
+                "source": self._source_name(),
                 "samples": self._samples,
                 "rate": None if self._clock.interval is None else 1.0 / self._clock.interval,
                 "lost": self._lost,
@@ -329,6 +335,11 @@ class Station:
             "excluded": len(self.session.excluded) + len(self._cut),
             "table": hasattr(self.intake.source, "knock") if self.intake is not None else False,
         }
+
+    def _source_name(self) -> str:
+        if self.intake is not None:
+            return self.intake.source.name
+        return "the log of another program" if self._listen is None else "recording has stopped"
 
     def _where(self, groups: list[list[Rest]], current: Rest | None) -> dict[str, Any]:
         """Which position the unit is in, or is to be in next."""
@@ -399,9 +410,9 @@ class Station:
                 "seconds": current.stop - current.start,
                 "left": judged.left,
                 "u": None if known is None else known.accel / G_STANDARD * 1e6,
-                "wanted": self.wanted["accel.bias"] / G_STANDARD * 1e6,
+                "wanted": self.rest_wanted[0] / G_STANDARD * 1e6,
                 "gyro_u": None if known is None or known.gyro is None else known.gyro / DEGREE * 3600.0,
-                "gyro_wanted": self.wanted["gyro.bias"] / DEGREE * 3600.0,
+                "gyro_wanted": self.rest_wanted[1] / DEGREE * 3600.0,
                 "drift": float(np.abs(drift).max()) / G_STANDARD * 1e6,
                 "settling": settling,
                 "nothing_more": judged.nothing_more,
@@ -537,10 +548,10 @@ class Station:
         began = time.monotonic()
         estimate = chain.estimate(reduction, spans, excluded)
         if estimate is None:
-            return {"rests": len(spans), "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": ""}
+            return _NO_ESTIMATE | {"rests": len(spans)}
         found = reached(estimate, self.wanted)
         site, wanted = self.session.site, self.wanted
-        left = gains(estimate, wanted, self.session.accel_block, wanted["accel.bias"], site.gravity)
+        left = gains(estimate, wanted, self.session.accel_block, self.rest_wanted[0], site.gravity)
         best = int(np.argmin(left))
         return {
             "rests": len(spans),
@@ -700,11 +711,13 @@ class Station:
         """Block means from number `since` on, at most the last minute: s, m/s² and °/s."""
         blocks = self._blocks
         if blocks is None:
-            return {"next": 0, "t": [], "a": [], "g": []}
-        first = max(since if since <= len(blocks) else 0, len(blocks) - _TRACE)
+            return {"next": 0, "anew": True, "t": [], "a": [], "g": []}
+        anew = since == 0 or since > len(blocks)
+        first = max(0 if anew else since, len(blocks) - _TRACE)
         rate = blocks.rate
         return {
             "next": len(blocks),
+            "anew": anew,
             "t": np.round(blocks.edges[first + 1 : len(blocks) + 1], 3).tolist(),
             "a": np.round(blocks.force[first:].T, 5).tolist(),
             "g": [] if rate is None else np.round(rate[first:].T / DEGREE, 4).tolist(),

@@ -15,18 +15,28 @@ from tumble.sensors.grades import Grade, grade
 from tumble.sensors.model import Block
 from tumble.units import Array, engineering
 
-PART_OF_SPREAD = 1e-2
+PART_OF_SPREAD = 0.05
 """What a calibration is to leave of the errors before it, where the noise of the grade allows that."""
+PART_OF_WISH = 0.2
+"""Of the wanted u of a bias: what the noise of one rest may leave."""
 _REST = 60.0
 _MORE = 5
 
 
 def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
     """Wanted standard uncertainties, SI, by group: those in texts such as "gyro.scale=2ppm" and, for the others, of the
-    grade: a hundredth of its errors before calibration or, where that is more, what a minute of its noise leaves."""
+    grade: a twentieth of its errors before calibration or, where that is more, what a minute of its noise leaves."""
     kind = grade(grade_name)
     stated = wanted_of(texts, None, Setup.of(grade=grade_name)) if texts else {}
     return _of_grade(kind) | stated
+
+
+def rest_wishes(wanted: Mapping[str, float], grade_name: str) -> tuple[float, float]:
+    """Wanted u of the mean of a rest, m/s² and rad/s: a fifth of that of the biases or, where that is more, what a
+    minute of the noise of the grade leaves."""
+    noise = grade(grade_name).noise
+    accel = max(PART_OF_WISH * wanted["accel.bias"], noise.accel_white / _REST**0.5)
+    return accel, max(PART_OF_WISH * wanted["gyro.bias"], noise.gyro_white / _REST**0.5)
 
 
 def _of_grade(kind: Grade) -> dict[str, float]:
@@ -52,45 +62,51 @@ class Reached:
     group: str
     unit: str
     u: float
-    wanted: float | None
+    wanted: float
     determined: bool
 
     @property
     def enough(self) -> bool:
         """Whether the wanted u is reached."""
-        return self.wanted is None or (self.determined and self.u <= self.wanted)
+        return self.determined and self.u <= self.wanted
 
     def shown(self) -> dict[str, object]:
         """For the page: numbers in the unit that is shown."""
-        size, unit = engineering(self.unit, self.wanted or self.u)
+        size, unit = engineering(self.unit, self.wanted)
         return {
             "group": self.group,
             "unit": unit,
             "u": self.u / size,
-            "wanted": None if self.wanted is None else self.wanted / size,
+            "wanted": self.wanted / size,
             "determined": self.determined,
             "enough": self.enough,
         }
 
 
 def reached(estimate: Estimate, wanted: Mapping[str, float]) -> tuple[Reached, ...]:
-    """What of the wishes an estimate reaches, by group in the order of its parameters."""
+    """What of the wishes an estimate reaches, by group in the order of its parameters; other groups are passed over."""
     names: dict[str, list[int]] = {}
     for i, name in enumerate(estimate.names):
-        group = ".".join(name.split(".")[:2])
-        names.setdefault(group, []).append(i)
+        names.setdefault(_group(name), []).append(i)
     u = estimate.u
     return tuple(
         Reached(
             group=group,
             unit=estimate.units[rows[0]],
             u=float(u[rows].max()),
-            wanted=wanted.get(group),
+            wanted=wanted[group],
             determined=bool(estimate.observable[rows].all()),
         )
         for group, rows in names.items()
-        if group in wanted or estimate.observable[rows].any()
+        if group in wanted
     )
+
+
+def _group(name: str) -> str:
+    """The group of a parameter: "gyro.bias" of gyro.bias.x, "gyro.bias.t1" of gyro.bias.x.t1."""
+    first, *_, last = parts = name.split(".")
+    change = [last] if last in ("t1", "t2", "drift") else []
+    return ".".join([first, parts[1], *change])
 
 
 def better_by(rests: int) -> float:
@@ -109,7 +125,7 @@ def gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u:
     row of the covariance of the estimate, without what its turn would tell of the gyros."""
     rows = [estimate.names.index(name) for name in block.names]
     C = estimate.covariance[np.ix_(rows, rows)]
-    weight = np.array([wanted.get(".".join(name.split(".")[:2]), np.inf) for name in block.names])
+    weight = np.array([wanted.get(_group(name), np.inf) for name in block.names])
     before = float(np.sqrt((np.diag(C) / weight**2).sum()))
     J = np.einsum("pn,nkm->pkm", np.linalg.pinv(block.axes), block.jacobian(np.zeros(len(rows))))
     force = np.column_stack([gravity * DIRECTIONS, np.ones(len(DIRECTIONS))])
