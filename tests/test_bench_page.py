@@ -83,10 +83,12 @@ def started(folder: Path, listen: str, *, port: int = 0, host: str = "127.0.0.1"
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[Server]:
     made = started(tmp_path, "simulator:nine@6x")
-    eventually(lambda: made.ask("/")[0] == 200)
-    yield made
-    if made.process.poll() is None:
-        made.end()
+    try:
+        assert made.ask("/")[0] == 200
+        yield made
+    finally:
+        if made.process.poll() is None:
+            made.end()
 
 
 # -------------------- what is refused --------------------
@@ -137,7 +139,7 @@ def test_the_token_is_in_no_log_but_the_link_and_stays_the_same(server: Server, 
 def test_beyond_the_loopback_nothing_is_answered_without_the_token(tmp_path: Path) -> None:
     server = started(tmp_path, "simulator:nine@6x", host="0.0.0.0")
     try:
-        eventually(lambda: server.ask("/", Cookie=server.cookie)[0] == 200)
+        assert server.ask("/", Cookie=server.cookie)[0] == 200
         for path in ("/", "/events", "/assets/bench.js", "/picture/0.svg", "/nothing"):
             assert server.ask(path)[0] == 403
     finally:

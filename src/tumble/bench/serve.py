@@ -59,6 +59,7 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
         bound = socket.socket(family, socket.SOCK_STREAM)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind((host, port))
+        bound.listen(128)
     except OSError as error:
         raise InputError(f"--host {host} --port {port}: expected a free address, found: {error.strerror}") from None
     with bound:
