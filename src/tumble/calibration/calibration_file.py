@@ -58,6 +58,10 @@ if TYPE_CHECKING:
 FORMAT = 1
 
 
+SensingAxes = tuple[tuple[float, ...], ...]
+"""Sensing directions, a row a sensor."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Calibration:
     """The result for one device. `covariance` is in the order of `parameters`; `accel` and `gyro` are None where
@@ -89,7 +93,7 @@ class Calibration:
     """What the session says of the groups of parameters beyond the linear model."""
     prediction: Prediction | None = None
     """What corrected readings are known to."""
-    axes: Mapping[str, Array] = field(default_factory=dict)
+    axes: Mapping[str, SensingAxes] = field(default_factory=dict)
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     reference_temperature: float | None = None
     """°C, at which parameters that change with temperature have their values."""
@@ -106,7 +110,7 @@ class Calibration:
         return Compensator.of((accel, gyro), models, values, self.reference_temperature)
 
     def _axes(self, kind: str, model: SensorModel) -> Array:
-        return self.axes[kind] if kind in self.axes else _nominal_axes(model)
+        return np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -124,11 +128,13 @@ class Calibration:
         return html(self)
 
     def table(self) -> str:
-        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text."""
+        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
+        there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
         return text_table(self)
 
     def to_polars(self) -> pl.DataFrame:
-        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run."""
+        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
+        the coverage factor k, dof, prior and learned."""
         return polars_frame(self)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -137,7 +143,7 @@ class Calibration:
 
     def plot(self, axes: Axes) -> None:
         """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
-        as a band; without rests the parameters in units of their uncertainty."""
+        as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
         draw(self, axes)
 
     def apply(
@@ -250,7 +256,7 @@ class Calibration:
             "outcome": self.outcome.content(),
             "groups": [_group_content(group) for group in self.groups],
             "prediction": None if self.prediction is None else asdict(self.prediction),
-            "axes": {kind: axes.tolist() for kind, axes in self.axes.items()},
+            "axes": {kind: [list(axis) for axis in axes] for kind, axes in self.axes.items()},
             "temperature": {"reference": self.reference_temperature},
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
@@ -406,7 +412,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         outcome=_outcome_from(outcome),
         groups=tuple(_group_from(group) for group in content.get("groups", ())),
         prediction=optional(_prediction_from, content.get("prediction")),
-        axes={kind: np.array(axes, float) for kind, axes in content.get("axes", {}).items()},
+        axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
         iterations=tuple(
             {text_from(p["name"]): float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]
