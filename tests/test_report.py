@@ -679,8 +679,8 @@ def test_launches_stand_beside_each_other(session: Path, tmp_path: Path) -> None
     rows = page.table("parameter", "one", "two", "run to run")
     for row, p, q in zip(rows, content["launches"][0]["parameters"], content["launches"][1]["parameters"], strict=True):
         size = SIZES[row["unit"]]
-        for text, own in ((row["one"], p), (row["two"], q)):  # a U of 100 and more has no digit of its own behind 10
-            last = max(last_digit(text), 0.1 * own["u"] / size if own["u"] > 50.0 * size else 0.0)
+        for text, own in ((row["one"], p), (row["two"], q)):  # to the second digit of U
+            last = max(last_digit(text), 10.0 ** (np.floor(np.log10(2.0 * own["u"] / size)) - 1.0))
             assert number(text) == pytest.approx(own["value"] / size, abs=0.5001 * last)
     for launch in content["launches"]:
         assert launch["log_sha256"] in page.whole
