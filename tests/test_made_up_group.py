@@ -24,7 +24,7 @@ from tumble.sensors.parameters import FUNCTIONS, PAIRS, PRODUCTS, ParameterGroup
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, scenario_of
-from tumble.simulation.session import simulate_session
+from tumble.simulation.session import read_truth, simulate_session
 from tumble.terminal.calibration import calibration_report
 from tumble.units import Array
 
@@ -123,3 +123,20 @@ def test_it_is_in_file_table_and_report(tmp_path: Path) -> None:
 
 def test_it_has_its_entry() -> None:
     assert group_of(NAMES[0]).words == "accelerometers by the square of the force along X"
+
+
+def test_it_is_in_the_file_the_table_and_the_report(tmp_path: Path) -> None:
+    """Through a session folder and the whole chain."""
+    setup = Setup.of(grade="tactical", programme="cube-14", rest=5.0, rate_deg_s=60.0, sample_rate=50.0, terms="full")
+    folder = simulate_session(tmp_path / "session", setup, seed=3)
+    assert set(NAMES) < set(read_truth(folder / "truth.json"))
+    calibration = calibrate(folder)
+    assert set(NAMES) < {parameter.name for parameter in calibration.parameters}
+    calibration.write(tmp_path / "calibration.json")
+    written = json.loads((tmp_path / "calibration.json").read_text(encoding="utf-8"))
+    assert set(NAMES) < set(json.dumps(written).split('"'))
+    back = read_calibration(tmp_path / "calibration.json")
+    assert set(NAMES) < {parameter.name for parameter in back.parameters}
+    assert NAME in str(calibration.table())
+    write_report(tmp_path / "calibration.json", tmp_path / "report.html")
+    assert NAMES[0] in (tmp_path / "report.html").read_text(encoding="utf-8")

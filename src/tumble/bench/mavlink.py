@@ -43,7 +43,7 @@ class Mavlink:
 
     def read(self, timeout: float) -> bytes:
         out, wait = [], timeout
-        while len(out) < 256 and (message := self._link.recv_match(type=MESSAGES, blocking=True, timeout=wait)):
+        while len(out) < 256 and (message := self._link.recv_match(type=list(MESSAGES), blocking=True, timeout=wait)):
             wait = 0.001
             if self._takes(message.get_type()):
                 out.append(line_of(message))
