@@ -43,7 +43,7 @@ def with_standard(parameter: Parameter, size: float) -> tuple[str, str]:
     if parameter.u is None:
         return significant(parameter.value / size, 6), NONE
     value, u = rounded(parameter.value / size, parameter.u / size)
-    return minus(value), u
+    return minus(value if float(value) else value.lstrip("-")), u
 
 
 def as_value(number: float | None, parameter: Parameter, size: float) -> str:
