@@ -92,7 +92,8 @@ def test_the_command_writes_every_launch_and_needs_out(folders: list[Path], tmp_
     assert "run to run" in done.stdout
 
 
-def test_a_prior_does_not_average_and_a_group_that_one_launch_lacks_is_left_out(runs: list[Run]) -> None:
+def test_a_prior_does_not_average_and_a_group_that_one_launch_lacks_is_left_out(folders: list[Path]) -> None:
+    runs = [Run(session=(s := read_session(f)), calibration=calibrate(s)) for f in folders]
     mean = mean_of_launches(runs)
     fixed = [p for p in mean.parameters if p.prior is not None and "drift" not in p.name]
     for p in fixed:

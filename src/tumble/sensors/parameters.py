@@ -373,7 +373,7 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
         )
     found = _quantity(group, text)
     if found is None or found <= 0.0:
-        raise ValueError(f"{key}: expected a positive number and one of {', '.join(_units(group))}, found {text!r}")
+        raise ValueError(f"{key}: expected a positive number and one of {', '.join(_typed_units(group))}, found {text!r}")
     return group.name, found
 
 
@@ -383,18 +383,18 @@ def quantity_of(group: ParameterGroup, text: str) -> float:
         return quantity(text, group.unit)
     found = _quantity(group, text)
     if found is None:
-        raise ValueError(f"expected a number and one of {', '.join(_units(group))}, found {text!r}")
+        raise ValueError(f"expected a number and one of {', '.join(_typed_units(group))}, found {text!r}")
     return found
 
 
 def _quantity(group: ParameterGroup, text: str) -> float | None:
     number = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     unit = _plain(text[number.end() :].strip()) if number else ""
-    units = _units(group)
+    units = _typed_units(group)
     return float(number.group()) * units[unit] if number is not None and unit in units else None
 
 
-def _units(group: ParameterGroup) -> dict[str, float]:
+def _typed_units(group: ParameterGroup) -> dict[str, float]:
     """What the units are worth that values of a group are given in, SI."""
     return {_plain(shown): size for size, shown in group.shown} | {group.unit: 1.0}
 
