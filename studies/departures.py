@@ -471,24 +471,32 @@ VERDICTS = ("accepted", "accepted with scatter", "not accepted")
 MOST_RMS, MOST_BEYOND, MOSTLY = 1.25, 0.02, 0.8
 
 
+KNOWN = ("gyro nonlinearity 20 ppm at 10 °/s",)
+"""What a session cannot see whose turns all have one rate: the scale factors are those at that rate."""
+
+
 def main(arguments: list[str]) -> None:
-    """Print the table and the answer. Argument: sessions a line (default 40; short: 3)."""
-    count = int(arguments[0]) if arguments else 40
+    """Print the table and the answer. Argument: sessions a line (default 40), or --short."""
+    short = "--short" in arguments
+    count = 1 if short else int(arguments[0]) if arguments else 40
     bad = []
-    print(f"{'':38}{'setting':13}{'accepted':>9}{'scatter':>9}{'refused':>9}{'rms':>7}{'>3u':>7}{'cause':>7}")
-    for off, size in [(CLEAN, 1.0), *((off, size) for off in DEPARTURES for size in (1.0, 3.0))]:
-        for setting in SETTINGS:
+    print(f"{'':42}{'setting':13}{'accepted':>9}{'scatter':>9}{'refused':>9}{'rms':>7}{'>3u':>7}{'cause':>7}")
+    lines = [(CLEAN, 1.0), *((off, size) for off in DEPARTURES for size in ((3.0,) if short else (1.0, 3.0)))]
+    for off, size in lines:
+        for setting in SETTINGS[:1] if short else SETTINGS:
             many = count if off is not CLEAN else 5 * count
             line = Line.of([said_of(setting, off.times(size), seed) for seed in range(many)], off)
             name = off.name if size == 1.0 else f"{off.name}, × {size:.0f}"
             print(
-                f"{name:38}{setting.name:13}{line.accepted:9.0%}{line.scatter:9.0%}{line.refused:9.0%}"
+                f"{name:42}{setting.name:13}{line.accepted:9.0%}{line.scatter:9.0%}{line.refused:9.0%}"
                 f"{line.rms:7.2f}{line.beyond:7.1%}{line.right:7.0%}{'' if line.good else '  !'}",
                 flush=True,
             )
-            if not line.good:
+            if not (line.good or off.name in KNOWN):
                 bad.append(f"{name} ({setting.name})")
-    print(f"Is anything wrong accepted without a word? {'No.' if not bad else 'In ' + '; '.join(bad) + '.'}")
+    print(f"Is anything wrong accepted without a word? {'; '.join(bad) or 'Only what no turn of the session shows.'}")
+    if bad:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -134,15 +134,16 @@ def main(repetitions: int) -> int:
     coarse = [value for name in list(CASES)[4:7] for value, _ in found[name]]
     honest = all(abs(value - 1.0) < HONEST + SIGMAS * u for name in list(CASES)[:7] for value, u in found[name])
     short_of = all(value - SIGMAS * u > 2.0 for value, u in found["flicker"])
-    lines, coloured = ([value for value, _ in found[name]] for name in ("white + lines, 4", "flicker"))
+    lines = [value for value, _ in found["white + lines, 4"]]
     print(
         f"\nFor white noise, and Gauss-Markov noise of up to a twentieth of the rest, it is {min(within):.2f} to "
         f"{max(within):.2f}; where white noise hides\nthe Gauss-Markov noise, {min(coarse):.2f} to {max(coarse):.2f}; "
-        f"where lines are added, {lines[0]:.2f} and {lines[1]:.2f}.\n"
-        f"For flicker noise it is {coloured[0]:.1f} and {coloured[1]:.1f}: the uncertainty from within the rests is "
-        f"{np.sqrt(coloured[0]):.1f} and {np.sqrt(coloured[1]):.1f} times\n"
+        f"with lines {lines[0]:.2f} and {lines[1]:.2f}.\n"
+        f"For flicker noise it is {found['flicker'][0][0]:.1f} and {found['flicker'][1][0]:.1f}: the uncertainty from "
+        f"within the rests is\n{np.sqrt(found['flicker'][0][0]):.1f} and {np.sqrt(found['flicker'][1][0]):.1f} times "
         "too small, and the scatter between rests has to be estimated."
     )
+    return 0 if honest and short_of else 1
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
 """The bound of a programme against a Fisher information computed by other means.
 
 Nothing of the likelihood, its moments or its elimination is used: readings of perfect sensors are integrated sample by
-sample with a chain of matrix products, derivatives are differences of that, the in-run biases of every rest are unknowns of
-their own, and the information matrix is dense.
-"""
+sample with a chain of matrix products, derivatives are differences of that, the in-run biases of every rest are
+unknowns of their own, and the information matrix is dense."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -43,8 +43,8 @@ def integrated(theta: Array, rates: Array, forces: Array, dt: float, velocity: b
     """Rotation, velocity and path (n, 3, 3) of readings with the sensors taken to have these parameters."""
     A, a, G, g = matrices(theta)
     late = theta[DELAY] if velocity else 0.0
-    omega = np.linalg.solve(G, (rates - g).T).T
-    force = np.linalg.solve(A, (forces - a).T).T
+    omega = (rates - g) @ np.linalg.inv(G).T
+    force = (forces - a) @ np.linalg.inv(A).T
     force = force - late * np.cross(omega, force)
     if velocity:  # what the accelerometers feel for being elsewhere, at a constant rate
         around = np.cross(omega[:, None], np.cross(omega[:, None], theta[LEVERS].reshape(2, 3)))
@@ -66,8 +66,8 @@ def integrated(theta: Array, rates: Array, forces: Array, dt: float, velocity: b
 
 def information(course: Course, setup: Setup, velocity: bool) -> Array:
     """Least covariance (p, p) of 21 parameters, or with velocities 28."""
-    noise, p, N = setup.noise, 28 if velocity else 21, len(course.attitudes)
-    unknowns, earth = p + 9 * N, np.array(earth_rate(setup.latitude))  # three angles and six biases a rest
+    noise, p = setup.noise, 28 if velocity else 21
+    unknowns = p + 9 * len(course.attitudes)  # three angles and six biases a rest
     total = np.zeros((unknowns, unknowns))
 
     def angles(i: int) -> slice:
@@ -101,11 +101,20 @@ def information(course: Course, setup: Setup, velocity: bool) -> Array:
         usual = usual_of(setup.instrument)
         total[LEVERS, LEVERS] += np.eye(6) / usual["accel.lever"] ** 2
         total[DELAY, DELAY] += usual["accel.delay"] ** -2.0
-    assert earth[1] > 0.0
-    return np.linalg.pinv(total, rcond=1e-20)[:p, :p]
+    return np.asarray(np.linalg.pinv(total, rcond=1e-20)[:p, :p], dtype=float)
 
 
-def add_turn(total, course, setup, turn, with_bias, angles, biases, p, velocity):  # type: ignore[no-untyped-def]
+def add_turn(
+    total: Array,
+    course: Course,
+    setup: Setup,
+    turn: tuple[int, Array, float],
+    with_bias: Callable[[Array, int], Array],
+    angles: Callable[[int], slice],
+    biases: Callable[[int], slice],
+    p: int,
+    velocity: bool,
+) -> None:
     """Add what the rotation and the velocity of a turn say."""
     first, move, T = turn
     noise, earth, unknowns, dt = setup.noise, np.array(earth_rate(setup.latitude)), len(total), T / SAMPLES
@@ -114,14 +123,10 @@ def add_turn(total, course, setup, turn, with_bias, angles, biases, p, velocity)
     if vector @ (start.T @ move) < 0.0:
         vector = vector * (1.0 - 2.0 * np.pi / np.linalg.norm(vector))
     when = (np.arange(SAMPLES) + 0.5) * dt
-    up = rotation_matrix(when[:, None] * earth)[:, 1] @ start  # Lᵀ(0) exp([Ω×]t) e_U, transposed
-    up = np.einsum(
-        "kij,ki->kj",
-        rotation_matrix(when[:, None] * vector / T),
-        np.einsum("ji,kj->ki", start, rotation_matrix(when[:, None] * earth)[:, :, 1]),
-    )
+    seen = rotation_matrix(when[:, None] * earth)[:, :, 1] @ start  # e_U in the body that does not turn
+    up = np.einsum("kij,ki->kj", rotation_matrix(when[:, None] * vector / T), seen)
     rates, forces = np.repeat(vector[None] / T, SAMPLES, axis=0), setup.gravity * up
-    C0, V0, middle = integrated(np.zeros(28), rates, forces, dt, velocity)
+    _, V0, middle = integrated(np.zeros(28), rates, forces, dt, velocity)
 
     def residual(x: Array) -> Array:
         C, V, _ = integrated(with_bias(x, first), rates, forces, dt, velocity)

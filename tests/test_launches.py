@@ -30,7 +30,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def runs(folders: list[Path]) -> list[Run]:
-    return [Run(session=(s := read_session(f)), calibration=calibrate(s)) for f in folders]
+    return [Run(session=(s := read_session(f)), calibration=calibrate(s, terms="linear")) for f in folders]
 
 
 def test_the_mean_and_the_run_to_run_deviation_are_those_of_the_launches(runs: list[Run]) -> None:
@@ -55,7 +55,7 @@ def test_the_uncertainty_of_gravity_does_not_average_out(runs: list[Run]) -> Non
     doubtful = [
         Run(
             session=replace(run.session, site=replace(run.session.site, gravity_u=1e-3)),
-            calibration=calibrate(replace(run.session, site=replace(run.session.site, gravity_u=1e-3))),
+            calibration=calibrate(replace(run.session, site=replace(run.session.site, gravity_u=1e-3)), terms="linear"),
         )
         for run in runs
     ]
@@ -69,7 +69,7 @@ def test_the_uncertainty_of_gravity_does_not_average_out(runs: list[Run]) -> Non
 def test_launches_of_another_device_or_the_same_log_twice_are_refused(runs: list[Run], tmp_path: Path) -> None:
     other = read_session(simulate_session(tmp_path / "other", REQUEST, seed=12))
     with pytest.raises(InputError, match="expected a launch of device"):
-        mean_of_launches([runs[0], Run(session=other, calibration=calibrate(other))])
+        mean_of_launches([runs[0], Run(session=other, calibration=calibrate(other, terms="linear"))])
     with pytest.raises(InputError, match="same log"):
         mean_of_launches([runs[0], runs[0]])
 

@@ -129,13 +129,13 @@ TABLE = Setup.of(grade="navigation", rest=6.0, rate_deg_s=60.0, sample_rate=SAMP
 @pytest.fixture(scope="session")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Setup, int], Recording]:
     """Simulated sessions by request and seed, each made once."""
-    made: dict[tuple[Setup, int], Recording] = {}
+    made: dict[tuple[str, int], Recording] = {}
 
     def recording(request: Setup, seed: int) -> Recording:
-        if (request, seed) not in made:
+        if (repr(request), seed) not in made:
             folder = tmp_path_factory.mktemp("simulated") / "session"
-            made[request, seed] = read_recording(simulate_session(folder, request, seed=seed))
-        return made[request, seed]
+            made[repr(request), seed] = read_recording(simulate_session(folder, request, seed=seed))
+        return made[repr(request), seed]
 
     return recording
 

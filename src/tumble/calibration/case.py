@@ -293,8 +293,16 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         accel=framed.accel,
         gyro=framed.gyro,
         increments=tuple(jacobian @ step for step in estimate.increments),
+        degrees=_degrees_in(estimate, linear, len(framed.names)),
     )
     return moved, found
+
+
+def _degrees_in(estimate: Estimate, linear: int, framed: int) -> Array | None:
+    """Degrees of freedom behind u in another frame: for parameters of the linear model, which mix, the fewest."""
+    if estimate.degrees is None:
+        return None
+    return np.append(np.full(framed, estimate.degrees[:linear].min()), estimate.degrees[linear:])
 
 
 def _verticals_of_rests(estimate: Estimate, observations: Observations) -> Verticals:

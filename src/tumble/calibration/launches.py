@@ -2,17 +2,18 @@
 
 The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
 their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
-uncertainty of gravity is common to all launches of a site and does not average out.
+uncertainty of gravity is common to all launches of a site and does not average out, nor does what is wrong
+with a prior.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import numpy as np
 
@@ -22,13 +23,16 @@ from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
 from tumble.errors import InputError
 from tumble.estimation.ellipsoid import TRIAD
-from tumble.estimation.estimate import Outcome
+from tumble.estimation.estimate import GroupFinding, Outcome
 from tumble.estimation.methods.magnetometer import NAMES
+from tumble.estimation.prediction import Prediction, prediction
 from tumble.files import FilePath
 from tumble.recording.log import Log
 from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, Frame, frame_of
+from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import Variable, group_name, group_of, positions_by_group, sensor_kind
 from tumble.units import Array
 
 _Any = TypeVar("_Any")
@@ -73,9 +77,8 @@ def calibrate_launches(
     return mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
 
 
-def mean_of_launches(runs: Sequence[Run]) -> Calibration:
-    """One calibration from several sessions of one device by the same method: means with uncertainties, standard
-    deviations from launch to launch, mean increments of each iteration, and every launch.
+def _outcome(runs: Sequence[Run]) -> Outcome:
+    """What is said of the sessions, each sentence with the name of its own.
 
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
@@ -85,13 +88,31 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     >>> tumble.mean_of_launches(runs)["accel.bias.x"].run_to_run > 0.0
     True
     """
+
+    def said(what: Callable[[Outcome], tuple[str, ...]]) -> tuple[str, ...]:
+        return tuple(f"{_name(run)}: {each}" for run in runs for each in what(run.calibration.outcome))
+
+    return Outcome(
+        reasons=said(lambda outcome: outcome.reasons),
+        remarks=said(lambda outcome: outcome.remarks),
+        unobservable=tuple(dict.fromkeys(name for run in runs for name in run.calibration.outcome.unobservable)),
+        of_accel=said(lambda outcome: outcome.of_accel),
+        of_gyro=said(lambda outcome: outcome.of_gyro),
+    )
+
+
+def mean_of_launches(runs: Sequence[Run]) -> Calibration:
+    """One calibration from several sessions of one device by the same method: means with uncertainties, standard
+    deviations from launch to launch, mean increments of each iteration, and every launch."""
     first = runs[0].calibration
     _check_alike(runs)
-    reasons = tuple(f"{_name(run)}: {reason}" for run in runs for reason in run.calibration.outcome.reasons)
-    missing = tuple(dict.fromkeys(name for run in runs for name in run.calibration.outcome.unobservable))
     common = [p.name for p in first.parameters if all(p.name in _named(run) for run in runs)]
-    values = np.array([[_named(run)[name].value for name in common] for run in runs])
-    covariance = _covariance(runs, common, values)
+    reference = _mean_reference(runs)
+    moves = [_to_temperature(run, common, reference) for run in runs]
+    values = np.array(
+        [move @ [_named(run)[name].value for name in common] for run, move in zip(runs, moves, strict=True)]
+    )
+    covariance = _covariance(runs, moves, common, values)
     parameters = tuple(
         Parameter(
             name=name,
@@ -100,6 +121,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
             unit=_named(runs[0])[name].unit,
             deviation=_mean_deviation(runs, name),
             run_to_run=float(spread),
+            **_learned(runs, name, float(u)),
         )
         for name, value, u, spread in zip(
             common, values.mean(axis=0), np.sqrt(np.diag(covariance)), values.std(axis=0, ddof=1), strict=True
@@ -114,14 +136,17 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         accel=_mean_model(first.frame, runs[0].session.accel_block, means),
         gyro=_mean_model(first.frame, runs[0].session.gyro_block, means),
         mag=_mean_magnetometer(means),
-        outcome=Outcome(reasons=reasons, unobservable=missing),
+        outcome=_outcome(runs),
         iterations=_mean_increments(runs, common),
         rests=(),
         turns=(),
         fits={},
         site=_common([run.calibration.site for run in runs]),
         programme=_common([run.calibration.programme for run in runs]),
-        notes=tuple(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
+        notes=(
+            *(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
+            *_left_out(runs, common),
+        ),
         launches=tuple(
             Launch(
                 session=_name(run),
@@ -135,6 +160,9 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
             )
             for run, digest in zip(runs, digests, strict=True)
         ),
+        groups=_groups(runs, parameters),
+        prediction=_prediction(runs, common, values.mean(axis=0), covariance),
+        reference_temperature=reference,
         provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
     )
 
@@ -176,27 +204,108 @@ def _mean_deviation(runs: Sequence[Run], name: str) -> float | None:
     return sum(deviations) / len(runs) if len(deviations) == len(runs) else None
 
 
-def _covariance(runs: Sequence[Run], names: list[str], values: Array) -> Array:
+def _covariance(runs: Sequence[Run], moves: Sequence[Array], names: list[str], values: Array) -> Array:
     """Covariance of the mean (module docstring)."""
     count = len(runs)
-    own = np.zeros((len(names), len(names)))
-    for run in runs:
+    own, by_prior = np.zeros((len(names), len(names))), np.zeros((len(names), len(names)))
+    for run, move in zip(runs, moves, strict=True):
         if run.calibration.covariance is not None:
             order = [p.name for p in run.calibration.parameters]
             chosen = [order.index(name) for name in names]
-            own += run.calibration.covariance[np.ix_(chosen, chosen)] / count**2
+            covariance = move @ run.calibration.covariance[np.ix_(chosen, chosen)] @ move.T
+            own += covariance / count**2
+            by_prior += _by_prior(run, names, covariance) / count
     between = values.var(axis=0, ddof=1) / count
     by_gravity = np.mean([_by_gravity(run, names) for run in runs], axis=0)
     excess = np.maximum(between - np.diag(own), 0.0)
-    return np.asarray(own + np.diag(excess) + (1.0 - 1.0 / count) * np.outer(by_gravity, by_gravity))
+    common = np.outer(by_gravity, by_gravity) + by_prior
+    return np.asarray(own + np.diag(excess) + (1.0 - 1.0 / count) * common)
+
+
+def _by_prior(run: Run, names: list[str], covariance: Array) -> Array:
+    """Covariance that comes from the priors: θ̂ follows the mean of a prior of variance s² by C s⁻², so that what is
+    wrong with it, the same in every launch, adds C s⁻² C. Drifts are others in every launch."""
+    found = _named(run)
+    priors = [(i, s) for i, n in enumerate(names) if (s := found[n].prior) is not None and not _drifts(n)]
+    if not priors:
+        return np.zeros_like(covariance)
+    at, sizes = zip(*priors, strict=True)
+    gain = covariance[:, at] / np.array(sizes)
+    return np.asarray(gain @ gain.T)
+
+
+def _drifts(name: str) -> bool:
+    return group_of(name).variable == "time"
+
+
+def _learned(runs: Sequence[Run], name: str, u: float) -> dict[str, float]:
+    """The widest prior of the launches and the part of its variance that they have taken off together."""
+    priors = [prior for run in runs if (prior := _named(run)[name].prior) is not None]
+    if not priors:
+        return {}
+    return {"prior": max(priors), "learned": float(np.clip(1.0 - (u / max(priors)) ** 2, 0.0, 1.0))}
+
+
+def _groups(runs: Sequence[Run], parameters: tuple[Parameter, ...]) -> tuple[GroupFinding, ...]:
+    """What all launches together say of each group beyond the linear model; of one that not all have kept, nothing."""
+    learned: dict[str, list[float]] = {}
+    for parameter in parameters:
+        if parameter.learned is not None:
+            learned.setdefault(group_name(parameter.name), []).append(parameter.learned)
+    findings = {group.name: group for run in runs for group in run.calibration.groups}
+    return tuple(
+        replace(group, kept=name in learned, learned=tuple(learned.get(name, [0.0] * len(group.learned))))
+        for name, group in findings.items()
+    )
+
+
+def _left_out(runs: Sequence[Run], names: list[str]) -> tuple[str, ...]:
+    """The groups of parameters that some launches have and not all, as a note."""
+    known = positions_by_group(p.name for run in runs for p in run.calibration.parameters if p.name not in names)
+    return (f"left out of the mean, not known of every launch: {', '.join(known)}",) if known else ()
+
+
+def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance: Array) -> Prediction | None:
+    """What readings corrected with the mean are known to; None where the launches do not say, or in another frame."""
+    own, session = [run.calibration.prediction for run in runs], runs[0].session
+    known, further = [each for each in own if each is not None], set(positions_by_group(names))
+    instrument = Instrument.of(session.accel_block, session.gyro_block, further, variables=get_args(Variable))
+    framed = runs[0].calibration.frame == "accelerometer"
+    if len(known) < len(own) or not framed or not set(instrument.names) <= set(names):
+        return None
+    at = [names.index(name) for name in instrument.names]
+    rates = [each.at_rate for each in known if each.at_rate is not None]
+    return prediction(
+        instrument,
+        values[at],
+        covariance[np.ix_(at, at)],
+        gravity=float(np.mean([run.session.site.gravity for run in runs])),
+        rate=float(np.mean(rates)) if len(rates) == len(known) else None,
+    )
+
+
+def _mean_reference(runs: Sequence[Run]) -> float | None:
+    """The mean of the reference temperatures of the launches, °C; None where one has none."""
+    found = [t for run in runs if (t := run.calibration.reference_temperature) is not None]
+    return float(np.mean(found)) if len(found) == len(runs) else None
+
+
+def _to_temperature(run: Run, names: list[str], reference: float | None) -> Array:
+    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes they have."""
+    out, own = np.eye(len(names)), run.calibration.reference_temperature
+    if reference is None or own is None:
+        return out
+    for i, name in enumerate(names):
+        if sensor_kind(name) != "mag" and group_of(name).variable == "temperature":
+            out[names.index(name.rpartition(".")[0]), i] = reference - own
+    return out
 
 
 def _by_gravity(run: Run, names: list[str]) -> Array:
     """Change of the parameters with one standard uncertainty of g: only accelerometer scale factors, −(1 + k) δg/g."""
     site, found = run.session.site, _named(run)
-    return np.array(
-        [-(1.0 + found[n].value) * site.gravity_u / site.gravity if n.startswith("accel.scale") else 0.0 for n in names]
-    )
+    relative = site.gravity_u / site.gravity
+    return np.array([-(1.0 + found[n].value) * relative if group_name(n) == "accel.scale" else 0.0 for n in names])
 
 
 def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:

@@ -73,9 +73,9 @@ def stream(seed: int, number: int) -> np.random.Generator:
 
 
 def session_rows(seed: int, source: Source, methods: Sequence[str], number: int, cell: Cell) -> list[Row]:
-    """A row for each method: whether the calibration was accepted, if not why, and for every parameter p of the instrument
-    `error.p`, its value less the truth, `u.p`, its standard uncertainty, and, without a log, `bound.p`, the Cramér–Rao
-    bound of the observations; nothing where there is none."""
+    """A row for each method: whether the calibration was accepted, if not why, and for every parameter p of the
+    instrument `error.p`, its value less the truth, `u.p`, its standard uncertainty, and, without a log, `bound.p`, the
+    Cramér–Rao bound of the observations; nothing where there is none."""
     rng = stream(seed, number)
     scenario = scenario_of(cell.setup, rng)
     if source == "log":
@@ -88,8 +88,8 @@ def session_rows(seed: int, source: Source, methods: Sequence[str], number: int,
 
 def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> dict[str, float]:
     """Square roots of the Cramér–Rao bounds of the parameters that observations determine, by name, SI: of the joint
-    likelihood at the true parameters and attitudes (N, 3, 3), with the true in-run instability as a bias that lasts from
-    a rest through the turn that follows, and the spreads of groups beyond the linear model as priors."""
+    likelihood at the true parameters and attitudes (N, 3, 3), with the true in-run instability as a bias that lasts
+    from a rest through the turn that follows, and the spreads of groups beyond the linear model as priors."""
     instrument, truth = scenario.instrument, scenario.values
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = TurnsAbout.of(observations, instrument, truth)

@@ -8,12 +8,18 @@ rows A of all unknowns, their residuals e and the whitened columns A_c of a cand
 Q being an orthonormal basis of what A spans. Δχ² is judged as chi-square of q degrees of freedom, or, where scatter was
 estimated from the same residuals, by F = (Δχ²/q) / ((χ² − Δχ²)/(ν − q)).
 
-A cause that is random, another variance with directions Z, is judged by eᵀ Z Zᵀ e: a sum of squares, each with a weight,
-an eigenvalue of Zᵀ (1 − Q Qᵀ) Z. Its probability is that of Pearson's distribution of the same first three moments.
+A cause that is random, another variance with directions Z, is judged by eᵀ Z Zᵀ e: a sum of squares, each with a
+weight, an eigenvalue of Zᵀ (1 − Q Qᵀ) Z. Its probability is that of Pearson's distribution of the same first three
+moments.
+
+A heading that the gyros hardly see may be far from where the rows were linearised. The horizontal Earth's rate is
+linear in its cosine and sine, so the rows get another unknown, the part along north, for each chain of rests that has
+such a heading.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -35,6 +41,9 @@ from tumble.units import DEGREE, G_STANDARD, Array
 
 NO_HEADING = 100.0
 """rad: how well every angle of an attitude is known beforehand, so that a heading that nothing shows has a row."""
+
+SEEN_HEADING = 0.05
+"""rad: a heading that the gyros at rest know better is where the rows were linearised."""
 
 UNSEEN = 1e-4
 """A combination of a cause's columns of which the projection leaves less than this part of the length is not seen."""
@@ -99,16 +108,38 @@ class Projection:
         self.first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
         N, known = len(problem.link), np.abs(rows.prior[:-1, :-1]).sum(axis=0) > 0.0
         stacked = self.whitened(rows.rest[..., 3:], rows.turn[..., 6:])
-        angles = self._angles(rows.rest[..., :3], rows.turn[..., :6])
-        A = np.zeros((len(stacked) + 3 * N + len(rows.prior) - 1, 3 * N + int(known.sum())))
-        A[: len(stacked), : 3 * N], A[: len(stacked), 3 * N :] = angles, stacked[:, :-1][:, known]
-        A[len(stacked) : len(stacked) + 3 * N, : 3 * N] = np.eye(3 * N) / NO_HEADING
-        A[len(stacked) + 3 * N :, 3 * N :] = rows.prior[:-1, :-1][:, known]
-        right = np.concatenate([stacked[:, -1], np.zeros(3 * N), rows.prior[:-1, -1]])
+        angles = np.column_stack([self._angles(rows.rest[..., :3], rows.turn[..., :6]), self._norths(linearised)])
+        own = angles.shape[1]
+        A = np.zeros((len(stacked) + own + len(rows.prior) - 1, own + int(known.sum())))
+        A[: len(stacked), :own], A[: len(stacked), own:] = angles, stacked[:, :-1][:, known]
+        A[len(stacked) : len(stacked) + own, :own] = np.diag(np.where(np.arange(own) < 3 * N, 1.0 / NO_HEADING, 1.0))
+        A[len(stacked) + own :, own:] = rows.prior[:-1, :-1][:, known]
+        right = np.concatenate([stacked[:, -1], np.zeros(own), rows.prior[:-1, -1]])
         self.basis, self._triangle = np.linalg.qr(A)
         self.residual = right - self.basis @ (self.basis.T @ right)
-        self._rows, self._parameters = len(stacked), 3 * N + int(known[0])
+        self._rows, self._parameters = len(stacked), own + int(known[0])
         self.degrees = self._rows - float((self.basis[: self._rows] ** 2).sum())
+
+    def _norths(self, linearised: Linearised) -> Array:
+        """The whitened columns of the part of the Earth's rate along north in every chain whose heading is hardly seen,
+        (rows, chains)."""
+        problem, rows = linearised.problem, linearised.rows
+        gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
+        if gyro is None or problem.earth[0] == 0.0:
+            return np.zeros((self.whitened(rows.rest[..., :0], rows.turn[..., :0]).shape[0], 0))
+        chains = np.arange(problem.chain[-1] + 1)
+        own = (problem.chain[:, None] == chains)[:, None]
+        turn = np.zeros((*rows.turn.shape[:2], len(chains)))
+        stop = n + gyro.size
+
+        def whitened(seen: Array) -> Array:
+            rest = np.zeros((*rows.rest.shape[:2], len(chains)))
+            rest[:, n:stop] = seen * own
+            return self.whitened(rest, turn)
+
+        headings = whitened(rows.rest[:, n:stop, 2:3])
+        north = whitened((linearised.point.attitudes[:, 0] * problem.earth[0] @ gyro.axes.T)[:, :, None])
+        return np.asarray(north[:, (headings**2).sum(axis=0) < SEEN_HEADING**-2])
 
     @property
     def chi_square(self) -> float:
@@ -120,7 +151,7 @@ class Projection:
         merged = np.concatenate([rest[self.first], turn], axis=1)
         alone = self._link < 0
         parts = (self._weights.rest[alone] @ rest[alone], self._weights.merged @ merged)
-        return np.concatenate([part.reshape(-1, rest.shape[2]) for part in parts])
+        return np.concatenate([part.reshape(part.shape[0] * part.shape[1], rest.shape[2]) for part in parts])
 
     def _angles(self, rest: Array, turn: Array) -> Array:
         """The whitened columns of the attitudes of all rests, (rows, 3 N)."""
@@ -129,7 +160,7 @@ class Projection:
         wide_rest[np.arange(N), :, np.arange(N)] = rest
         wide_turn[np.arange(K), :, self.first] = turn[..., :3]
         wide_turn[np.arange(K), :, self.first + 1] = turn[..., 3:]
-        return self.whitened(wide_rest.reshape(N, rest.shape[1], -1), wide_turn.reshape(K, turn.shape[1], -1))
+        return self.whitened(_joined(wide_rest), _joined(wide_turn))
 
     def left_of(self, columns: Array) -> Array:
         """What the unknowns leave of whitened columns: B of (11), over all rows, priors included."""
@@ -162,6 +193,8 @@ def weighted_chance(square: float, weights: Array) -> float:
 def variance_chance(projection: Projection, rest: Array, turn: Array) -> float:
     """Probability that chance alone makes a score as large of a variance whose directions are columns of the rests
     (N, r, q) and turns (K, t, q), each of a number of its own."""
+    if max(rest.shape[2], turn.shape[2]) == 0:
+        return 1.0
     return _random(projection, _apart(projection, rest, turn))
 
 
@@ -173,7 +206,7 @@ def _apart(projection: Projection, rest: Array, turn: Array) -> Array:
         wide_rest[np.arange(N), :, np.arange(N)] = rest
     if turn.shape[2]:
         wide_turn[np.arange(K), :, projection.first] = turn
-    return projection.whitened(wide_rest.reshape(N, rest.shape[1], -1), wide_turn.reshape(K, turn.shape[1], -1))
+    return projection.whitened(_joined(wide_rest), _joined(wide_turn))
 
 
 def _random(projection: Projection, directions: Array) -> float:
@@ -236,12 +269,19 @@ class _Session:
         rest = np.zeros((*self.rest_shape, n))
         rest[:, first : first + n] = at_rest[:, :, None] * np.eye(n)
         about = self.linearised.about
-        turn = self.linearised.rows.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
+        turn = np.zeros((*self.linearised.rows.turn.shape[:2], n))
+        if len(turn):
+            turn = self.linearised.rows.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
         if kind == "accel" and about is not None:
             nominal = np.linalg.pinv(self.accel.axes)
             each = np.swapaxes(self.steps, 2, 3) @ nominal  # C s_p
-            turn[:, 3:6] = np.einsum("ksip,ksp,k->kip", each, in_turn, about.moments.T / PATH_STEPS)
+            self.put_velocity(turn, np.einsum("ksip,ksp,k->kip", each, in_turn, about.moments.T / PATH_STEPS))
         return rest, turn
+
+    def put_velocity(self, turn: Array, columns: Array) -> None:
+        """Put columns (K, 3, q) into the rows of the velocities, where there are any."""
+        if self.problem.instrument.in_velocities:
+            turn[:, 3:6] = columns
 
     def nothing(self, q: int) -> tuple[Array, Array]:
         """Columns of nothing."""
@@ -374,7 +414,7 @@ def _products(session: _Session) -> Iterator[_Columns]:
     about = session.linearised.about
     for kind, block in _kinds(session):
         first = 0 if kind == "accel" else session.accel.size
-        chosen = [b for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start) if k != other or kind == "gyro"]
+        chosen = [b for b, pair in enumerate(PAIRS, start=PRODUCTS.start) if pair[0] != pair[1] or kind == "gyro"]
         beta = functions(block, session.force, session.rate)[:, 0, chosen]
         q = block.size * len(chosen)
         rest, turn = session.nothing(q)
@@ -383,7 +423,7 @@ def _products(session: _Session) -> Iterator[_Columns]:
         )
         if about is not None:
             if kind == "accel":
-                turn[:, 3:6] = about.by_force[..., chosen].reshape(len(turn), 3, q)
+                session.put_velocity(turn, about.by_force[..., chosen].reshape(len(turn), 3, q))
             else:
                 turn[:, :3] = about.by_phi[..., chosen].reshape(len(turn), 3, q)
         size, name = _UNITS[kind]
@@ -393,8 +433,8 @@ def _products(session: _Session) -> Iterator[_Columns]:
             rest=rest,
             turn=turn,
             unit=(size / G_STANDARD**2, f"{name}/g²"),
-            sentence=f"{_WORDS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near the "
-            "attitudes of the session",
+            sentence=f"{_WORDS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near "
+            "the attitudes of the session",
         )
 
 
@@ -403,8 +443,11 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
     n, m = gyro.size, session.accel.size
     square = about.moments.body_rates[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
     rest, turn = session.nothing(n)
-    for by, rows in ((about.by_phi, slice(0, 3)), (about.by_velocity, slice(3, 6))):
-        turn[:, rows] = np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square)
+    phi, V = (
+        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
+    )
+    turn[:, :3] = phi
+    session.put_velocity(turn, V)
     yield _Columns(
         name="gyro nonlinearity",
         concerns="gyro",
@@ -414,8 +457,9 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
         sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate",
     )
     rest, turn = session.nothing(m)
-    late = single_delay_columns(about.moments, np.linalg.pinv(session.accel.axes), session.accel.axes)
-    turn[:, 3:6] = late
+    left_inverse = np.asarray(np.linalg.pinv(session.accel.axes), dtype=float)
+    late = single_delay_columns(about.moments, left_inverse, session.accel.axes)
+    session.put_velocity(turn, late)
     yield _Columns(
         name="single delays",
         concerns="accel",
@@ -535,8 +579,8 @@ def _quantisation(session: _Session) -> Iterator[Cause]:
                 probability=0.0,
                 damage=0.0,
                 sentence=f"steps of the {_WORDS[kind]} of {step / scale:.2g} {unit} that the noise does not cover, "
-                f"{noise * root / step:.2g} of one: the mean of a rest errs by up to {rounding / scale:.2g} {unit}; log "
-                "with more digits, or use a smaller range",
+                f"{noise * root / step:.2g} of one: the mean of a rest errs by up to {rounding / scale:.2g} {unit}; "
+                "log with more digits, or use a smaller range",
             )
 
 
@@ -559,8 +603,8 @@ def _held(session: _Session) -> Iterator[Cause]:
         concerns="both",
         probability=0.0,
         damage=0.0,
-        sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: the "
-        "log holds the last sample where one is missing; record all of them",
+        sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: "
+        "the log holds the last sample where one is missing; record all of them",
     )
 
 
@@ -592,6 +636,11 @@ def _lost(session: _Session, projection: Projection) -> Cause:
         concerns="both",
         probability=variance_chance(projection, rest, turn),
         damage=0.0,
-        sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; record "
-        "with time stamps",
+        sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
+        "record with time stamps",
     )
+
+
+def _joined(wide: Array) -> Array:
+    """Columns (N, r, …) with all indices after the second as one."""
+    return wide.reshape(*wide.shape[:2], math.prod(wide.shape[2:]))

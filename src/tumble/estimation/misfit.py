@@ -157,8 +157,8 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
 def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Concerns, str]:
     return (
         group.concerns,
-        f"the {group.words} scatter by {_said(group, ratio, linearised)}, more than {MANY:.0f}: something is there that "
-        "the model does not have" + ("; look for lost or held samples" if group.component == "turn" else ""),
+        f"the {group.words} scatter by {_said(group, ratio, linearised)}, more than {MANY:.0f}: something is there "
+        "that the model does not have" + ("; look for lost or held samples" if group.component == "turn" else ""),
     )
 
 

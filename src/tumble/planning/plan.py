@@ -15,8 +15,9 @@ FOR_ALL = Aim()
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlanResult:
-    """What a set-up's programme can show at best. `whole` is the bound with all groups of parameters that
-    instruments of the grade have; `following` are the positions it would gain most by, where it was given; `programmes` the programme that was found and those of the literature, where one was to be found."""
+    """What a set-up's programme can show at best, of the linear model alone and of the `whole` instrument. `following`
+    are the positions it would gain most by, where it was given; `programmes` the programme that was found and those of
+    the literature, where one was to be found."""
 
     setup: Setup
     bound: Bound
@@ -37,13 +38,11 @@ def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, tabl
     (5, 'accel.bias')
     """
     if positions is None:
-        best = bound(setup, gyros=aim.gyros)
-        following = next_positions(setup, aim, table)
-        return PlanResult(setup=setup, bound=best, whole=_whole(setup, aim), following=following, programmes=())
+        best, whole = bound(setup, gyros=aim.gyros), bound(with_all_groups(setup), gyros=aim.gyros)
+        return PlanResult(
+            setup=setup, bound=best, whole=whole, following=next_positions(setup, aim, table), programmes=()
+        )
     setup = replace(setup, programme=optimised(setup, positions, aim, table))
     rows = compared(setup, (setup.programme, *of_the_literature()), aim)
-    return PlanResult(setup=setup, bound=rows[0].bound, whole=_whole(setup, aim), following=(), programmes=rows)
-
-
-def _whole(setup: Setup, aim: Aim) -> Bound:
-    return bound(with_all_groups(setup), gyros=aim.gyros)
+    whole = bound(with_all_groups(setup), gyros=aim.gyros)
+    return PlanResult(setup=setup, bound=rows[0].bound, whole=whole, following=(), programmes=rows)

@@ -42,7 +42,7 @@ Terms = Literal["linear", "full"]
 _programme = cache(built_in)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Setup:
     """An instrument, a programme on a table, or so many rests `by_hand` in any attitude instead of it, and
     a site.

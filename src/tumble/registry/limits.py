@@ -78,7 +78,7 @@ class Limits:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Judgement:
+class LimitJudgement:
     """A parameter (SI) against its limits; `expanded` is U. A parameter that was not determined has no value."""
 
     name: str
@@ -95,7 +95,7 @@ class Verdict:
     """Every parameter that has a limit, judged."""
 
     occasion: Occasion
-    judgements: tuple[Judgement, ...]
+    judgements: tuple[LimitJudgement, ...]
 
     @property
     def result(self) -> Result:
@@ -134,16 +134,16 @@ def judge(
     return Verdict(occasion=occasion, judgements=tuple(judged))
 
 
-def _not_determined(name: str, limits: tuple[float, float]) -> Judgement:
+def _not_determined(name: str, limits: tuple[float, float]) -> LimitJudgement:
     low, high = limits
     unit = UNITS[".".join(name.split(".")[:2])]
-    return Judgement(name=name, unit=unit, value=None, expanded=None, low=low, high=high, result="undecided")
+    return LimitJudgement(name=name, unit=unit, value=None, expanded=None, low=low, high=high, result="undecided")
 
 
-def _judged(row: ParameterRow, limits: tuple[float, float]) -> Judgement:
+def _judged(row: ParameterRow, limits: tuple[float, float]) -> LimitJudgement:
     low, high = limits
     expanded = None if row.u is None else COVERAGE * row.u
-    return Judgement(
+    return LimitJudgement(
         name=row.name,
         unit=row.unit,
         value=row.value,

@@ -8,7 +8,7 @@ from typing import Literal
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import shortfalls
-from tumble.registry.limits import RULE, Judgement, Limits, Verdict, judge
+from tumble.registry.limits import RULE, LimitJudgement, Limits, Verdict, judge
 from tumble.registry.records import OCCASIONS, parameter_rows
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text
 from tumble.report.numbers import NONE, minus
@@ -49,7 +49,7 @@ def section(calibration: Calibration, limits: Limits | None) -> Section:
     return Section(title="Limits and verdict", blocks=tuple(blocks))
 
 
-def _row(judgement: Judgement, units: Mapping[str, tuple[float, str]]) -> tuple[str, ...]:
+def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]]) -> tuple[str, ...]:
     finite = [abs(v) for v in (judgement.low, judgement.high) if math.isfinite(v)]
     size, unit = units.get(judgement.name) or engineering(judgement.unit, max(finite, default=0.0))
     value, expanded = NONE, NONE

@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.sensors.model import Block, SensorKind
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering
 
 FUNCTIONS = 15
 """How many functions β there are."""
@@ -321,11 +321,30 @@ def sensor_kind(parameter: str) -> str:
 
 def group_of(parameter: str) -> ParameterGroup:
     """The entry of a parameter's group. Raises KeyError where the table has none."""
-    wanted = group_name(parameter)
-    for group in groups():
-        if group.name == wanted:
-            return group
-    raise KeyError(parameter)
+    group = named_group(group_name(parameter))
+    if group is None:
+        raise KeyError(parameter)
+    return group
+
+
+def named_group(name: str) -> ParameterGroup | None:
+    """The entry of a group's name; None where the table has none."""
+    return next((group for group in groups() if group.name == name), None)
+
+
+def beyond_linear(parameter: str) -> bool:
+    """Whether a parameter belongs to a group beyond bias, scale factor and axis angles."""
+    group = named_group(group_name(parameter))
+    return group is not None and not group.linear
+
+
+def shown_in(name: str, unit: str, magnitude: float) -> tuple[float, str]:
+    """The unit in which a parameter or group of this name, SI unit and magnitude is shown, as (its size in SI, its
+    name): that of the table where there is one, such as µg/g² or mm, else the engineering unit."""
+    group = named_group(group_name(name))
+    if group is None or not group.shown or group.unit != unit:
+        return engineering(unit, magnitude)
+    return coarsest(group.shown, magnitude)
 
 
 def limits_of(parameters: Iterable[str]) -> Array:

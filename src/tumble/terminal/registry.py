@@ -13,7 +13,7 @@ from rich.text import Text
 from tumble.calibration.coverage import COVERAGE
 from tumble.calibration.results import Parameter
 from tumble.registry.due import Due
-from tumble.registry.limits import RULE, Judgement, Verdict
+from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.registry.monitor import Monitored
 from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
@@ -82,7 +82,7 @@ def record_report(
     )
 
 
-def _verdict_table(rows: Sequence[ParameterRow], judged: Mapping[str, Judgement]) -> Table:
+def _verdict_table(rows: Sequence[ParameterRow], judged: Mapping[str, LimitJudgement]) -> Table:
     table = _table("parameter")
     for heading in ("value", "U (k=2)", *(("lowest", "highest") if judged else ())):
         table.add_column(heading, justify="right", no_wrap=True)
@@ -102,7 +102,7 @@ def _verdict_table(rows: Sequence[ParameterRow], judged: Mapping[str, Judgement]
     return table
 
 
-def _limits_cells(judgement: Judgement | None, size: float, shown: bool) -> list[str]:
+def _limits_cells(judgement: LimitJudgement | None, size: float, shown: bool) -> list[str]:
     if not shown:
         return []
     return ["", ""] if judgement is None else [limit_cell(judgement.low, size), limit_cell(judgement.high, size)]

@@ -1,0 +1,114 @@
+"""A group of parameters that is entered in the table, and in nothing else, is everywhere: a constant of each
+accelerometer times the square of the force along body X."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import read_calibration
+from tumble.estimation.methods.joint import joint
+from tumble.planning.bounds import bound
+from tumble.planning.setup import Setup
+from tumble.report.write import write_report
+from tumble.sensors import parameters
+from tumble.sensors.model import Block
+from tumble.sensors.parameters import FUNCTIONS, PAIRS, PRODUCTS, ParameterGroup, group_of
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.recording import record
+from tumble.simulation.scenario import Scenario, scenario_of
+from tumble.simulation.session import read_truth, simulate_session
+from tumble.units import Array
+
+NAME = "accel.of_x"
+NAMES = tuple(f"{NAME}.{sensor}" for sensor in "xyz")
+SIZE = 5e-5
+"""s²/m, over instruments."""
+
+
+def by_square_of_x(block: Block) -> Array:
+    """∂K/∂θ (n, 15, n)."""
+    out = np.zeros((block.size, FUNCTIONS, block.size))
+    out[:, PRODUCTS.start + PAIRS.index((0, 0)), :] = np.eye(block.size)
+    return out
+
+
+@pytest.fixture(autouse=True)
+def made_up(monkeypatch: pytest.MonkeyPatch) -> ParameterGroup:
+    """The group, in the table while a test runs."""
+    group = ParameterGroup(
+        name=NAME,
+        kind="accel",
+        unit="s^2/m",
+        words="accelerometers by the square of the force along X",
+        suffixes=lambda block: block.sensors,
+        limit=1e-2,
+        usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), SIZE),
+        regressors=by_square_of_x,
+    )
+    monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, group])
+    return group
+
+
+def drawn() -> Scenario:
+    """A scenario of all groups on a cube."""
+    return scenario_of(Setup.of(programme="cube-26", terms="full", gravity_u=0.0), np.random.default_rng(3))
+
+
+def test_it_is_simulated() -> None:
+    scenario = drawn()
+    assert set(NAMES) < set(scenario.truth)
+    assert all(scenario.truth[name] != 0.0 for name in NAMES)
+    without = {name: 0.0 if name in NAMES else value for name, value in scenario.truth.items()}
+    recordings = [record(one, np.random.default_rng(4)) for one in (scenario, replace(scenario, truth=without))]
+    change = recordings[0].accel - recordings[1].accel
+    along = recordings[0].accel[:, 0]
+    expected = np.outer(along**2, [scenario.truth[name] for name in NAMES])  # of readings, which have errors themselves
+    np.testing.assert_allclose(change, expected, rtol=0.0, atol=0.01 * np.abs(expected).max())
+
+
+def test_it_is_estimated() -> None:
+    scenario = drawn()
+    estimate = joint(simulate_observations(scenario, np.random.default_rng(5)))
+    where = [estimate.names.index(name) for name in NAMES]
+    truth = np.array([scenario.truth[name] for name in NAMES])
+    assert estimate.covariance.shape == (len(estimate.names),) * 2
+    assert np.all(estimate.u[where] < 0.2 * SIZE)
+    assert np.all(np.abs(estimate.values[where] - truth) < 6.0 * estimate.u[where])
+    finding = next(one for one in estimate.groups if one.name == NAME)
+    assert finding.kept
+    assert finding.prior == SIZE
+
+
+def test_it_is_in_the_bound() -> None:
+    found = bound(Setup.of(programme="cube-26", terms="full"))
+    assert set(NAMES) < set(found.names)
+    finding = next(one for one in found.further if one.name == NAME)
+    assert min(finding.learned) > 0.9
+    assert found.rms(NAME) < 0.2 * SIZE
+
+
+def test_it_has_its_entry() -> None:
+    assert group_of(NAMES[0]).words == "accelerometers by the square of the force along X"
+
+
+def test_it_is_in_the_file_the_table_and_the_report(tmp_path: Path) -> None:
+    """Through a session folder and the whole chain."""
+    setup = Setup.of(grade="tactical", programme="cube-14", rest=5.0, rate_deg_s=60.0, sample_rate=50.0, terms="full")
+    folder = simulate_session(tmp_path / "session", setup, seed=3)
+    assert set(NAMES) < set(read_truth(folder / "truth.json"))
+    calibration = calibrate(folder)
+    assert set(NAMES) < {parameter.name for parameter in calibration.parameters}
+    calibration.write(tmp_path / "calibration.json")
+    written = json.loads((tmp_path / "calibration.json").read_text(encoding="utf-8"))
+    assert set(NAMES) < set(json.dumps(written).split('"'))
+    back = read_calibration(tmp_path / "calibration.json")
+    assert set(NAMES) < {parameter.name for parameter in back.parameters}
+    assert NAME in str(calibration.table())
+    write_report(tmp_path / "calibration.json", tmp_path / "report.html")
+    assert NAMES[0] in (tmp_path / "report.html").read_text(encoding="utf-8")

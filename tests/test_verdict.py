@@ -1,0 +1,181 @@
+"""Verdicts: what is larger than its noise is said, with its cause; what is wrong with one kind of sensor is not held
+against the other; clean sessions are accepted without a word.
+
+Sessions come from the study of departures, which simulates them sample by sample with kinematics of its own.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from tumble.estimation.causes import Projection, weighted_chance
+from tumble.estimation.diagnosis import gravity_said, verdict
+from tumble.estimation.estimate import Estimate, Outcome
+from tumble.estimation.likelihood import Scatter
+from tumble.estimation.methods.joint import joint
+from tumble.estimation.misfit import misfit
+from tumble.reduction.observations import Observations
+
+
+@cache
+def study() -> ModuleType:
+    """The study of departures as a module."""
+    path = Path(__file__).parents[1] / "studies" / "departures.py"
+    spec = importlib.util.spec_from_file_location("departures", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["departures"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@cache
+def estimated(departure: str, size: float = 1.0, setting: int = 0, seed: int = 0) -> tuple[Estimate, Observations]:
+    """The estimate of a session with a departure of the study."""
+    s = study()
+    off = {each.name: each for each in (s.CLEAN, *s.DEPARTURES)}[departure].times(size)
+    observations, _ = s.session(s.SETTINGS[setting], off, seed)
+    return joint(observations), observations
+
+
+@pytest.mark.parametrize("setting", [0, 1, 2])
+def test_clean_sessions_are_accepted_without_a_word(setting: int) -> None:
+    for seed in range(3):
+        assert verdict(*estimated("none", setting=setting, seed=seed)).verdict == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("departure", "size", "cause"),
+    [
+        ("hysteresis 10 µg", 3.0, "hysteresis"),
+        ("memory 50 ppm over 60 s", 3.0, "memory"),
+        ("gyro nonlinearity 20 ppm at 10 °/s", 3.0, "gyro nonlinearity"),
+        ("biases drift by 50 µg, 0.1 °/h", 3.0, "drift"),
+        ("1 % of samples lost", 1.0, "lost samples"),
+        ("1 % of samples held", 1.0, "lost samples"),
+    ],
+)
+def test_departures_are_named(departure: str, size: float, cause: str) -> None:
+    estimate, observations = estimated(departure, size)
+    found = misfit(estimate, observations)
+    assert found is not None
+    assert cause in found.causes[:2]
+    assert verdict(estimate, observations).verdict != "accepted"
+
+
+def test_lost_samples_are_refused() -> None:
+    outcome = verdict(*estimated("0.2 % of samples lost", seed=1))
+    assert outcome.verdict == "not accepted"
+    assert any("lost or held samples" in reason for reason in outcome.reasons)
+
+
+def test_gyros_that_are_not_linear_leave_the_accelerometers() -> None:
+    outcome = verdict(*estimated("gyro nonlinearity 20 ppm at 10 °/s", 3.0))
+    assert outcome.gyro.verdict == "not accepted"
+    assert outcome.accel.accepted
+
+
+def test_hysteresis_of_accelerometers_leaves_the_gyros() -> None:
+    outcome = verdict(*estimated("hysteresis 10 µg", 3.0))
+    assert not outcome.accel.accepted
+    assert outcome.gyro.accepted
+
+
+def test_the_overall_verdict_is_the_worse_one() -> None:
+    outcome = Outcome(reasons=("both", "bad gyros"), remarks=("noisy",), of_gyro=("bad gyros", "noisy"))
+    assert (outcome.verdict, outcome.accel.reasons, outcome.accel.remarks) == ("not accepted", ("both",), ())
+    only_gyros = Outcome(reasons=("bad gyros",), of_gyro=("bad gyros",))
+    assert (only_gyros.accel.verdict, only_gyros.gyro.verdict) == ("accepted", "not accepted")
+    noisy = Outcome(remarks=("noisy",), of_gyro=("noisy",))
+    assert (noisy.verdict, noisy.accepted, noisy.accel.verdict) == ("accepted with scatter", True, "accepted")
+
+
+def test_outcomes_come_back_from_their_content() -> None:
+    outcome = Outcome(
+        reasons=("both", "bad gyros"),
+        remarks=("noisy", "drifting"),
+        unobservable=("gyro.scale.x",),
+        of_accel=("drifting",),
+        of_gyro=("bad gyros", "noisy"),
+    )
+    back = Outcome.from_content(outcome.content())
+    assert back.content() == outcome.content()
+    assert Outcome.from_content(Outcome().content()) == Outcome()
+
+
+def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
+    estimate, observations = estimated("none")
+    wrong = replace(observations, site=replace(observations.site, gravity=observations.site.gravity + 0.0101))
+    refused = verdict(estimate, wrong)
+    assert not refused.accel.accepted
+    assert refused.gyro.accepted
+    assert "+1010 mGal" in refused.reasons[0]
+    assert verdict(estimate, wrong, gravity_confirmed=True).accepted
+    doubtful = replace(observations.site, gravity=observations.site.gravity + 0.0031)
+    assert "more than 300" in str(gravity_said(doubtful))
+    assert "more than" not in str(gravity_said(observations.site))
+
+
+def test_a_latitude_that_the_gyros_contradict_is_named() -> None:
+    s = study()
+    observations, _ = s.session(s.SETTINGS[0], s.CLEAN, 1)
+    moved = replace(observations, site=replace(observations.site, latitude=observations.site.latitude + 0.01))
+    found = misfit(joint(moved), moved)
+    assert found is not None
+    assert found.causes[0] == "latitude"
+
+
+def test_the_projection_is_that_of_the_elimination() -> None:
+    estimate, _ = estimated("none")
+    linearised = estimate.linearised
+    assert linearised is not None
+    projection = Projection(linearised, linearised.scatter)
+    np.testing.assert_allclose(projection.u[: len(estimate.u)], estimate.u, rtol=1e-5)
+    degrees = sum(estimate.fits[name].degrees for name in list(estimate.fits)[:4])
+    assert projection.degrees == pytest.approx(degrees, rel=1e-4)
+
+
+def test_a_cause_that_is_put_in_comes_out_with_its_damage() -> None:
+    """Adding a column to the residuals moves the parameters by what Eq. (11) says, and leaves what it says."""
+    estimate, _ = estimated("none", setting=1)
+    linearised = estimate.linearised
+    assert linearised is not None
+    projection = Projection(linearised, Scatter())
+    rng = np.random.default_rng(1)
+    rest = rng.normal(0.0, 1e-4, (*linearised.rows.rest.shape[:2], 2))
+    turn = rng.normal(0.0, 1e-4, (*linearised.rows.turn.shape[:2], 2))
+    values = np.array([1.0, -0.5])
+    shifted = replace(
+        linearised.rows,
+        rest=np.concatenate(
+            [linearised.rows.rest[..., :-1], linearised.rows.rest[..., -1:] + (rest @ values)[..., None]], axis=2
+        ),
+        turn=np.concatenate(
+            [linearised.rows.turn[..., :-1], linearised.rows.turn[..., -1:] + (turn @ values)[..., None]], axis=2
+        ),
+    )
+    moved = Projection(replace(linearised, rows=shifted), Scatter())
+    columns = projection.whitened(rest, turn)
+    np.testing.assert_allclose(
+        moved.residual - projection.residual, projection.left_of(columns) @ values, rtol=1e-8, atol=1e-10
+    )
+
+
+def test_chances_of_weighted_squares() -> None:
+    """Against many draws, and exact where all weights are one."""
+    from scipy.special import chdtrc
+
+    assert weighted_chance(30.0, np.ones(12)) == pytest.approx(chdtrc(12, 30.0))
+    weights = np.array([3.0, 1.0, 1.0, 0.2, 0.1])
+    draws = (np.random.default_rng(7).standard_normal((400_000, 5)) ** 2) @ weights
+    for limit in (10.0, 20.0):
+        assert weighted_chance(limit, weights) == pytest.approx(np.mean(draws > limit), rel=0.15)
