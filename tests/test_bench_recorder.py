@@ -258,12 +258,16 @@ def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(folder: Path, tm
     assert intake.received.refused == 3
 
 
+def _sent(descriptor: int, data: bytes) -> None:
+    os.write(descriptor, data)
+
+
 def test_serial_line_of_a_motioncal_sketch(tmp_path: Path) -> None:
     folder = tmp_path / "launch"
     begin(folder, log=MOTIONCAL_LOG, serial="A", site={"latitude_deg": 50.0, "field": 50.0}, programme=None)
     master, slave = pty.openpty()
     source = Serial(os.ttyname(slave), 115200)
-    _recorded(folder, source, lambda: os.write(master, b"Raw:1,2,8192,4,5,6,7,8,9\n" * 3) and None, 3)
+    _recorded(folder, source, lambda: _sent(master, b"Raw:1,2,8192,4,5,6,7,8,9\n" * 3), 3)
     os.close(master)
     os.close(slave)
     assert [line.split(",", 1)[1] for line in log_of(folder)[1:]] == ["1,2,8192,4,5,6,0.7,0.8,0.9"] * 3

@@ -92,8 +92,12 @@ def test_every_screen_of_a_programme_comes_in_its_turn(bench: Bench) -> None:
         assert bench.said == f"Turn now to position {position}"
         bench.take(position)
     assert bench.screen == "done"
-    eventually(lambda: bench.run(0.2) or (bench.station.state["estimate"] or {}).get("rests") == 9, 200.0)
-    bench.run(0.4)
+
+    def estimated() -> bool:
+        bench.run(0.2)
+        return (bench.station.state["estimate"] or {}).get("rests") == 9
+
+    eventually(estimated, 200.0)
     groups = {group["group"]: group for group in bench.station.state["estimate"]["groups"]}
     assert groups["accel.bias"]["determined"]
     assert groups["gyro.bias"]["u"] < 100.0

@@ -26,8 +26,8 @@ class Follower:
 
     @staticmethod
     def of(spec: LogSpec) -> Follower:
-        """Of the last file of a log, which is the one that grows."""
-        return Follower(path=spec.files[-1], columns=spec.columns, clock=spec.time)
+        """Of the file of a log."""
+        return Follower(path=growing_file(spec), columns=spec.columns, clock=spec.time)
 
     def rows(self) -> Array:
         """Rows (m, columns) that have come since the last time, at most those of a piece of the file."""
@@ -46,6 +46,13 @@ class Follower:
         rows = lines.feed(data)
         text = ",".join(row.text for row in rows)
         return np.fromstring(text, sep=",").reshape(-1, len(self.columns))
+
+
+def growing_file(spec: LogSpec) -> Path:
+    """The last file of a log, which is the one that grows."""
+    path = spec.files[-1]
+    assert isinstance(path, Path)
+    return path
 
 
 def _nothing(_: bytes) -> None:
@@ -91,7 +98,7 @@ class Clock:
         sound = np.isfinite(rows).all(axis=1)
         values = rows if self.spec.time is None else rows[:, 1:]
         if self.spec.time is None or self.spec.regular:
-            time = self.start + self.interval * np.arange(self.count, self.count + len(rows))
+            time = np.asarray(self.start + self.interval * np.arange(self.count, self.count + len(rows)), dtype=float)
             self.count += len(rows)
         else:
             time = rows[:, 0] * self.spec.time_factor

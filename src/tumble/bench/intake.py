@@ -6,8 +6,8 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
+from tumble.bench.follow import growing_file
 from tumble.bench.lines import Lines
 from tumble.bench.order import Order
 from tumble.bench.recorder import Recorder
@@ -40,7 +40,7 @@ class Intake:
     def __init__(self, source: Source, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
         log = session.log
         columns = log.columns
-        self.path: Path = log.files[-1]
+        self.path = growing_file(log)
         self.recorder = Recorder(self.path, ",".join(columns))
         self.source = source
         self.lines = Lines(columns=columns, clock=log.time, refuse=self.recorder.refuse)

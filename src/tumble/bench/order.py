@@ -22,7 +22,8 @@ RESTARTED = 5.0
 class Order:
     """Lets rows pass in the order of their times. From an `unordered` source a row after a missing one waits for it,
     a tenth of a second at most. `seconds` is one unit of the log's time in s. `late` counts rows that came too late,
-    `repeated` those that came twice; `restarted` says whether the clock was seen to start anew. Rows up to the `last` one of an earlier recording, which a
+    `repeated` those that came twice; `restarted` says whether the clock was seen to start anew. Rows up to
+    the `last` one of an earlier recording, which a
     source may send again, are passed over until a new one comes."""
 
     unordered: bool

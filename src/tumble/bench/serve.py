@@ -6,6 +6,7 @@ import socket
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from tumble.bench.access import Access, lasting_token
 from tumble.bench.station import Station
@@ -27,7 +28,7 @@ def serve(
         port = bound.getsockname()[1]
         access = Access(host=host, port=port, token=lasting_token())
         app = app_of(station, access)
-        server = _server(uvicorn, app, station)
+        server = _server(uvicorn, app)
         link = f"http://{_reachable(host)}:{port}/?token={access.token}"
         say(f"the page: {link}")
         if not access.loopback:
@@ -41,15 +42,15 @@ def serve(
             station.stop()
 
 
-def _server(uvicorn: object, app: object, station: Station) -> object:
+def _server(uvicorn: Any, app: Any) -> Any:
     """A server that ends the streams of its pages when it ends; no request is logged, for one of them has the token."""
 
-    class Server(uvicorn.Server):  # type: ignore[name-defined,misc]
+    class Server(uvicorn.Server):  # type: ignore[misc]
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            app.state.stopping = True  # type: ignore[attr-defined]
+            app.state.stopping = True
             await super().shutdown(sockets)
 
-    return Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=3))  # type: ignore[attr-defined]
+    return Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=3))
 
 
 @contextmanager

@@ -80,7 +80,7 @@ def app_of(station: Station, access: Access) -> FastAPI:
     async def command(request: Request) -> Response:
         body = await request.body()
         try:
-            given = json.loads(body) if len(body) <= _LONGEST_COMMAND else None
+            given = json.loads(body if len(body) <= _LONGEST_COMMAND else b"")
             name, value = str(given["do"]), str(given.get("value", ""))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return _plain(400, "expected a command")

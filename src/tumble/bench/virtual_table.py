@@ -60,7 +60,8 @@ class VirtualTable:
     def __init__(self, programme_name: str, *, seed: int = 1) -> None:
         name, _, speed = programme_name.partition("@")
         self.programme: Programme = programme(name or "rough-table")
-        self.name, self.trouble = f"simulator:{self.programme.name}", None
+        self.name = f"simulator:{self.programme.name}"
+        self.trouble: str | None = None
         try:
             self.speed = float(speed.removesuffix("x")) if speed else 1.0
         except ValueError:
