@@ -490,10 +490,8 @@ def with_groups(content: Any) -> None:
         {"name": SCRIPT, "kept": False, "prior": 1e-3, "prior_widened": 1.0, "learned": [0.0]},
     ]
     content["prediction"] = {"force_u": 1.7e-5, "rate_u": 2e-6, "at_rate": 0.4}
-    said, fine = (
-        {"verdict": "accepted with scatter", "reasons": [], "remarks": [MARKUP]},
-        {"reasons": [], "remarks": []},
-    )
+    fine: dict[str, list[str]] = {"reasons": [], "remarks": []}
+    said = {"verdict": "accepted with scatter", "reasons": [], "remarks": [MARKUP]}
     content["outcome"] = {"accepted": True, **said, "unobservable": [], "accel": fine, "gyro": said}
 
 
