@@ -41,7 +41,9 @@ class Server:
     def token(self) -> str:
         return self.link.split("token=")[1]
 
-    def ask(self, path: str, *, method: str = "GET", body: bytes | None = None, **headers: str) -> tuple[int, str, dict[str, str]]:
+    def ask(
+        self, path: str, *, method: str = "GET", body: bytes | None = None, **headers: str
+    ) -> tuple[int, str, dict[str, str]]:
         """Status, text and headers of an answer."""
         named = {name.replace("_", "-"): value for name, value in headers.items()}
         request = urllib.request.Request(self.origin + path, data=body, method=method, headers=named)
@@ -225,7 +227,9 @@ def test_a_programme_by_keyboard_alone_with_a_wrong_position(server: Server, bro
     assert browser.js("document.scripts.length") == 2
     assert browser.console == []
     assert all(url.startswith(f"{server.origin}/") for url in browser.requests)
-    unnamed = "[...document.querySelectorAll('button, input, select')].filter(e => !e.innerText && !e.labels?.length).length"
+    unnamed = (
+        "[...document.querySelectorAll('button, input, select')].filter(e => !e.innerText && !e.labels?.length).length"
+    )
     assert browser.js(unnamed) == 0
 
 

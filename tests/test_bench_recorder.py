@@ -95,7 +95,17 @@ def test_json_lines_are_rows_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", [b"\xff\xfe\x00", b"1,2,3", b"0.1,1,2,x,4,5,6", b"nan,1,2,3,4,5,6", b"0.1,inf,2,3,4,5,6", b'{"t": 1}', b"{", b'{"t": 1e999}']
+    "bad",
+    [
+        b"\xff\xfe\x00",
+        b"1,2,3",
+        b"0.1,1,2,x,4,5,6",
+        b"nan,1,2,3,4,5,6",
+        b"0.1,inf,2,3,4,5,6",
+        b'{"t": 1}',
+        b"{",
+        b'{"t": 1e999}',
+    ],
 )
 def test_what_is_no_row_is_refused_and_said(bad: bytes) -> None:
     refused: list[bytes] = []
@@ -205,7 +215,9 @@ def _recorded(folder: Path, source: object, sent: Callable[[], None], until: int
 def test_udp_with_loss_repetition_and_exchange(folder: Path) -> None:
     source, rng = Udp("127.0.0.1", 0), random.Random(3)
     numbers = [k for k in range(1, 400) if k <= 20 or k >= 390 or rng.random() > 0.02]
-    sent = sorted((k for k in numbers for _ in range(1 + (rng.random() < 0.1))), key=lambda k: k + rng.uniform(0, 4) * (k > 20))
+    sent = sorted(
+        (k for k in numbers for _ in range(1 + (rng.random() < 0.1))), key=lambda k: k + rng.uniform(0, 4) * (k > 20)
+    )
 
     def send() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
@@ -224,7 +236,9 @@ def test_tcp_connections_one_after_the_other(folder: Path) -> None:
     def send() -> None:
         for first in (1, 51):
             with socket.create_connection(("127.0.0.1", source.port)) as out:
-                out.sendall("".join(f"{row(k)}\n" for k in range(first, first + 50)).encode() + row(first + 50)[:5].encode())
+                out.sendall(
+                    "".join(f"{row(k)}\n" for k in range(first, first + 50)).encode() + row(first + 50)[:5].encode()
+                )
 
     intake = _recorded(folder, source, send, 100)
     assert log_of(folder)[1:] == [row(k) for k in range(1, 101)]
@@ -238,7 +252,10 @@ def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(folder: Path, tm
     intake = Intake(source, session_to_record(folder))
     intake.start()
     try:
-        os.write(master, row(1)[4:].encode() + b"\n\xff\xf0\x80\n" + f"{row(2)}\r\n{row(3)}\n".encode() + row(4)[:11].encode())
+        os.write(
+            master,
+            row(1)[4:].encode() + b"\n\xff\xf0\x80\n" + f"{row(2)}\r\n{row(3)}\n".encode() + row(4)[:11].encode(),
+        )
         eventually(lambda: intake.rows == 2)
         os.close(slave)
         os.close(master)

@@ -159,7 +159,9 @@ def turn_fault(move: Move, before: Position, turned: Array | None, start: float,
         said = f"turned the wrong way: {done / DEGREE:+.0f}° instead of {move.angle / DEGREE:+.0f}°"
         return Fault(kind="wrong way", said=f"{said}; turn back the way you came", start=start, stop=stop)
     across = float(np.linalg.norm(turned - done * axis_b))
-    said = f"another turn than the programme's: {done / DEGREE:+.0f}° about its axis and {across / DEGREE:.0f}° across it"
+    said = (
+        f"another turn than the programme's: {done / DEGREE:+.0f}° about its axis and {across / DEGREE:.0f}° across it"
+    )
     return Fault(kind="wrong turn", said=f"{said}, wanted {move.angle / DEGREE:+.0f}°", start=start, stop=stop)
 
 

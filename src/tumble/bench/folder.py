@@ -42,9 +42,7 @@ def session_to_record(folder: Path) -> Session:
     except (OSError, ValueError, AttributeError):
         return read_session(folder)  # which says what is wrong
     if not isinstance(file, str) or not file.endswith(".csv"):
-        raise SessionError(
-            f"{folder / SESSION_FILE}: log.file: expected one .csv file to record into, found {file!r}"
-        )
+        raise SessionError(f"{folder / SESSION_FILE}: log.file: expected one .csv file to record into, found {file!r}")
     (folder / file).touch()
     session = read_session(folder)
     if session.log.dialect is not None or session.log.clock:

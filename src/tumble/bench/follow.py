@@ -123,5 +123,3 @@ class Clock:
         if len(time):
             self.last = float(time[-1])
         return Samples(time=time, dt=np.where(lost > BRIDGED, interval, dt), values=values, lost=lost)
-
-

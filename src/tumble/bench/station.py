@@ -248,9 +248,7 @@ class Station:
         if now is not None:
             cut = self._after_cuts(blocks, now)
             current = rest_of(blocks, cut, len(blocks)) if cut is not None else None
-        closed = [
-            rest_of(blocks, span.first, span.last) for span in self._spans if now is None or span.last <= now
-        ]
+        closed = [rest_of(blocks, span.first, span.last) for span in self._spans if now is None or span.last <= now]
         return (closed if current is None else [*closed, current]), current
 
     def _after_cuts(self, blocks: Blocks, first: int) -> int | None:
