@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from tumble.calibration.coverage import degrees_through, with_degrees
 from tumble.calibration.results import (
     Launch,
     Parameter,
@@ -317,7 +318,7 @@ def _reframed(calibration: Calibration, frame: Frame) -> Calibration:
     return replace(
         calibration,
         frame=frame,
-        parameters=_parameters_of(mean, spread) + calibration.parameters[own:],
+        parameters=_parameters_of(mean, calibration.parameters[:own], spread) + calibration.parameters[own:],
         covariance=_with_rest(mean, calibration.covariance, own),
         accel=mean.accel,
         gyro=mean.gyro,
@@ -325,7 +326,7 @@ def _reframed(calibration: Calibration, frame: Frame) -> Calibration:
         launches=tuple(
             replace(
                 launch,
-                parameters=_parameters_of(each, None) + launch.parameters[own:],
+                parameters=_parameters_of(each, launch.parameters[:own], None) + launch.parameters[own:],
                 covariance=_with_rest(each, launch.covariance, own),
             )
             for launch, each in zip(calibration.launches, launches, strict=True)
@@ -343,8 +344,11 @@ def _with_rest(framed: Framed, covariance: Array | None, own: int) -> Array | No
     return np.asarray(carry @ covariance @ carry.T)
 
 
-def _parameters_of(framed: Framed, spread: Array | None) -> tuple[Parameter, ...]:
+def _parameters_of(framed: Framed, before: tuple[Parameter, ...], spread: Array | None) -> tuple[Parameter, ...]:
+    """The parameters in another frame, from those `before`."""
     u = None if framed.covariance is None else np.sqrt(np.diag(framed.covariance))
+    known = np.array([p.u or 0.0 for p in before])
+    degrees = degrees_through(framed.jacobian, known, [p.dof for p in before])
     return tuple(
         Parameter(
             name=name,
@@ -352,6 +356,7 @@ def _parameters_of(framed: Framed, spread: Array | None) -> tuple[Parameter, ...
             u=None if u is None else float(u[i]),
             unit=framed.units[i],
             run_to_run=None if spread is None else float(spread[i]),
+            dof=None if u is None else degrees[i],
         )
         for i, name in enumerate(framed.names)
     )
@@ -428,7 +433,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         return SensorModel(matrix=matrix, bias=bias)
 
     outcome = content["outcome"]
-    parameters = tuple(map(parameter_from, content["parameters"]))
+    parameters = with_degrees(map(parameter_from, content["parameters"]), fits_from(content))
     return Calibration(
         serial=text_from(content["device"]["serial"]),
         model=optional(text_from, content["device"]["model"]),
@@ -457,7 +462,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         launches=tuple(
             Launch(
                 session=text_from(launch["session"]),
-                parameters=tuple(map(parameter_from, launch["parameters"])),
+                parameters=with_degrees(map(parameter_from, launch["parameters"]), fits_from(launch)),
                 covariance=covariance_from(launch["covariance"], len(launch["parameters"])),
                 log_sha256=text_from(launch.get("log_sha256", "")),
                 site=site_from(launch),

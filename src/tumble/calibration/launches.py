@@ -2,7 +2,8 @@
 
 The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
 their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
-uncertainty of gravity is common to all launches of a site and does not average out.
+uncertainty of gravity is common to all launches of a site: it is taken out of both and does not average out
+(`tumble.calibration.coverage`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 
 from tumble.calibration.calibrate import DEFAULT_METHOD, Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
 from tumble.errors import InputError
@@ -104,7 +106,8 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     _check_alike(runs)
     common = [p.name for p in first.parameters if all(p.name in _named(run) for run in runs)]
     values = np.array([[_named(run)[name].value for name in common] for run in runs])
-    covariance = _covariance(runs, common, values)
+    spread = values.std(axis=0, ddof=1)
+    covariance, degrees = _covariance(runs, common, spread)
     parameters = tuple(
         Parameter(
             name=name,
@@ -112,10 +115,11 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
             u=float(u),
             unit=_named(runs[0])[name].unit,
             deviation=_mean_deviation(runs, name),
-            run_to_run=float(spread),
+            run_to_run=float(each),
+            dof=dof,
         )
-        for name, value, u, spread in zip(
-            common, values.mean(axis=0), np.sqrt(np.diag(covariance)), values.std(axis=0, ddof=1), strict=True
+        for name, value, u, each, dof in zip(
+            common, values.mean(axis=0), np.sqrt(np.diag(covariance)), spread, degrees, strict=True
         )
     )
     digests = [run.calibration.provenance["log_sha256"] for run in runs]
@@ -189,27 +193,48 @@ def _mean_deviation(runs: Sequence[Run], name: str) -> float | None:
     return sum(deviations) / len(runs) if len(deviations) == len(runs) else None
 
 
-def _covariance(runs: Sequence[Run], names: list[str], values: Array) -> Array:
-    """Covariance of the mean (module docstring)."""
-    count = len(runs)
-    own = np.zeros((len(names), len(names)))
-    for run in runs:
-        if run.calibration.covariance is not None:
-            order = [p.name for p in run.calibration.parameters]
-            chosen = [order.index(name) for name in names]
-            own += run.calibration.covariance[np.ix_(chosen, chosen)] / count**2
-    between = values.var(axis=0, ddof=1) / count
-    by_gravity = np.mean([_by_gravity(run, names) for run in runs], axis=0)
-    excess = np.maximum(between - np.diag(own), 0.0)
-    return np.asarray(own + np.diag(excess) + (1.0 - 1.0 / count) * np.outer(by_gravity, by_gravity))
+def _covariance(runs: Sequence[Run], names: list[str], run_to_run: Array) -> tuple[Array, list[float | None]]:
+    """Covariance of the mean and degrees of freedom of its diagonal (module docstring)."""
+    common = _common_part(runs, names)
+    own = [_own(run, names) - np.outer(common, common) for run in runs]
+    covariance = sum(own, np.zeros((len(names), len(names)))) / len(runs) ** 2 + np.outer(common, common)
+    degrees: list[float | None] = []
+    for i, name in enumerate(names):
+        parts = [
+            (float(each[i, i]), _without(_named(run)[name], common[i])) for each, run in zip(own, runs, strict=True)
+        ]
+        u, dof = degrees_of_mean(parts, float(run_to_run[i]), float(common[i]))
+        covariance[i, i] = u**2
+        degrees.append(dof)
+    return covariance, degrees
 
 
-def _by_gravity(run: Run, names: list[str]) -> Array:
-    """Change of the parameters with one standard uncertainty of g: only accelerometer scale factors, −(1 + k) δg/g."""
-    site, found = run.session.site, _named(run)
-    return np.array(
-        [-(1.0 + found[n].value) * site.gravity_u / site.gravity if n.startswith("accel.scale") else 0.0 for n in names]
-    )
+def _own(run: Run, names: list[str]) -> Array:
+    """The covariance of these parameters of a launch; zero where it has none."""
+    if run.calibration.covariance is None:
+        return np.zeros((len(names), len(names)))
+    order = [p.name for p in run.calibration.parameters]
+    chosen = [order.index(name) for name in names]
+    return np.asarray(run.calibration.covariance[np.ix_(chosen, chosen)])
+
+
+def _without(parameter: Parameter, common: float) -> float | None:
+    """Degrees of freedom of the part of u² that is not common."""
+    if parameter.dof is None or not parameter.u:
+        return None
+    return parameter.dof * (1.0 - (common / parameter.u) ** 2) ** 2
+
+
+def _common_part(runs: Sequence[Run], names: list[str]) -> Array:
+    """What one standard uncertainty of g changes in the parameters (m,) of all launches; zero where they are of several
+    values of g, or do not count its uncertainty."""
+    sites = [run.calibration.site for run in runs]
+    if not all(shared_gravity(sites[0], site) for site in sites):
+        return np.zeros(len(names))
+    changes = [
+        by_gravity([_named(run)[name] for name in names], _own(run, names), run.calibration.site) for run in runs
+    ]
+    return np.asarray(np.mean(changes, axis=0))
 
 
 def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:
