@@ -3,12 +3,17 @@ PYTHON ?= python3
 BIN = .venv/bin
 INSTALL = $(shell command -v uv >/dev/null 2>&1 && echo "uv pip install -q --python $(BIN)/python" || echo "$(BIN)/python -m pip install -q --disable-pip-version-check")
 
-.PHONY: demo test lint bench docs clean
+.PHONY: demo bench-demo test lint bench docs clean
 
 demo: .venv/demo
 	rm -rf demo
 	$(BIN)/tumble simulate demo/launch --programme rough-table --seed 1
 	$(BIN)/tumble calibrate demo/launch --truth demo/launch/truth.json
+
+bench-demo: .venv/bench
+	rm -rf demo/recorded demo/bench
+	$(BIN)/tumble simulate demo/recorded --grade mems --rest 20 --rate 30 --format csv --seed 3
+	$(BIN)/tumble bench demo/bench --listen replay:demo/recorded@10x --browser
 
 test: .venv/test lint
 	$(BIN)/python -m pytest -n auto
@@ -31,6 +36,10 @@ bench: .venv/test
 
 .venv/demo: pyproject.toml | .venv/bin/python
 	$(INSTALL) -e .
+	touch $@
+
+.venv/bench: pyproject.toml | .venv/bin/python
+	$(INSTALL) -e '.[bench,report]'
 	touch $@
 
 .venv/test: pyproject.toml | .venv/bin/python

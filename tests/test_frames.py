@@ -295,7 +295,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plain(folder: Path) -> Calibration:
-    return calibrate(folder)
+    return calibrate(folder, terms="linear")
 
 
 def test_the_command_offers_every_frame() -> None:
@@ -307,7 +307,9 @@ def test_a_calibration_is_written_and_read_in_every_frame(
     frame: Frame, folder: Path, plain: Calibration, tmp_path: Path
 ) -> None:
     out = tmp_path / "c.json"
-    result = CliRunner().invoke(main, ["calibrate", str(folder), "--frame", frame, "--out", str(out)])
+    result = CliRunner().invoke(
+        main, ["calibrate", str(folder), "--terms", "linear", "--frame", frame, "--out", str(out)]
+    )
     assert result.exit_code == 0, result.output
     found = read_calibration(out)
     assert found.frame == frame
@@ -333,7 +335,7 @@ def test_the_mean_of_launches_is_in_their_frame(folder: Path, tmp_path: Path) ->
     request = Setup.of(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0)
     other = simulate_session(tmp_path / "second", request, seed=21, launch=2)
     sessions = [read_session(each) for each in (folder, other)]
-    mean = mean_of_launches([Run(session=s, calibration=calibrate(s, frame="paper")) for s in sessions])
+    mean = mean_of_launches([Run(session=s, calibration=calibrate(s, frame="paper", terms="linear")) for s in sessions])
     assert mean.frame == "paper"
     assert mean.accel is not None
     np.testing.assert_allclose(np.tril(mean.accel.matrix, -1), 0.0, atol=1e-15)
@@ -347,7 +349,7 @@ def test_deviations_from_the_passport_are_given_in_the_frame(folder: Path, plain
     (tmp_path / "session.toml").write_text(text.replace("[device]\n", '[device]\nsystematic = "passport.json"\n'))
     (tmp_path / "log.parquet").symlink_to(folder / "log.parquet")
     for frame in FRAMES:
-        found = calibrate(tmp_path, frame=frame)
+        found = calibrate(tmp_path, frame=frame, terms="linear")
         assert found.frame == frame
         for parameter in found.parameters:
             assert parameter.deviation is not None

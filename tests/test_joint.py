@@ -382,7 +382,7 @@ def test_a_loose_prior_changes_nothing() -> None:
 def test_sessions_with_truth_are_within_their_uncertainties(data: Path, name: str) -> None:
     """Rms of (value − truth)/u about 1, none beyond 4; u not larger than the staged one."""
     truth = json.loads((data / name / "truth.json").read_text())
-    found = calibrate(data / name, method="joint")
+    found = calibrate(data / name, method="joint", terms="linear")
     assert found.outcome.accepted
     z = np.array([(p.value - truth[p.name]) / p.u for p in found.parameters if p.u is not None])
     assert len(z) == 21
@@ -394,12 +394,15 @@ def test_sessions_with_truth_are_within_their_uncertainties(data: Path, name: st
 
 @pytest.mark.data
 def test_xsens_is_accepted_and_agrees_with_the_staged_estimate(data: Path) -> None:
+    """With g-sensitivity, which is most of its scatter; the staged estimate has that in its uncertainties."""
     found, first = (calibrate(data / "xsens-mti", method=name) for name in ("joint", "staged"))
     assert found.outcome.accepted
-    assert len(found.parameters) == 21
-    for p in found.parameters:
+    assert len(first.parameters) == 21
+    for p in first.parameters:
         assert p.u is not None
-        assert abs(p.value - first[p.name].value) < 2.0 * p.u
+        u = found[p.name].u
+        assert u is not None
+        assert abs(p.value - found[p.name].value) < 2.0 * np.hypot(p.u, u)
     assert len(found.iterations) <= 8
 
 

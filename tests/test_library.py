@@ -33,7 +33,9 @@ CACHE = REPOSITORY / ".mypy_cache" / "user"
 @pytest.fixture(scope="module")
 def calibration(tmp_path_factory: pytest.TempPathFactory) -> tumble.Calibration:
     folder = tmp_path_factory.mktemp("library") / "session"
-    return tumble.calibrate(str(simulate_session(folder, Setup.of(grade="mems", positions=12, rest=3.0), seed=4)))
+    return tumble.calibrate(
+        str(simulate_session(folder, Setup.of(grade="mems", positions=12, rest=3.0), seed=4)), terms="linear"
+    )
 
 
 # -------------------- names --------------------

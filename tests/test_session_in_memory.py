@@ -225,7 +225,7 @@ def test_temperature_is_celsius_in_the_calibration_and_kelvin_inside(
     observations = inspect_session(session).observations
     assert observations is not None
     assert observations.rests.temperature == pytest.approx(23.5 + ZERO_CELSIUS)
-    calibration = calibrate(session)
+    calibration = calibrate(session, terms="linear")
     assert [rest.temperature for rest in calibration.rests] == pytest.approx([23.5] * len(calibration.rests))
     calibration.write(tmp_path / "calibration.json")
     assert '"temperature": 23.5' in (tmp_path / "calibration.json").read_text()
@@ -255,12 +255,12 @@ def test_a_corrected_log_is_a_session_of_a_perfect_device(
         content["log"][kind] = {"columns": new, "unit": unit}
         data |= {n: columns[o] / factor for o, n in zip(old, new, strict=True)}
     session = session_of(content, data)
-    calibration = calibrate(session)
+    calibration = calibrate(session, terms="linear")
     description = apply_to_session(calibration, session, tmp_path / f"out.{ending}")
     assert description["log"]["accel"]["unit"] == ("g" if named else "m/s^2")
     assert description["log"]["gyro"]["unit"] == ("deg/s" if named else "rad/s")
     assert description["log"]["accel"]["columns"] == list(session.log.accel.columns)
-    again = calibrate(session_of(description))
+    again = calibrate(session_of(description), terms="linear")
     assert again.outcome.accepted, again.outcome.reasons
     for p in again.parameters:
         assert p.u is not None

@@ -135,7 +135,7 @@ def test_a_latitude_that_the_gyros_contradict_is_named() -> None:
 
 
 def test_the_projection_is_that_of_the_elimination() -> None:
-    estimate, _ = estimated("none", setting=1)
+    estimate, _ = estimated("none")
     linearised = estimate.linearised
     assert linearised is not None
     projection = Projection(linearised, linearised.scatter)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -82,8 +83,12 @@ def engineering(unit: str, magnitude: float) -> tuple[float, str]:
 
     The larger unit is taken where the magnitude is at least one of it (for angles 0.5 mrad, about 100″). A quantity of
     any other unit is shown in it."""
-    candidates = _SHOWN.get(unit, ((1.0, unit),))
-    limit = {"rad": 0.5}.get(unit, 1.0)
+    return coarsest(_SHOWN.get(unit, ((1.0, unit),)), magnitude, limit=0.5 if unit == "rad" else 1.0)
+
+
+def coarsest(candidates: Sequence[tuple[float, str]], magnitude: float, *, limit: float = 1.0) -> tuple[float, str]:
+    """The largest of units (size in SI, name), the smallest first, of which a magnitude is at least `limit`; the
+    smallest where it is less than that of all others."""
     shown = candidates[0]
     for size, name in candidates[1:]:
         if abs(magnitude) >= limit * size:

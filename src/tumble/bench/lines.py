@@ -130,7 +130,9 @@ class Lines:
         finally:
             self._order, self._expected = order, expected
 
-    def _refuse(self, raw: bytes, why: str) -> None:
+    def _refuse(self, raw: bytes, why: str) -> Row | None:
+        """Count and keep what is no row, which is why there is none."""
         self.refused += 1
         self.last_refused = why
         self.refuse(raw[:LONGEST_LINE])
+        return None

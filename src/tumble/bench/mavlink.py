@@ -26,7 +26,8 @@ class Mavlink:
     def __init__(self, where: str) -> None:
         with needs_extra("MAVLink", "bench", "pymavlink"):
             from pymavlink import mavutil
-        self.name, self.trouble = f"mavlink:{where}", None
+        self.name = f"mavlink:{where}"
+        self.trouble: str | None = None
         kind, _, rest = where.partition(":")
         host, _, port = rest.rpartition(":")
         device, _, baud = where.rpartition(":")
@@ -42,8 +43,9 @@ class Mavlink:
         self._first = 0.0
 
     def read(self, timeout: float) -> bytes:
-        out, wait = [], timeout
-        while len(out) < 256 and (message := self._link.recv_match(type=MESSAGES, blocking=True, timeout=wait)):
+        out: list[str] = []
+        wait = timeout
+        while len(out) < 256 and (message := self._link.recv_match(type=list(MESSAGES), blocking=True, timeout=wait)):
             wait = 0.001
             if self._takes(message.get_type()):
                 out.append(line_of(message))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -21,7 +22,9 @@ RESTARTED = 5.0
 class Order:
     """Lets rows pass in the order of their times. From an `unordered` source a row after a missing one waits for it,
     a tenth of a second at most. `seconds` is one unit of the log's time in s. `late` counts rows that came too late,
-    `repeated` those that came twice; `restarted` says whether the clock was seen to start anew."""
+    `repeated` those that came twice; `restarted` says whether the clock was seen to start anew. Rows up to
+    the `last` one of an earlier recording, which a
+    source may send again, are passed over until a new one comes."""
 
     unordered: bool
     seconds: float
@@ -34,6 +37,7 @@ class Order:
     _interval: float | None = None
     _waiting: list[tuple[float, str]] = field(default_factory=list)
     _since: float = 0.0
+    _passed: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
 
     def feed(self, rows: list[Row]) -> list[str]:
         """The rows that pass now, as text."""
@@ -58,7 +62,11 @@ class Order:
 
     def _is_new(self, row: Row) -> bool:
         assert row.time is not None
-        if any(row.time == waiting for waiting, _ in self._waiting) or row.time == self.last:
+        if self.last is None or (row.time > self.last and not self._waiting):
+            return True
+        if self.last is not None and self._interval is None and row.time <= self.last:
+            return False
+        if row.time in self._passed or any(row.time == waiting for waiting, _ in self._waiting):
             self.repeated += 1
             return False
         if self.last is not None and row.time < self.last:
@@ -91,6 +99,7 @@ class Order:
             step = at - self.last
             self._interval = step if self._interval is None else self._interval + 0.05 * _clipped(step, self._interval)
         self.last = at
+        self._passed.append(at)
         out.append(text)
 
     def _release(self, out: list[str]) -> None:

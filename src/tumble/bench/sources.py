@@ -15,7 +15,7 @@ import select
 import socket
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -76,7 +76,8 @@ class GrowingFile:
     unordered = False
 
     def __init__(self, path: Path) -> None:
-        self.name, self.path, self.trouble = f"file:{path}", path, None
+        self.name, self.path = f"file:{path}", path
+        self.trouble: str | None = None
         if not path.is_file():
             raise InputError(f"--listen {self.name}: expected a file, found none")
         self._file = path.open("rb", buffering=0)
@@ -94,7 +95,8 @@ class GrowingFile:
 class StandardInput:
     """Lines on standard input."""
 
-    name, unordered, trouble = "stdin", False, None
+    name, unordered = "stdin", False
+    trouble: str | None = None
 
     def __init__(self, descriptor: int | None = None) -> None:
         self._descriptor = sys.stdin.fileno() if descriptor is None else descriptor
@@ -117,7 +119,8 @@ class Udp:
     unordered = True
 
     def __init__(self, host: str, port: int) -> None:
-        self.name, self.trouble = f"udp:{host}:{port}", None
+        self.name = f"udp:{host}:{port}"
+        self.trouble: str | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
         _bound(self._socket, host, port, self.name)
@@ -141,7 +144,8 @@ class Tcp:
     unordered = False
 
     def __init__(self, host: str, port: int) -> None:
-        self.name, self.trouble = f"tcp:{host}:{port}", None
+        self.name = f"tcp:{host}:{port}"
+        self.trouble: str | None = None
         self._listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         _bound(self._listening, host, port, self.name)
@@ -189,8 +193,9 @@ class Serial:
     def __init__(self, device: str, baud: int) -> None:
         with needs_extra("a serial line", "bench", "serial"):
             import serial
-        self.name, self.trouble = f"serial:{device}:{baud}", None
-        self._open = lambda: serial.Serial(device, baud, timeout=0)
+        self.name = f"serial:{device}:{baud}"
+        self.trouble: str | None = None
+        self._open: Callable[[], Any] = lambda: serial.Serial(device, baud, timeout=0)
         self._errors = (serial.SerialException, OSError)
         self._port: Any = None
         try:
@@ -238,15 +243,17 @@ class Replay:
     unordered = False
 
     def __init__(self, folder: Path, speed: float) -> None:
-        self.name, self.trouble, self.speed = f"replay:{folder.name}@{speed:g}x", None, speed
+        self.name, self.speed = f"replay:{folder.name}@{speed:g}x", speed
+        self.trouble: str | None = None
         self.session = read_session(folder)
         log = self.session.log
-        if len(log.files) > 1 or log.files[0].suffix != ".csv" or log.dialect is not None:
+        file = log.files[0]
+        if len(log.files) > 1 or not isinstance(file, Path) or file.suffix != ".csv" or log.dialect is not None:
             raise InputError(
                 f"--listen replay:{folder}: expected a session of one .csv file with commas, found another; "
                 "replay a session in that form"
             )
-        self._file = log.files[0].open("rb")
+        self._file = file.open("rb")
         self._header = self._file.readline()
         names = self._header.decode("utf-8-sig").strip().split(",")
         self._clock = None if log.time is None else names.index(log.time)

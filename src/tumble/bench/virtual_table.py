@@ -16,7 +16,7 @@ from tumble.errors import InputError
 from tumble.programme.positions import Programme, programme
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import grade
-from tumble.sensors.model import ACCEL, GYRO
+from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 from tumble.usual_setup import LATITUDE_DEG
 
@@ -60,22 +60,19 @@ class VirtualTable:
     def __init__(self, programme_name: str, *, seed: int = 1) -> None:
         name, _, speed = programme_name.partition("@")
         self.programme: Programme = programme(name or "rough-table")
-        self.name, self.trouble = f"simulator:{self.programme.name}", None
+        self.name = f"simulator:{self.programme.name}"
+        self.trouble: str | None = None
         try:
             self.speed = float(speed.removesuffix("x")) if speed else 1.0
         except ValueError:
             raise InputError(f"--listen simulator:{programme_name}: expected a speed such as @5x") from None
         self._rng = np.random.default_rng(seed)
         kind = grade("mems")
-        spreads = [(ACCEL, kind.accel), (GYRO, kind.gyro)]
-        self._models = [
-            block.model(
-                0.5
-                * np.array([getattr(s, name.split(".")[1]) for name in block.names])
-                * self._rng.standard_normal(len(block.names))
-            )
-            for block, s in spreads
-        ]
+        blocks = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
+        self._models = []
+        for block, spread in zip(blocks, (kind.accel, kind.gyro), strict=True):
+            size = np.array([getattr(spread, name.split(".")[1]) for name in block.names])
+            self._models.append(block.model(0.5 * size * self._rng.standard_normal(len(size))))
         self._sigma = [kind.noise.accel_white * SAMPLE_RATE**0.5, kind.noise.gyro_white * SAMPLE_RATE**0.5]
         self._sample = 0
         self._begun: float | None = None

@@ -1,11 +1,13 @@
 """Recordings corrected with a calibration: a log in, a log out, sample by sample.
 
-A correction needs no other sample than its own, so rows are neither added nor bridged: a number that is not finite
-stays so in its row. What a column gets is what a perfect sensor in that place would read, d · true with its nominal
-axis d, those of a magnetometer being the axes of its own frame; for three sensors along the body axes that is the true
-vector itself. It is in SI, unless the names of the columns say the log's unit: "ax [g]" stays in g. A redundant block
-is solved by least squares first, and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y,
-gyro_z, in SI.
+The whole model is undone, as `Compensator` does; at the temperature of the row, where the log has a thermometer. Where
+the accelerometers have lever arms and the session has gyros, they are moved to the last one: ω̇ is a central difference
+of the corrected rates, one row of look-ahead. The delay of the accelerometers is not undone. Rows are neither added nor
+bridged: a number that is not finite stays so in its row. What a column gets is what a perfect sensor in that place
+would read, d · true with its nominal axis d, those of a magnetometer being the axes of its own frame; for three sensors
+along the body axes that is the true vector itself. It is in SI, unless the names of the columns say the log's unit:
+"ax [g]" stays in g. A redundant block is solved by least squares first, and its vector is added in the columns accel_x,
+accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
 
 Increments stay increments: an integral over an interval T is corrected by bias · T, and its interval is the step in
 time, as in `log`, less the samples that are missing in it.
@@ -13,15 +15,17 @@ time, as in `log`, less the samples that are missing in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from tumble.calibration.calibration_file import Calibration, calibration_from, corrected
+from tumble.calibration.calibration_file import Calibration, calibration_from
+from tumble.calibration.correction import at_one_point, corrected, true_force, true_rate
 from tumble.calibration.observed import inspect_session
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath
@@ -32,8 +36,10 @@ from tumble.recording.log import open_log
 from tumble.recording.readers import LogSource, rows_of_numbers, source_of, times_of
 from tumble.recording.session import Channels, LogSpec, Magnetometer, Session, session_from
 from tumble.recording.writer import write_tables
+from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import SensorModel
-from tumble.units import Array, Unit
+from tumble.sensors.parameters import groups, positions_by_group
+from tumble.units import ZERO_CELSIUS, Array, Unit
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -78,15 +84,51 @@ class _Correction:
         """Columns for the vector of a redundant block."""
         return tuple(f"{self.kind}_{axis}" for axis in "xyz") if len(self.channels.columns) > 3 else ()
 
-    def columns(self, table: pl.DataFrame, dt: Array | None) -> dict[str, Array]:
-        """The corrected columns of a table with intervals `dt`, s."""
+    def readings(self, table: pl.DataFrame) -> Array:
+        """Readings (N, n) of a table, SI; of increments the integrals themselves."""
         raw = np.ascontiguousarray(table.select(self.channels.columns).to_numpy())
-        # the integral itself, for increments: the mean over an interval of 1 s
-        readings = self.channels.to_si(raw, np.ones(len(raw)))
-        true = corrected(self.model, readings, dt if self.increments else None)
+        return self.channels.to_si(raw, np.ones(len(raw)))
+
+    def columns(self, true: Array) -> dict[str, Array]:
+        """The columns of corrected vectors (N, 3)."""
         perfect = true if self.along_body else true @ self.channels.axes.T
         out = dict(zip(self.channels.columns, self.written.from_si(perfect).T, strict=True))
         return out | dict(zip(self.added, true.T, strict=False))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Piece:
+    """Rows of a log: readings (N, n), SI, by kind of sensor, times (N,), s, from any start, the intervals (N,) of
+    increments, s, and temperatures (N,), °C; the last two None where nothing needs them."""
+
+    readings: Mapping[str, Array]
+    time: Array
+    dt: Array | None
+    temperature: Array | None
+
+    def part(self, rows: slice) -> _Piece:
+        """Some of the rows."""
+        return _Piece(
+            readings={kind: values[rows] for kind, values in self.readings.items()},
+            time=self.time[rows],
+            dt=None if self.dt is None else self.dt[rows],
+            temperature=None if self.temperature is None else self.temperature[rows],
+        )
+
+    @staticmethod
+    def joined(pieces: Sequence[_Piece]) -> _Piece:
+        """The rows of several pieces of one log."""
+
+        def every(arrays: Iterable[Array | None]) -> Array | None:
+            present = [array for array in arrays if array is not None]
+            return np.concatenate(present) if present else None
+
+        return _Piece(
+            readings={kind: np.concatenate([p.readings[kind] for p in pieces]) for kind in pieces[0].readings},
+            time=np.concatenate([p.time for p in pieces]),
+            dt=every(p.dt for p in pieces),
+            temperature=every(p.temperature for p in pieces),
+        )
 
 
 def apply_to_session(calibration: Calibration | FilePath, session: Session | FilePath, out: FilePath) -> dict[str, Any]:
@@ -108,8 +150,31 @@ def apply_to_session(calibration: Calibration | FilePath, session: Session | Fil
     calibration, session, path = calibration_from(calibration), session_from(session), Path(out)
     parts = _parts(calibration, session)
     log = open_log(session)
-    write_tables(path, _tables(session, parts, 1.0 / log.rate))
+    write_tables(path, _tables(session, parts, calibration.compensator, 1.0 / log.rate))
     return _described(session, parts, path)
+
+
+def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
+    """In sentences, what of the larger model `apply_to_session` corrects and what it leaves, where the calibration has
+    such parameters."""
+    calibration, session = calibration_from(calibration), session_from(session)
+    compensator = calibration.compensator
+    found = positions_by_group(p.name for p in calibration.parameters)
+    out = []
+    if np.any(compensator.levers) and not _is_moved(session, compensator):
+        out.append("lever arms are not corrected: the session has no gyros")
+    elif np.any(compensator.levers):
+        out.append("accelerometers are moved to the last one, by the rate and a central difference of it")
+    if compensator.delay != 0.0:
+        out.append(
+            f"the delay of the accelerometers, {1e3 * compensator.delay:.3g} ms, is not undone: shift their times"
+        )
+    if compensator.slopes and session.log.temperature is None:
+        at = "the reference" if compensator.reference is None else f"{compensator.reference:.1f} °C"
+        out.append(f"the session has no temperature: parameters are those at {at}")
+    if any(group.variable == "time" for group in groups() if group.name in found):
+        out.append("drifts belong to the session that they were found in and are not applied")
+    return tuple(out)
 
 
 def _described(session: Session, parts: tuple[_Correction, ...], out: Path) -> dict[str, Any]:
@@ -167,39 +232,120 @@ def _magnetometer_part(
     return _Correction(kind="mag", channels=channels, model=model)
 
 
-def _tables(session: Session, parts: tuple[_Correction, ...], interval: float) -> Iterator[pl.DataFrame]:
+def _tables(
+    session: Session, parts: tuple[_Correction, ...], compensator: Compensator, interval: float
+) -> Iterator[pl.DataFrame]:
     """The corrected rows of all files."""
     names: list[str] | None = None
+    moved = _is_moved(session, compensator)
     for file in session.log.files:
         source = source_of(file, session.log.dialect)
-        clock = _Clock(path=source.path, session=session, interval=interval)
-        for table in _rows(source, parts, session.log):
+        reader = _Reader(path=source.path, session=session, parts=parts, compensator=compensator, interval=interval)
+        pieces = ((table, reader.piece(table)) for table in _rows(source, parts, session.log))
+        for table, piece, own in _with_neighbours(pieces) if moved else _alone(pieces):
             names = table.columns if names is None else names
             if table.columns != names:
                 raise LogError(
                     f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
                 )
-            dt = clock.intervals(table) if any(part.increments for part in parts) else None
-            new: Mapping[str, Array] = {name: c for part in parts for name, c in part.columns(table, dt).items()}
+            true = _true(compensator, piece, parts, interval if moved else None)
+            new = {name: c for part in parts for name, c in part.columns(true[part.kind][own]).items()}
             yield table.with_columns(pl.Series(name, np.ascontiguousarray(c)) for name, c in new.items())
 
 
+def _is_moved(session: Session, compensator: Compensator) -> bool:
+    """Whether accelerometers are moved to one point: they have lever arms, and the session has the rates."""
+    return session.log.gyro is not None and bool(np.any(compensator.levers))
+
+
+_Window = tuple[pl.DataFrame, _Piece, slice]
+"""A table, its rows perhaps with others before and after them, and where its own are."""
+
+
+def _alone(pieces: Iterable[tuple[pl.DataFrame, _Piece]]) -> Iterator[_Window]:
+    for table, piece in pieces:
+        yield table, piece, slice(None)
+
+
+def _with_neighbours(pieces: Iterable[tuple[pl.DataFrame, _Piece]]) -> Iterator[_Window]:
+    """Tables, and their rows with the one before and the one after them, where there is one."""
+    before: list[_Piece] = []
+    for (table, piece), following in pairwise(chain((p for p in pieces if p[0].height), [None])):  # type: ignore[misc]
+        after = [] if following is None else [following[1].part(slice(0, 1))]
+        own = slice(len(before), len(before) + table.height)
+        yield table, _Piece.joined([*before, piece, *after]), own
+        before = [piece.part(slice(-1, None))]
+
+
+def _true(
+    compensator: Compensator, piece: _Piece, parts: tuple[_Correction, ...], interval: float | None
+) -> dict[str, Array]:
+    """True vectors (N, 3) by kind of sensor, increments where the readings are; of accelerometers with lever arms, at
+    the last one, where the usual `interval`, s, is given."""
+    dt = {part.kind: piece.dt if part.increments else None for part in parts}
+    warmth, accel = piece.temperature, piece.readings["accel"]
+    true = {part.kind: corrected(part.model, piece.readings["mag"]) for part in parts if part.kind == "mag"}
+    true["accel"] = true_force(compensator, accel, dt=dt["accel"], temperature=warmth)
+    if "gyro" not in dt:
+        return true
+    gyro, force = piece.readings["gyro"], _a_second(true["accel"], dt["accel"])
+    true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=warmth)
+    if interval is None:
+        return true
+    rate = _a_second(true["gyro"], dt["gyro"])
+    moved = at_one_point(compensator, _a_second(accel, dt["accel"]), rate, piece.time, interval)
+    force = true_force(compensator, moved, temperature=warmth)
+    true["accel"] = force if dt["accel"] is None else force * dt["accel"][:, None]
+    true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=warmth)
+    return true
+
+
+def _a_second(values: Array, dt: Array | None) -> Array:
+    """Means over their intervals, of increments."""
+    return values if dt is None else np.asarray(values / dt[:, None], dtype=float)
+
+
 @dataclass(kw_only=True, slots=True)
-class _Clock:
-    """Intervals of the samples of one file, table after table. `last`: time of the last row, s."""
+class _Reader:
+    """Readings, times and temperatures of one file, table after table. `last`: time of the last row, s; `rows`: how
+    many there were; `warmth`: the last temperature that was known, °C."""
 
     path: Path
     session: Session
+    parts: tuple[_Correction, ...]
+    compensator: Compensator
     interval: float
     last: float | None = None
+    rows: int = 0
+    warmth: float | None = None
 
-    def intervals(self, table: pl.DataFrame) -> Array:
-        """What each increment is the integral over, s."""
-        spec = self.session.log
-        if spec.time is None or spec.regular:
-            return np.full(table.height, self.interval)
+    def piece(self, table: pl.DataFrame) -> _Piece:
+        """What the rows of a table hold."""
+        increments = any(part.increments for part in self.parts)
+        timed = increments or _is_moved(self.session, self.compensator)
+        time = self._times(table) if timed else np.zeros(table.height)
+        return _Piece(
+            readings={part.kind: part.readings(table) for part in self.parts},
+            time=time,
+            dt=self._intervals(time) if increments else None,
+            temperature=self._temperatures(table),
+        )
+
+    @property
+    def _regular(self) -> bool:
+        return self.session.log.time is None or self.session.log.regular
+
+    def _times(self, table: pl.DataFrame) -> Array:
+        self.rows += table.height
+        if self.session.log.time is None or self.session.log.regular:
+            return self.interval * np.arange(self.rows - table.height, self.rows, dtype=float)
         with rows_of_numbers(self.path):
-            time = times_of(table[spec.time], spec)
+            return times_of(table[self.session.log.time], self.session.log)
+
+    def _intervals(self, time: Array) -> Array:
+        """What each increment is the integral over, s."""
+        if self._regular:
+            return np.full(len(time), self.interval)
         before = time[0] - self.interval if self.last is None else self.last
         self.last = float(time[-1])
         steps = np.diff(time, prepend=before)
@@ -209,6 +355,17 @@ class _Clock:
                 f"{self.path}: expected times that increase, found {at:.9g} s after a later one; cut the log"
             )
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
+
+    def _temperatures(self, table: pl.DataFrame) -> Array | None:
+        """Temperatures (N,), °C, where parameters change with them: a lost one is the one before, or the reference."""
+        column, reference = self.session.log.temperature, self.compensator.reference
+        if column is None or reference is None or not self.compensator.slopes:
+            return None
+        with rows_of_numbers(self.path):
+            known = table[column].cast(pl.Float64).fill_nan(None).fill_null(strategy="forward")
+        filled = known.fill_null(reference if self.warmth is None else self.warmth).to_numpy()
+        self.warmth = float(filled[-1]) if len(filled) else self.warmth
+        return np.asarray(filled)
 
 
 def _rows(source: LogSource, parts: tuple[_Correction, ...], spec: LogSpec) -> Iterator[pl.DataFrame]:
@@ -248,15 +405,16 @@ def rest_residuals(calibration: Calibration | FilePath, session: Session | FileP
     True
     """
     calibration, session = calibration_from(calibration), session_from(session)
-    accel = _parts(calibration, session)[0].model
-    seen = inspect_session(session)
+    _parts(calibration, session)
+    compensator, seen = calibration.compensator, inspect_session(session)
     observations = seen.observations
     if observations is None or seen.faults:
         found = seen.faults[0] if seen.faults else "none"
         raise InputError(f"{session.name}: expected rests to verify with, found {found}; leave out --verify")
     rests, g = observations.rests, session.site.gravity
-    models = (session.accel_block.nominal(), accel)
-    before, after = (np.linalg.norm(model.apply(rests.accel), axis=1) - g for model in models)
+    warmth = None if rests.temperature is None else rests.temperature - ZERO_CELSIUS
+    forces = session.accel_block.nominal().apply(rests.accel), compensator.force(rests.accel, warmth)
+    before, after = (np.linalg.norm(force, axis=1) - g for force in forces)
     return tuple(
         RestResidual(file=int(f), start=float(start), stop=float(stop), before=float(b), after=float(a))
         for f, start, stop, b, a in zip(rests.file, rests.start, rests.stop, before, after, strict=True)

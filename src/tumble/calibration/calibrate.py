@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble import __version__
-from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.calibration_file import Calibration, SensingAxes, read_calibration
 from tumble.calibration.case import CaseAlignment, estimate_in
 from tumble.calibration.coverage import MANY_DEGREES, with_degrees
 from tumble.calibration.observed import Observed, Progress, inspect_session, observations_for_calibration
@@ -31,6 +31,7 @@ from tumble.recording.arrays import session_of_arrays
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Log
 from tumble.recording.session import Channels, Session, session_from
+from tumble.reduction import exclusion
 from tumble.reduction.observations import Observations
 from tumble.sensors.frames import Convention, Frame, convert
 from tumble.sensors.grades import guessed_grade
@@ -344,9 +345,10 @@ def _result(
     session, outcome = observed.session, verdict(estimate, observations)
     rests, turns = _rest_results(estimate, observations), _turn_results(estimate, observations)
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
+    learned = _learned(estimate)
     estimate, case = estimate_in(frame, estimate, observations)
     systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
-    seen, learned = np.flatnonzero(estimate.observable), _learned(estimate)
+    seen = np.flatnonzero(estimate.observable)
     parameters = tuple(
         Parameter(
             name=estimate.names[i],
@@ -381,6 +383,7 @@ def _result(
         readings=_readings_of(session),
         notes=_bridged(observed.gaps)
         + _torn(observations)
+        + exclusion.said(session.excluded)
         + observations.notes
         + _unchecked(estimate)
         + _aligned(case),
@@ -392,10 +395,10 @@ def _result(
     )
 
 
-def _axes(observations: Observations) -> dict[str, Array]:
+def _axes(observations: Observations) -> dict[str, SensingAxes]:
     """Nominal sensing directions by kind of sensor."""
     blocks = (observations.accel_block, observations.gyro_block)
-    return {block.kind: block.axes for block in blocks if block is not None}
+    return {block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks if block is not None}
 
 
 def _reference(observations: Observations) -> float | None:

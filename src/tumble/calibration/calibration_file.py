@@ -10,14 +10,16 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tumble.calibration.coverage import degrees_through, with_degrees
+from tumble.calibration.correction import true_force, true_rate
+from tumble.calibration.coverage import with_degrees
+from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
     Launch,
     Parameter,
@@ -41,10 +43,10 @@ from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
-from tumble.recording.arrays import numbers_of
+from tumble.recording.arrays import celsius_of, numbers_of
 from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.frames import Frame, Framed, convert, frame_of, triad_axes
+from tumble.sensors.frames import frame_of, triad_axes
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
@@ -55,6 +57,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMAT = 1
+
+
+SensingAxes = tuple[tuple[float, ...], ...]
+"""Sensing directions, a row a sensor."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -88,7 +94,7 @@ class Calibration:
     """What the session says of the groups of parameters beyond the linear model."""
     prediction: Prediction | None = None
     """What corrected readings are known to."""
-    axes: Mapping[str, Array] = field(default_factory=dict)
+    axes: Mapping[str, SensingAxes] = field(default_factory=dict)
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     reference_temperature: float | None = None
     """°C, at which parameters that change with temperature have their values."""
@@ -105,7 +111,7 @@ class Calibration:
         return Compensator.of((accel, gyro), models, values, self.reference_temperature)
 
     def _axes(self, kind: str, model: SensorModel) -> Array:
-        return self.axes[kind] if kind in self.axes else _nominal_axes(model)
+        return np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -123,11 +129,13 @@ class Calibration:
         return html(self)
 
     def table(self) -> str:
-        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text."""
+        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
+        there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
         return text_table(self)
 
     def to_polars(self) -> pl.DataFrame:
-        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run."""
+        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
+        the coverage factor k, dof, prior and learned."""
         return polars_frame(self)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -136,26 +144,53 @@ class Calibration:
 
     def plot(self, axes: Axes) -> None:
         """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
-        as a band; without rests the parameters in units of their uncertainty."""
+        as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
         draw(self, axes)
 
     def apply(
-        self, accel: npt.ArrayLike, gyro: npt.ArrayLike | None = None, *, dt: npt.ArrayLike | None = None
+        self,
+        accel: npt.ArrayLike,
+        gyro: npt.ArrayLike | None = None,
+        *,
+        dt: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
     ) -> tuple[Array, Array | None]:
-        """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, from readings (..., n)
-        in SI after nominal scale and offset, arrays or frames, of more than three sensors by least squares. With the
-        intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro readings the rate is
-        None.
+        """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
+        readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
+        squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
+        readings the rate is None. The `temperature` (...), K, counts where parameters change with it; without it they
+        are those of the reference temperature. Lever arms and the delay, which need the motion, are not applied:
+        see `apply_to_session`.
 
-        Raises InputError for another number of sensors than the calibration has, numbers that are not finite, and
-        columns of a frame whose names say another unit."""
-        steps = None if dt is None else numbers_of("dt", dt)
-        force = _corrected(self.accel, "accel", accel, steps)
-        return force, None if gyro is None else _corrected(self.gyro, "gyro", gyro, steps)
+        Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
+        of a frame whose names say another unit, and temperatures that are not in kelvin."""
+        compensator = self.compensator if self.accel is not None else None
+        force_readings = _checked(None if compensator is None else compensator.accel, "accel", accel, dt)
+        assert compensator is not None
+        shape = force_readings.shape[:-1]
+        steps, warmth = _by_sample("dt", dt, shape), _by_sample("temperature", temperature, shape)
+        celsius = None if warmth is None else celsius_of(warmth)
+        flat = force_readings.reshape(-1, compensator.accel.size)
+        force = true_force(compensator, flat, dt=steps, temperature=celsius)
+        felt = force.reshape(*shape, 3)
+        if gyro is None:
+            return felt, None
+        rate_readings = _checked(compensator.gyro, "gyro", gyro, dt)
+        assert compensator.gyro is not None
+        if rate_readings.shape[:-1] != shape and not (compensator.linear and dt is None):
+            raise InputError(
+                f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape "
+                f"{rate_readings.shape}"
+            )
+        turned = rate_readings.reshape(-1, compensator.gyro.size)
+        force = force if steps is None else force / steps[:, None]
+        rate = true_rate(compensator, turned, force, dt=steps, temperature=celsius)
+        return felt, rate.reshape(*rate_readings.shape[:-1], 3)
 
     def in_frame(self, frame: str) -> Calibration:
         """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
-        and launches; deviations from a systematic calibration are left out. A magnetometer keeps its own frame.
+        and launches; g-sensitivity and lever arms turn with the frame; deviations from a systematic calibration are
+        left out. A magnetometer keeps its own frame.
 
         Raises CalibrationError for the case, which only the session gives, where a parameter of accelerometers or
         gyros is missing, and for more than three of them."""
@@ -165,7 +200,7 @@ class Calibration:
         if missing:
             raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
         try:
-            return _reframed(self, frame_of(frame))
+            return reframed(self, frame_of(frame))
         except InputError as error:
             raise CalibrationError(str(error)) from error
 
@@ -222,7 +257,7 @@ class Calibration:
             "outcome": self.outcome.content(),
             "groups": [_group_content(group) for group in self.groups],
             "prediction": None if self.prediction is None else asdict(self.prediction),
-            "axes": {kind: axes.tolist() for kind, axes in self.axes.items()},
+            "axes": {kind: [list(axis) for axis in axes] for kind, axes in self.axes.items()},
             "temperature": {"reference": self.reference_temperature},
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
@@ -264,102 +299,33 @@ def _group_content(group: GroupFinding) -> dict[str, Any]:
 def _nominal_axes(model: SensorModel) -> Array:
     """Nominal axes of a model of which they are not known: the body axes of a triad, else the axes themselves."""
     if len(model.bias) == 3:
-        return triad_axes(model.matrix)
+        try:
+            return triad_axes(model.matrix)
+        except InputError:  # three that are skew
+            pass
     return np.asarray(model.matrix / np.linalg.norm(model.matrix, axis=1, keepdims=True))
 
 
-def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> Array:
-    """True vectors (..., 3) of readings (..., n), SI; with the intervals `dt` (...), s, both are increments."""
-    if dt is None:
-        return model.apply(readings)
-    offset = model.bias * np.asarray(dt)[..., None]
-    return np.asarray((readings - offset) @ model.inverse().T)
-
-
-def _corrected(model: SensorModel | None, kind: str, given: npt.ArrayLike, dt: Array | None) -> Array:
-    """True vectors of readings of a kind of sensors, checked."""
+def _checked(block: Block | None, kind: str, given: npt.ArrayLike, dt: npt.ArrayLike | None) -> Array:
+    """Readings of a kind of sensors, one number for each sensor and sample."""
     readings = numbers_of(kind, given, increments=dt is not None)
-    sensors = 0 if model is None else len(model.bias)
-    if model is None or readings.shape[-1:] != (sensors,):
+    sensors = 0 if block is None else block.size
+    if readings.shape[-1:] != (sensors,):
         raise InputError(
             f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found an "
             f"array of shape {readings.shape}"
         )
-    if dt is not None and dt.shape not in ((), readings.shape[:-1]):
-        raise InputError(f"dt: expected an interval for each sample, {readings.shape[:-1]}, found the shape {dt.shape}")
-    return corrected(model, readings, dt)
+    return readings
 
 
-def _reframed(calibration: Calibration, frame: Frame) -> Calibration:
-    """`Calibration.in_frame` of a complete calibration."""
-    assert calibration.accel is not None
-    accel = Block(kind="accel", axes=triad_axes(calibration.accel.matrix))
-    gyro = None
-    if calibration.gyro is not None:
-        gyro = Block(kind="gyro", axes=triad_axes(calibration.gyro.matrix))
-    own = len([p for p in calibration.parameters if not p.name.startswith("mag")])
-
-    def framed(parameters: tuple[Parameter, ...], covariance: Array | None) -> Framed:
-        return convert(
-            accel,
-            gyro,
-            source=frame_of(calibration.frame),
-            values=np.array([p.value for p in parameters[:own]]),
-            covariance=None if covariance is None else covariance[:own, :own],
-            target=frame,
-        )
-
-    mean = framed(calibration.parameters, calibration.covariance)
-    launches = [framed(launch.parameters, launch.covariance) for launch in calibration.launches]
-    spread = np.std([launch.values for launch in launches], axis=0, ddof=1) if launches else None
-    steps = [
-        mean.jacobian @ [step.get(p.name, 0.0) for p in calibration.parameters[:own]] for step in calibration.iterations
-    ]
-    return replace(
-        calibration,
-        frame=frame,
-        parameters=_parameters_of(mean, calibration.parameters[:own], spread) + calibration.parameters[own:],
-        covariance=_with_rest(mean, calibration.covariance, own),
-        accel=mean.accel,
-        gyro=mean.gyro,
-        iterations=tuple(dict(zip(mean.names, step.tolist(), strict=True)) for step in steps),
-        launches=tuple(
-            replace(
-                launch,
-                parameters=_parameters_of(each, launch.parameters[:own], None) + launch.parameters[own:],
-                covariance=_with_rest(each, launch.covariance, own),
-            )
-            for launch, each in zip(calibration.launches, launches, strict=True)
-        ),
-    )
-
-
-def _with_rest(framed: Framed, covariance: Array | None, own: int) -> Array | None:
-    """The covariance of all parameters, those beyond the first `own` unchanged."""
-    if covariance is None:
+def _by_sample(what: str, given: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array | None:
+    """A number for each sample, flat; one for all of them is repeated."""
+    if given is None:
         return None
-    carry = np.zeros((len(framed.names) + len(covariance) - own, len(covariance)))
-    carry[: len(framed.names), :own] = framed.jacobian
-    carry[len(framed.names) :, own:] = np.eye(len(covariance) - own)
-    return np.asarray(carry @ covariance @ carry.T)
-
-
-def _parameters_of(framed: Framed, before: tuple[Parameter, ...], spread: Array | None) -> tuple[Parameter, ...]:
-    """The parameters in another frame, from those `before`."""
-    u = None if framed.covariance is None else np.sqrt(np.diag(framed.covariance))
-    known = np.array([p.u or 0.0 for p in before])
-    degrees = degrees_through(framed.jacobian, known, [p.dof for p in before])
-    return tuple(
-        Parameter(
-            name=name,
-            value=float(framed.values[i]),
-            u=None if u is None else float(u[i]),
-            unit=framed.units[i],
-            run_to_run=None if spread is None else float(spread[i]),
-            dof=None if u is None else degrees[i],
-        )
-        for i, name in enumerate(framed.names)
-    )
+    numbers = numbers_of(what, given)
+    if numbers.shape not in ((), shape):
+        raise InputError(f"{what}: expected a number for each sample, {shape}, found the shape {numbers.shape}")
+    return np.ravel(np.broadcast_to(numbers, shape))
 
 
 def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | None:
@@ -447,7 +413,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         outcome=_outcome_from(outcome),
         groups=tuple(_group_from(group) for group in content.get("groups", ())),
         prediction=optional(_prediction_from, content.get("prediction")),
-        axes={kind: np.array(axes, float) for kind, axes in content.get("axes", {}).items()},
+        axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
         iterations=tuple(
             {text_from(p["name"]): float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]

@@ -2,8 +2,8 @@
 
 The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
 their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
-uncertainty of gravity is common to all launches of a site: it is taken out of both and does not average out
-(`tumble.calibration.coverage`).
+uncertainty of gravity is common to all launches of a site, and what is wrong with a prior to all launches: both
+are taken out of either and do not average out (`tumble.calibration.coverage`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import numpy as np
 
@@ -24,13 +24,16 @@ from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
 from tumble.errors import InputError
 from tumble.estimation.ellipsoid import TRIAD
-from tumble.estimation.estimate import Outcome
+from tumble.estimation.estimate import GroupFinding, Outcome
 from tumble.estimation.methods.magnetometer import NAMES
+from tumble.estimation.prediction import Prediction, prediction
 from tumble.files import FilePath
 from tumble.recording.log import Log
 from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, Frame, frame_of
+from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import Variable, group_name, group_of, positions_by_group, sensor_kind
 from tumble.units import Array
 
 _Any = TypeVar("_Any")
@@ -105,9 +108,13 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     first = runs[0].calibration
     _check_alike(runs)
     common = [p.name for p in first.parameters if all(p.name in _named(run) for run in runs)]
-    values = np.array([[_named(run)[name].value for name in common] for run in runs])
+    reference = _mean_reference(runs)
+    moves = [_to_temperature(run, common, reference) for run in runs]
+    values = np.array(
+        [move @ [_named(run)[name].value for name in common] for run, move in zip(runs, moves, strict=True)]
+    )
     spread = values.std(axis=0, ddof=1)
-    covariance, degrees = _covariance(runs, common, spread)
+    covariance, degrees = _covariance(runs, moves, common, spread)
     parameters = tuple(
         Parameter(
             name=name,
@@ -117,6 +124,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
             deviation=_mean_deviation(runs, name),
             run_to_run=float(each),
             dof=dof,
+            **_learned(runs, name, float(u)),
         )
         for name, value, u, each, dof in zip(
             common, values.mean(axis=0), np.sqrt(np.diag(covariance)), spread, degrees, strict=True
@@ -138,7 +146,10 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         fits={},
         site=_common([run.calibration.site for run in runs]),
         programme=_common([run.calibration.programme for run in runs]),
-        notes=tuple(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
+        notes=(
+            *(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
+            *_left_out(runs, common),
+        ),
         launches=tuple(
             Launch(
                 session=_name(run),
@@ -152,6 +163,9 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
             )
             for run, digest in zip(runs, digests, strict=True)
         ),
+        groups=_groups(runs, parameters),
+        prediction=_prediction(runs, common, values.mean(axis=0), covariance),
+        reference_temperature=reference,
         provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
     )
 
@@ -193,20 +207,27 @@ def _mean_deviation(runs: Sequence[Run], name: str) -> float | None:
     return sum(deviations) / len(runs) if len(deviations) == len(runs) else None
 
 
-def _covariance(runs: Sequence[Run], names: list[str], run_to_run: Array) -> tuple[Array, list[float | None]]:
+def _covariance(
+    runs: Sequence[Run], moves: Sequence[Array], names: list[str], run_to_run: Array
+) -> tuple[Array, list[float | None]]:
     """Covariance of the mean and degrees of freedom of its diagonal (module docstring)."""
-    common = _common_part(runs, names)
-    own = [_own(run, names) - np.outer(common, common) for run in runs]
-    covariance = sum(own, np.zeros((len(names), len(names)))) / len(runs) ** 2 + np.outer(common, common)
+    count = len(runs)
+    whole = [move @ _own(run, names) @ move.T for run, move in zip(runs, moves, strict=True)]
+    gravity = _gravity_in_common(runs, names, whole)
+    by_prior = [_by_prior(run, names, covariance) for run, covariance in zip(runs, whole, strict=True)]
+    own = [c - np.outer(gravity, gravity) - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
+    common = np.outer(gravity, gravity) + np.mean(by_prior, axis=0)
+    covariance = np.sum(own, axis=0) / count**2 + common
     degrees: list[float | None] = []
     for i, name in enumerate(names):
         parts = [
-            (float(each[i, i]), _without(_named(run)[name], common[i])) for each, run in zip(own, runs, strict=True)
+            _own_variance(_named(run)[name], float(c[i, i]), float(each[i, i]))
+            for run, c, each in zip(runs, whole, own, strict=True)
         ]
-        u, dof = degrees_of_mean(parts, float(run_to_run[i]), float(common[i]))
+        u, dof = degrees_of_mean(parts, float(run_to_run[i]), float(np.sqrt(common[i, i])))
         covariance[i, i] = u**2
         degrees.append(dof)
-    return covariance, degrees
+    return np.asarray(covariance), degrees
 
 
 def _own(run: Run, names: list[str]) -> Array:
@@ -218,23 +239,102 @@ def _own(run: Run, names: list[str]) -> Array:
     return np.asarray(run.calibration.covariance[np.ix_(chosen, chosen)])
 
 
-def _without(parameter: Parameter, common: float) -> float | None:
-    """Degrees of freedom of the part of u² that is not common."""
-    if parameter.dof is None or not parameter.u:
-        return None
-    return parameter.dof * (1.0 - (common / parameter.u) ** 2) ** 2
+def _own_variance(parameter: Parameter, whole: float, own: float) -> tuple[float, float | None]:
+    """The part of a variance that is not common, and its degrees of freedom."""
+    own = max(own, 0.0)
+    return own, None if parameter.dof is None or whole == 0.0 else parameter.dof * (own / whole) ** 2
 
 
-def _common_part(runs: Sequence[Run], names: list[str]) -> Array:
+def _gravity_in_common(runs: Sequence[Run], names: list[str], covariances: Sequence[Array]) -> Array:
     """What one standard uncertainty of g changes in the parameters (m,) of all launches; zero where they are of several
     values of g, or do not count its uncertainty."""
     sites = [run.calibration.site for run in runs]
     if not all(shared_gravity(sites[0], site) for site in sites):
         return np.zeros(len(names))
     changes = [
-        by_gravity([_named(run)[name] for name in names], _own(run, names), run.calibration.site) for run in runs
+        by_gravity([_named(run)[name] for name in names], covariance, run.calibration.site)
+        for run, covariance in zip(runs, covariances, strict=True)
     ]
     return np.asarray(np.mean(changes, axis=0))
+
+
+def _by_prior(run: Run, names: list[str], covariance: Array) -> Array:
+    """Covariance that comes from the priors: θ̂ follows the mean of a prior of variance s² by C s⁻², so that what is
+    wrong with it, the same in every launch, adds C s⁻² C. Drifts are others in every launch."""
+    found = _named(run)
+    priors = [(i, s) for i, n in enumerate(names) if (s := found[n].prior) is not None and not _drifts(n)]
+    if not priors:
+        return np.zeros_like(covariance)
+    at, sizes = zip(*priors, strict=True)
+    gain = covariance[:, at] / np.array(sizes)
+    return np.asarray(gain @ gain.T)
+
+
+def _drifts(name: str) -> bool:
+    return group_of(name).variable == "time"
+
+
+def _learned(runs: Sequence[Run], name: str, u: float) -> dict[str, float]:
+    """The widest prior of the launches and the part of its variance that they have taken off together."""
+    priors = [prior for run in runs if (prior := _named(run)[name].prior) is not None]
+    if not priors:
+        return {}
+    return {"prior": max(priors), "learned": float(np.clip(1.0 - (u / max(priors)) ** 2, 0.0, 1.0))}
+
+
+def _groups(runs: Sequence[Run], parameters: tuple[Parameter, ...]) -> tuple[GroupFinding, ...]:
+    """What all launches together say of each group beyond the linear model; of one that not all have kept, nothing."""
+    learned: dict[str, list[float]] = {}
+    for parameter in parameters:
+        if parameter.learned is not None:
+            learned.setdefault(group_name(parameter.name), []).append(parameter.learned)
+    findings = {group.name: group for run in runs for group in run.calibration.groups}
+    return tuple(
+        replace(group, kept=name in learned, learned=tuple(learned.get(name, [0.0] * len(group.learned))))
+        for name, group in findings.items()
+    )
+
+
+def _left_out(runs: Sequence[Run], names: list[str]) -> tuple[str, ...]:
+    """The groups of parameters that some launches have and not all, as a note."""
+    known = positions_by_group(p.name for run in runs for p in run.calibration.parameters if p.name not in names)
+    return (f"left out of the mean, not known of every launch: {', '.join(known)}",) if known else ()
+
+
+def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance: Array) -> Prediction | None:
+    """What readings corrected with the mean are known to; None where the launches do not say, or in another frame."""
+    own, session = [run.calibration.prediction for run in runs], runs[0].session
+    known, further = [each for each in own if each is not None], set(positions_by_group(names))
+    instrument = Instrument.of(session.accel_block, session.gyro_block, further, variables=get_args(Variable))
+    framed = runs[0].calibration.frame == "accelerometer"
+    if len(known) < len(own) or not framed or not set(instrument.names) <= set(names):
+        return None
+    at = [names.index(name) for name in instrument.names]
+    rates = [each.at_rate for each in known if each.at_rate is not None]
+    return prediction(
+        instrument,
+        values[at],
+        covariance[np.ix_(at, at)],
+        gravity=float(np.mean([run.session.site.gravity for run in runs])),
+        rate=float(np.mean(rates)) if len(rates) == len(known) else None,
+    )
+
+
+def _mean_reference(runs: Sequence[Run]) -> float | None:
+    """The mean of the reference temperatures of the launches, °C; None where one has none."""
+    found = [t for run in runs if (t := run.calibration.reference_temperature) is not None]
+    return float(np.mean(found)) if len(found) == len(runs) else None
+
+
+def _to_temperature(run: Run, names: list[str], reference: float | None) -> Array:
+    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes they have."""
+    out, own = np.eye(len(names)), run.calibration.reference_temperature
+    if reference is None or own is None:
+        return out
+    for i, name in enumerate(names):
+        if sensor_kind(name) != "mag" and group_of(name).variable == "temperature":
+            out[names.index(name.rpartition(".")[0]), i] = reference - own
+    return out
 
 
 def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tumble.calibration.further import BY_PRIOR, other_factors
 from tumble.errors import MissingExtraError
+from tumble.sensors.parameters import group_name, shown_in
 from tumble.units import engineering, rounded
 
 if TYPE_CHECKING:
@@ -20,31 +22,65 @@ if TYPE_CHECKING:
     from tumble.calibration.results import Parameter
 
 _HEADINGS = ("parameter", "value", "u", "U (k = 2)", "unit")
-_COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run")
+_COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
 _GROUPS = {"accel": "#1f4e79", "gyro": "#c0561a", "mag": "#3d7d52"}
 
 
 def headline(calibration: Calibration) -> str:
     """The device, the method, how many parameters, and whether it was accepted, in a line."""
-    verdict = "accepted" if calibration.outcome.accepted else "not accepted"
     several = f" of {len(calibration.launches)} launches" if calibration.launches else ""
-    count = len(calibration.parameters)
+    count, verdict = len(calibration.parameters), calibration.outcome.verdict
     return f"Calibration of {calibration.serial}: {calibration.method}{several}, {count} parameters, {verdict}"
 
 
+def headings(calibration: Calibration) -> tuple[str, ...]:
+    """What the columns of the rows are."""
+    return _HEADINGS + tuple(heading for heading, _ in _more(calibration))
+
+
 def rows(calibration: Calibration) -> list[tuple[str, ...]]:
-    """Name, value, u, U = 2u and unit of every parameter, in the field's units, to the digits of the uncertainty."""
-    sizes = _sizes(calibration)
-    return [_row(parameter, *sizes[parameter.name]) for parameter in calibration.parameters]
+    """Name, value, u, U = 2u and unit of every parameter, in the field's units, to the digits of the uncertainty; with
+    coverage factor, degrees of freedom, prior and learned fraction where there are any."""
+    sizes, more = _sizes(calibration), _more(calibration)
+    return [
+        (*_row(p, *sizes[p.name]), *(cell(p, sizes[p.name][0]) for _, cell in more)) for p in calibration.parameters
+    ]
+
+
+def _more(calibration: Calibration) -> list[tuple[str, Callable[[Parameter, float], str]]]:
+    """Heading and cell of the columns that only some calibrations have."""
+    parameters = calibration.parameters
+    factors: list[tuple[str, Callable[[Parameter, float], str]]] = [("k", _factor), ("dof", _degrees)]
+    priors: list[tuple[str, Callable[[Parameter, float], str]]] = [("prior", _prior), ("learned", _learned)]
+    return [
+        *(factors if other_factors(parameters) else ()),
+        *(priors if any(p.prior is not None for p in parameters) else ()),
+    ]
+
+
+def _factor(parameter: Parameter, size: float) -> str:  # noqa: ARG001
+    return f"{parameter.k:.2f}"
+
+
+def _degrees(parameter: Parameter, size: float) -> str:  # noqa: ARG001
+    return "" if parameter.dof is None else f"{parameter.dof:.0f}"
+
+
+def _prior(parameter: Parameter, size: float) -> str:
+    return "" if parameter.prior is None else f"{parameter.prior / size:.2g}"
+
+
+def _learned(parameter: Parameter, size: float) -> str:  # noqa: ARG001
+    return "" if parameter.learned is None else f"{100.0 * parameter.learned:.0f} %"
 
 
 def _sizes(calibration: Calibration) -> dict[str, tuple[float, str]]:
     """The unit in which each parameter is shown, one for all of a group, as (its size in SI, its name)."""
     largest: dict[str, float] = {}
     for p in calibration.parameters:
-        group = p.name.rpartition(".")[0]
+        group = group_name(p.name)
         largest[group] = max(largest.get(group, 0.0), abs(p.value), p.u or 0.0)
-    return {p.name: engineering(p.unit, largest[p.name.rpartition(".")[0]]) for p in calibration.parameters}
+    return {p.name: shown_in(p.name, p.unit, largest[group_name(p.name)]) for p in calibration.parameters}
 
 
 def _row(parameter: Parameter, size: float, unit: str) -> tuple[str, ...]:
@@ -55,22 +91,23 @@ def _row(parameter: Parameter, size: float, unit: str) -> tuple[str, ...]:
 
 
 def text_table(calibration: Calibration) -> str:
-    """The rows in columns, under the headline, with the reasons where it was not accepted."""
-    lines = [_HEADINGS, *rows(calibration)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(_HEADINGS))]
-    said = [headline(calibration), *calibration.outcome.reasons]
-    for name, *numbers, unit in lines:
-        cells = [name.ljust(widths[0]), *(n.rjust(w) for n, w in zip(numbers, widths[1:], strict=False)), unit]
+    """The rows in columns, under the headline, with the reasons against it and the remarks."""
+    lines = [headings(calibration), *rows(calibration)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    words = {lines[0].index("parameter"), lines[0].index("unit")}
+    said = [headline(calibration), *calibration.outcome.reasons, *calibration.outcome.remarks]
+    for line in lines:
+        cells = [c.ljust(w) if i in words else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=True))]
         said.append("  ".join(cells).rstrip())
     return "\n".join(said)
 
 
 def html(calibration: Calibration) -> str:
     """The same as HTML, everything escaped."""
-    head = "".join(f"<th>{escape(heading)}</th>" for heading in _HEADINGS)
+    head = "".join(f"<th>{escape(heading)}</th>" for heading in headings(calibration))
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows(calibration))
-    reasons = "".join(f"<li>{escape(reason)}</li>" for reason in calibration.outcome.reasons)
-    listed = f"<ul>{reasons}</ul>" if reasons else ""
+    said = (*calibration.outcome.reasons, *calibration.outcome.remarks)
+    listed = "<ul>" + "".join(f"<li>{escape(each)}</li>" for each in said) + "</ul>" if said else ""
     return (
         f"<div><p><b>{escape(headline(calibration))}</b></p>{listed}"
         f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
@@ -128,7 +165,11 @@ def _draw_residuals(calibration: Calibration, axes: Axes) -> None:
 def _draw_parameters(calibration: Calibration, axes: Axes) -> None:
     shown = [p for p in calibration.parameters if p.u]
     for kind, colour in _GROUPS.items():
-        at = [i for i, p in enumerate(shown) if p.name.startswith(f"{kind}.")]
-        axes.plot(at, [shown[i].value / (shown[i].u or 1.0) for i in at], "o", color=colour, markersize=4.0)
+        own = [(i, p) for i, p in enumerate(shown) if p.name.startswith(f"{kind}.")]
+        for filled in (True, False):  # hollow: known by the prior rather than by the data
+            at = [(i, p) for i, p in own if filled == (p.learned is None or p.learned >= BY_PRIOR)]
+            face = colour if filled else "none"
+            sizes = [p.value / (p.u or 1.0) for _, p in at]
+            axes.plot([i for i, _ in at], sizes, "o", color=colour, markerfacecolor=face, markersize=4.0)
     axes.set_xticks(range(len(shown)), [p.name for p in shown], rotation=90)
     axes.set_ylabel("value / u")

@@ -22,7 +22,7 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
     Corrected values are in SI under the session's column names, or in the unit that these names say; every other column
     is copied.
     """
-    from tumble.calibration.apply import apply_to_session, rest_residuals
+    from tumble.calibration.apply import applied, apply_to_session, rest_residuals
     from tumble.terminal.residuals import residual_table
     from tumble.terminal.text import print_report
 
@@ -30,5 +30,7 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
     apply_to_session(calibration, session, out)
     click.echo(f"written to {out}", err=True)
+    for sentence in applied(calibration, session):
+        click.echo(sentence, err=True)
     if verify:
         print_report(residual_table(rest_residuals(calibration, session)))

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
 @click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
+@click.option("--all", "every", is_flag=True, help="Show every parameter, not a line for each further group.")
 def calibrate(
     sessions: tuple[Path, ...],
     methods: tuple[str, ...],
@@ -48,6 +49,7 @@ def calibrate(
     out: Path | None,
     force: bool,
     truth: Path | None,
+    every: bool,
 ) -> None:
     """Calibrate the device of SESSION, a folder with session.toml and a log.
 
@@ -74,7 +76,7 @@ def calibrate(
     )
     target = out or Path(described[0].name) / "calibration.json"
     result.write(target, force=force)
-    print_report(calibration_report(result, known, others))
+    print_report(calibration_report(result, known, others, every=every))
     click.echo(f"written to {target}", err=True)
     for other in others:
         for reason in other.outcome.reasons:

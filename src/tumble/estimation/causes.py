@@ -19,6 +19,7 @@ such a heading.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -150,7 +151,7 @@ class Projection:
         merged = np.concatenate([rest[self.first], turn], axis=1)
         alone = self._link < 0
         parts = (self._weights.rest[alone] @ rest[alone], self._weights.merged @ merged)
-        return np.concatenate([part.reshape(-1, rest.shape[2]) for part in parts])
+        return np.concatenate([part.reshape(part.shape[0] * part.shape[1], rest.shape[2]) for part in parts])
 
     def _angles(self, rest: Array, turn: Array) -> Array:
         """The whitened columns of the attitudes of all rests, (rows, 3 N)."""
@@ -159,7 +160,7 @@ class Projection:
         wide_rest[np.arange(N), :, np.arange(N)] = rest
         wide_turn[np.arange(K), :, self.first] = turn[..., :3]
         wide_turn[np.arange(K), :, self.first + 1] = turn[..., 3:]
-        return self.whitened(wide_rest.reshape(N, rest.shape[1], -1), wide_turn.reshape(K, turn.shape[1], -1))
+        return self.whitened(_joined(wide_rest), _joined(wide_turn))
 
     def left_of(self, columns: Array) -> Array:
         """What the unknowns leave of whitened columns: B of (11), over all rows, priors included."""
@@ -205,7 +206,7 @@ def _apart(projection: Projection, rest: Array, turn: Array) -> Array:
         wide_rest[np.arange(N), :, np.arange(N)] = rest
     if turn.shape[2]:
         wide_turn[np.arange(K), :, projection.first] = turn
-    return projection.whitened(wide_rest.reshape(N, rest.shape[1], -1), wide_turn.reshape(K, turn.shape[1], -1))
+    return projection.whitened(_joined(wide_rest), _joined(wide_turn))
 
 
 def _random(projection: Projection, directions: Array) -> float:
@@ -268,7 +269,9 @@ class _Session:
         rest = np.zeros((*self.rest_shape, n))
         rest[:, first : first + n] = at_rest[:, :, None] * np.eye(n)
         about = self.linearised.about
-        turn = self.linearised.rows.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
+        turn = np.zeros((*self.linearised.rows.turn.shape[:2], n))
+        if len(turn):
+            turn = self.linearised.rows.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
         if kind == "accel" and about is not None:
             nominal = np.linalg.pinv(self.accel.axes)
             each = np.swapaxes(self.steps, 2, 3) @ nominal  # C s_p
@@ -636,3 +639,8 @@ def _lost(session: _Session, projection: Projection) -> Cause:
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
         "record with time stamps",
     )
+
+
+def _joined(wide: Array) -> Array:
+    """Columns (N, r, …) with all indices after the second as one."""
+    return wide.reshape(*wide.shape[:2], math.prod(wide.shape[2:]))

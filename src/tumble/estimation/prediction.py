@@ -36,7 +36,7 @@ def prediction(
     instrument: Instrument, values: Array, covariance: Array, *, gravity: float, rate: float | None
 ) -> Prediction:
     """What corrected readings are known to by an estimate (m,), (m, m), at specific force `gravity` and a `rate`."""
-    up = _directions()
+    up = directions()
     about = up[:, [1, 2, 0]]
     force = _rms(instrument, instrument.accel, values, covariance, (gravity * up, np.zeros_like(up)))
     if instrument.gyro is None or rate is None:
@@ -50,7 +50,7 @@ def _rms(instrument: Instrument, block: Block, values: Array, covariance: Array,
     return float(np.sqrt(np.einsum("npm,mk,npk->np", J, covariance, J, optimize=True).mean()))
 
 
-def _directions() -> Array:
+def directions() -> Array:
     """Unit vectors spread evenly over the sphere: a Fibonacci lattice."""
     k = np.arange(DIRECTIONS) + 0.5
     z, angle = 1.0 - 2.0 * k / DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * k

@@ -25,6 +25,7 @@ from tumble.export.exported import (
     shown,
     triads,
 )
+from tumble.export.larger_model import not_held
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
@@ -71,7 +72,7 @@ def diagonal(calibration: Calibration, target: str) -> Diagonal:
         accel_factor=_single(1.0 / np.diag(accel.matrix)),
         gyro_offset=None if gyro is None else _single(gyro.bias),
         known=known,
-        losses=(*losses, SINGLE_PRECISION, NO_UNCERTAINTY),
+        losses=(*losses, *not_held(calibration), SINGLE_PRECISION, NO_UNCERTAINTY),
     )
 
 

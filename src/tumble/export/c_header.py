@@ -2,7 +2,12 @@
 
     out = inverse · (reading − bias)        inverse = M⁻¹, or the pseudo-inverse for more than three sensors
 
-The sum runs from the first sensor to the last. Nothing needs a library.
+The sum runs from the first sensor to the last. Where the calibration has quadratic, cubic or asymmetric terms or a
+g-sensitivity of the gyros, the functions take them off in the fixed-point steps of `tumble.sensors.compensation`:
+
+    out ← inverse · (reading − bias − what is not linear in out)
+
+Nothing needs a library.
 """
 
 from __future__ import annotations
@@ -11,7 +16,11 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
-from tumble.sensors.model import SensorModel
+from tumble.export.larger_model import not_held
+from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
+from tumble.sensors.instrument import is_linear
+from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
 from tumble.units import Array
 
 UNITS = {"accel": "m/s^2", "gyro": "rad/s"}
@@ -34,18 +43,65 @@ static inline void imu_correct_{kind}{suffix}(const {type} reading[{n}], {type} 
 }}
 """
 
+_BEYOND = """\
+/* {what}, {unit}, from readings of {n} sensors in {unit}{needs} */
+static inline void imu_correct_{kind}{suffix}(const {type} reading[{n}], {argument}{type} out[3])
+{{
+    static const {type} bias[{n}] = {{{bias}}};
+    static const {type} inverse[3][{n}] = {{
+{rows}
+    }};
+{tables}
+    {type} left[{n}];
+    for (int j = 0; j < {n}; j++) {{
+        left[j] = reading[j] - bias[j];
+    }}
+    for (int step = 0; step <= {steps}; step++) {{
+        for (int i = 0; i < 3; i++) {{
+            {type} sum = 0;
+            for (int j = 0; j < {n}; j++) {{
+                sum += inverse[i][j] * left[j];
+            }}
+            out[i] = sum;
+        }}
+        for (int j = 0; j < {n}; j++) {{
+            const {type} own = axis[j][0] * out[0] + axis[j][1] * out[1] + axis[j][2] * out[2];
+            left[j] = reading[j] - bias[j] - (own < 0 ? -own : own) * asymmetry[j] - own * own * own * cubic[j];
+{more}
+        }}
+    }}
+}}
+"""
+
+_QUADRATIC = """\
+            left[j] -= quadratic[j][0] * out[0] * out[0] + quadratic[j][1] * out[0] * out[1]
+                + quadratic[j][2] * out[0] * out[2] + quadratic[j][3] * out[1] * out[1]
+                + quadratic[j][4] * out[1] * out[2] + quadratic[j][5] * out[2] * out[2];"""
+_BY_FORCE = """\
+            left[j] -= by_force[j][0] * force[0] + by_force[j][1] * force[1] + by_force[j][2] * force[2];"""
+
+HELD = frozenset({"accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.g_sensitivity"})
+"""Groups of parameters beyond the linear model that the functions apply."""
+
 _WHAT = {"accel": "true specific force", "gyro": "true angular rate"}
 
 
 def c_header(calibration: Calibration) -> Exported:
     """The header of a calibration."""
     known = models(calibration)
-    losses = (NO_UNCERTAINTY, "the functions in float have 7 digits; use those in double where that matters")
-    comments = [*origin(calibration), *_examples(known), *losses]
+    compensator = None if calibration.accel is None else calibration.compensator
+    digits = "the functions in float have 7 digits; use those in double where that matters"
+    losses = (*not_held(calibration, HELD), NO_UNCERTAINTY, digits)
+    examples = _examples(known) if compensator is None else _worked(compensator, known)
+    comments = [*origin(calibration), *examples, *losses]
     lines = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", ""]
     lines += ["/*", *(f" * {line}" for line in comments), " */", ""]
     for kind, model in known.items():
-        lines += [_function(kind, model, single=single) for single in (False, True)]
+        for single in (False, True):
+            if compensator is None or _is_linear(compensator, kind):
+                lines.append(_function(kind, model, single=single))
+            else:
+                lines.append(_beyond(compensator, kind, model, single=single))
     lines += ["#endif", ""]
     return Exported(content="\n".join(lines).encode(), losses=losses)
 
@@ -58,6 +114,78 @@ def _examples(known: dict[str, SensorModel]) -> list[str]:
     return out
 
 
+def _worked(compensator: Compensator, known: dict[str, SensorModel]) -> list[str]:
+    """Examples by the whole model, those of gyros in the specific force of the accelerometers' example."""
+    if all(_is_linear(compensator, kind) for kind in known):
+        return _examples(known)
+    reading = {kind: example(kind, model).reading for kind, model in known.items()}
+    force = compensator.force(reading["accel"][None])
+    true = {"accel": force}
+    if "gyro" in known:
+        true["gyro"] = compensator.rate(reading["gyro"][None], force)
+    said = " in that specific force" if _needs_force(compensator) else ""
+    return [
+        f"example {kind}: reading {shown(reading[kind])}{said if kind == 'gyro' else ''} is "
+        f"{shown(vector[0].round(9))} {UNITS[kind]}"
+        for kind, vector in true.items()
+    ]
+
+
+def _coefficients(compensator: Compensator, kind: str) -> tuple[Block, Array]:
+    """The sensors of a kind and their coefficients (n, 15)."""
+    if kind == "accel" or compensator.gyro is None:
+        return compensator.accel, compensator.accel_coefficients
+    return compensator.gyro, compensator.gyro_coefficients
+
+
+def _is_linear(compensator: Compensator, kind: str) -> bool:
+    return is_linear(*_coefficients(compensator, kind))
+
+
+def _needs_force(compensator: Compensator) -> bool:
+    """Whether the rate depends on the specific force."""
+    return bool(np.any(compensator.gyro_coefficients[:, FORCE]))
+
+
+def _beyond(compensator: Compensator, kind: str, model: SensorModel, *, single: bool) -> str:
+    """The function of sensors that are not linear."""
+    block, K = _coefficients(compensator, kind)
+    number, by_force = "float" if single else "double", kind == "gyro" and _needs_force(compensator)
+    tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
+    tables |= {"quadratic": K[:, PRODUCTS]} if kind == "accel" else {}
+    tables |= {"by_force": K[:, FORCE]} if by_force else {}
+    more = [_QUADRATIC] * (kind == "accel") + [_BY_FORCE] * by_force
+    inverse = inverse_of(model)
+    return _BEYOND.format(
+        what=_WHAT[kind],
+        unit=UNITS[kind],
+        n=block.size,
+        kind=kind,
+        needs=" and the true specific force, m/s^2" if by_force else "",
+        suffix="f" if single else "",
+        type=number,
+        argument=f"const {number} force[3], " if by_force else "",
+        bias=_constants(model.bias, single=single),
+        rows=_rows(inverse, single=single),
+        tables="\n".join(_table(name, values, single=single) for name, values in tables.items()),
+        steps=FIXED_POINT_STEPS,
+        more="\n".join(more),
+    ).replace("\n\n", "\n")
+
+
+def _table(name: str, values: Array, *, single: bool) -> str:
+    """A constant array of one row or more."""
+    number = "float" if single else "double"
+    if values.ndim == 1:
+        return f"    static const {number} {name}[{len(values)}] = {{{_constants(values, single=single)}}};"
+    rows = _rows(values, single=single)
+    return f"    static const {number} {name}[{values.shape[0]}][{values.shape[1]}] = {{\n{rows}\n    }};"
+
+
+def _rows(values: Array, *, single: bool) -> str:
+    return ",\n".join(f"        {{{_constants(row, single=single)}}}" for row in values)
+
+
 def _function(kind: str, model: SensorModel, *, single: bool) -> str:
     inverse = inverse_of(model)
     return _FUNCTION.format(
@@ -68,7 +196,7 @@ def _function(kind: str, model: SensorModel, *, single: bool) -> str:
         suffix="f" if single else "",
         type="float" if single else "double",
         bias=_constants(model.bias, single=single),
-        rows=",\n".join(f"        {{{_constants(row, single=single)}}}" for row in inverse),
+        rows=_rows(inverse, single=single),
     )
 
 

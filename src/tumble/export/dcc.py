@@ -26,7 +26,9 @@ from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
 from tumble.calibration.results import coverage_factor
 from tumble.export.certificate import Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
+from tumble.export.larger_model import NOT_IN_MATRIX, not_held
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array
 
 VERSION = "3.3.0"
@@ -44,6 +46,17 @@ _DIMENSIONS: Mapping[str, Mapping[str, int]] = {
     "rad/s": {"radian": 1, "second": -1},
     "rad": {"radian": 1},
     "1": {},
+    "m": {"metre": 1},
+    "s": {"second": 1},
+    "s^2/m": {"second": 2, "metre": -1},
+    "s^4/m^2": {"second": 4, "metre": -2},
+    "rad*s/m": {"radian": 1, "second": 1, "metre": -1},
+    "m/s^2/s": {"metre": 1, "second": -3},
+    "rad/s/s": {"radian": 1, "second": -2},
+    "1/s": {"second": -1},
+    "m/s^2/K": {"metre": 1, "second": -2, "kelvin": -1},
+    "rad/s/K": {"radian": 1, "second": -1, "kelvin": -1},
+    "1/K": {"kelvin": -1},
 }
 _BIAS_UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
@@ -61,7 +74,8 @@ def d_si(*units: str) -> str:
 def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     """The XML file of a calibration with the administrative data of its certificate."""
     known = models(calibration)
-    inertial = [i for i, p in enumerate(calibration.parameters) if p.unit in _DIMENSIONS]
+    losses = (*LOSSES, *not_held(calibration, said=NOT_IN_MATRIX))
+    inertial = [i for i, p in enumerate(calibration.parameters) if sensor_kind(p.name) != "mag"]
     calibration = replace(
         calibration,
         parameters=tuple(calibration.parameters[i] for i in inertial),
@@ -74,7 +88,7 @@ def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     _administrative(_child(root, "administrativeData"), calibration, certificate)
     _results(_child(_child(root, "measurementResults"), "measurementResult"), calibration, known)
     ET.indent(root)
-    return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=LOSSES)
+    return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=losses)
 
 
 def _child(parent: ET.Element, name: str, text: str | None = None, namespace: str = _DCC) -> ET.Element:

@@ -17,6 +17,7 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, origin, shown, triads
+from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
 
@@ -26,23 +27,25 @@ def imucal(calibration: Calibration) -> Exported:
     known = triads(calibration, "imucal")
     accel, gyro = known["accel"], known["gyro"]
     (K_a, R_a), (K_g, R_g) = (_scale_and_axes(model) for model in (accel, gyro))
+    sensitivity = g_sensitivity(calibration)
+    losses = (*not_held(calibration, {"gyro.g_sensitivity"}), NO_UNCERTAINTY)
     content = {
         "acc_unit": "m/s^2",
         "gyr_unit": "deg/s",
         "from_acc_unit": "m/s^2",
         "from_gyr_unit": "deg/s",
-        "comment": "; ".join([*origin(calibration), *_examples(known), NO_UNCERTAINTY]),
+        "comment": "; ".join([*origin(calibration), *_examples(known), *still(sensitivity), *losses]),
         "K_a": K_a.tolist(),
         "R_a": R_a.tolist(),
         "b_a": accel.bias.tolist(),
         "K_g": K_g.tolist(),
         "R_g": R_g.tolist(),
-        "K_ga": np.zeros((3, 3)).tolist(),
+        "K_ga": (sensitivity / DEGREE).tolist(),
         "b_g": (gyro.bias / DEGREE).tolist(),
         "cal_type": "Ferraris",
         "_format_version": "2.0.0",
     }
-    return Exported(content=(json.dumps(content, indent=4, allow_nan=False) + "\n").encode(), losses=(NO_UNCERTAINTY,))
+    return Exported(content=(json.dumps(content, indent=4, allow_nan=False) + "\n").encode(), losses=losses)
 
 
 def _scale_and_axes(model: SensorModel) -> tuple[Array, Array]:

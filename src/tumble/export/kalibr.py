@@ -24,6 +24,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.quiet_samples import longest_rest, noise_panels
 from tumble.errors import InputError
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, origin, shown, triads, yaml_list, yaml_number
+from tumble.export.larger_model import g_sensitivity, not_held, still
 from tumble.recording.session import Session
 from tumble.reduction.allan_deviation import AllanDeviation, Coefficient, Panel
 from tumble.sensors.model import SensorModel
@@ -92,16 +93,18 @@ def kalibr(calibration: Calibration, noise: NoiseDensities) -> Exported:
     known = triads(calibration, "kalibr")
     Ta, to_accel = _lower_times_rotation(known["accel"].matrix, "accelerometers")
     Tw, to_gyro = _lower_times_rotation(known["gyro"].matrix @ to_accel.T, "gyros")
+    sensitivity = g_sensitivity(calibration)
     losses = (
         "biases have no place in this file, OpenVINS estimates them while it runs: accelerometers "
         f"{shown(known['accel'].bias.round(9))} m/s^2, gyros {shown(known['gyro'].bias.round(9))} rad/s",
         "one noise density for the three axes of a kind: the largest of them",
         *noise.accel.bounds,
         *noise.gyro.bounds,
+        *not_held(calibration, {"gyro.g_sensitivity"}),
         NO_UNCERTAINTY,
     )
     comments = [*origin(calibration), f"noise from {noise.source}", *_frame_comment(to_accel)]
-    comments += ["set rostopic", *_examples(known, to_accel), *losses]
+    comments += ["set rostopic", *_examples(known, to_accel), *still(sensitivity), *losses]
     lines = ["%YAML:1.0", *(f"# {line}" for line in comments), "", "imu0:"]
     lines += _matrix("T_i_b", np.eye(4))
     lines += [
@@ -116,7 +119,7 @@ def kalibr(calibration: Calibration, noise: NoiseDensities) -> Exported:
     ]
     for name, matrix in (("Tw", Tw), ("R_IMUtoGYRO", to_gyro), ("Ta", Ta), ("R_IMUtoACC", np.eye(3))):
         lines += _matrix(name, matrix)
-    lines += _matrix("Tg", np.zeros((3, 3)))
+    lines += _matrix("Tg", sensitivity @ to_accel.T)
     return Exported(content=("\n".join(lines) + "\n").encode(), losses=losses)
 
 

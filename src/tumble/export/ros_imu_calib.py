@@ -22,6 +22,7 @@ from tumble.export.exported import (
     triads,
     yaml_list,
 )
+from tumble.export.larger_model import not_held
 
 
 def ros_imu_calib(calibration: Calibration) -> Exported:
@@ -29,7 +30,7 @@ def ros_imu_calib(calibration: Calibration) -> Exported:
     known = triads(calibration, "ros-imu-calib", gyro=False)
     model = known["accel"]
     inverse = inverse_of(model)
-    losses = [NO_UNCERTAINTY]
+    losses = [*not_held(calibration), NO_UNCERTAINTY]
     if "gyro" in known:
         losses.insert(
             0, f"everything of the gyros: the node takes their bias at start; {gyro_matrix_lost(known['gyro'])}"

@@ -150,7 +150,7 @@ def _counting(rests: int, gyros: bool, *ends: int) -> BoolArray:
 def _closed(last: Array, rest: Array, triangle: Array) -> Array:
     """The triangle on the parameters when a chain ends with rows (r, ·) on the attitude of its last rest and the
     rows of that rest."""
-    rows = np.linalg.qr(np.concatenate([last, rest]), mode="r")[3:, 3:]
+    rows = np.asarray(np.linalg.qr(np.concatenate([last, rest]), mode="r"))[3:, 3:]
     return np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
 
 

@@ -155,7 +155,7 @@ def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solut
     """Covariance (m, m) of all parameters from their triangle (m, m), and the solution for the linear ones, whatever
     the others are: with the columns of these first, R = (F X; 0 L), L is the triangle of the linear ones."""
     further = triangle.shape[1] - linear
-    R = np.linalg.qr(np.roll(triangle, further, axis=1), mode="r")
+    R = np.asarray(np.linalg.qr(np.roll(triangle, further, axis=1), mode="r"))
     F, X, L = R[:further, :further], R[:further, further:], R[further:, further:]
     solution = least_squares(L, np.zeros(len(L)), spread)
     back, inverse = np.linalg.solve(F, X), np.linalg.inv(F)
@@ -282,8 +282,8 @@ def _turns_about(course: Course, setup: Setup, instrument: Instrument) -> TurnsA
     vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
     moments = steady_moments(vector, course.seconds, start, setup, own_axes(instrument))
     values = np.zeros(len(instrument.names))
-    about = tuple(instrument.coefficients(block, values) for block in (instrument.gyro, instrument.accel))
-    return TurnsAbout.from_moments(moments, instrument.accel, (*about, 0.0), (np.eye(3), np.eye(3)))
+    rate, force = (instrument.coefficients(block, values) for block in (instrument.gyro, instrument.accel))
+    return TurnsAbout.from_moments(moments, instrument.accel, (rate, force, 0.0), (np.eye(3), np.eye(3)))
 
 
 def _check(setup: Setup, gyros: bool) -> None:
@@ -305,7 +305,7 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
     n = 3 if gyros else 0
     moved = np.zeros(N)
     moved[course.first + 1] = course.seconds
-    start = setup.rest * np.arange(N) + np.cumsum(moved)
+    start = np.asarray(setup.rest * np.arange(N) + np.cumsum(moved), dtype=float)
     return Rests(
         file=np.zeros(N, dtype=np.int64),
         start=start,

@@ -71,7 +71,7 @@ def session_of_arrays(
         log["temperature"] = {"columns": ["temperature"], "unit": "degC"}
     _check_lengths(data)
     if temperature is not None:
-        data["temperature"] = _celsius(data["temperature"])
+        data["temperature"] = celsius_of(data["temperature"])
     description: dict[str, Any] = {
         "format": 1,
         "device": {"serial": serial},
@@ -164,7 +164,8 @@ def _check_gravity(accel: Array) -> None:
         )
 
 
-def _celsius(kelvin: Array) -> Array:
+def celsius_of(kelvin: Array) -> Array:
+    """Temperatures in °C of those in K. Raises InputError where they look like degrees Celsius."""
     if kelvin.min() < _COLDEST:
         raise InputError(f"temperature: expected kelvin, found {kelvin.min():.4g}; add 273.15 to degrees Celsius")
     return kelvin - ZERO_CELSIUS

@@ -9,13 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+Tone = Literal["good", "doubt", "bad"]
+"""The colour of accepted, accepted with scatter, not accepted."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Text:
-    """A paragraph; `tone` says whether it is good news or bad."""
+    """A paragraph; `tone` says whether it is good news, good with reservations, or bad."""
 
     text: str
-    tone: Literal["plain", "small", "good", "bad"] = "plain"
+    tone: Literal["plain", "small"] | Tone = "plain"
     kind: Literal["text"] = "text"
 
 
@@ -104,12 +107,12 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Document:
-    """A whole report: the device, whether all its calibrations are accepted, facts for the first page, when the latest
-    calibration was made (ISO 8601), and the parts."""
+    """A whole report: the device, the worst verdict on its calibrations as a colour and in words, facts for the first
+    page, when the latest calibration was made (ISO 8601), and the parts."""
 
     title: str
     device: str
-    accepted: bool
+    tone: Tone
     verdict: str
     facts: tuple[tuple[str, str], ...]
     created: str

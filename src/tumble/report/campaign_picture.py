@@ -12,7 +12,7 @@ import numpy as np
 from tumble.errors import InputError, needs_extra
 from tumble.files import whole_file
 from tumble.planning.budget import GROUPS
-from tumble.units import engineering
+from tumble.sensors.parameters import shown_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,7 +51,7 @@ def plot(lines: Sequence[SummaryLine], path: Path) -> None:
 
 def _draw(panel: Axes, lines: Sequence[SummaryLine], axes: Sequence[str], along: str | None) -> None:
     """One group: rms errors against the axis `along`."""
-    size, unit = engineering(lines[0].unit, max(line.rms or 0.0 for line in lines))
+    size, unit = shown_in(lines[0].group, lines[0].unit, max(line.rms or 0.0 for line in lines))
     series: dict[str, list[SummaryLine]] = {}
     for line in lines:
         others = [f"{axis} {_plain(line.point[axis])}" for axis in axes if axis != along]

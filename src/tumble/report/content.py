@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
+from tumble.calibration.further import predicted
 from tumble.errors import InputError
 from tumble.registry.limits import Limits, Verdict
 from tumble.report import compare, limits, recording, result
-from tumble.report.blocks import Block, Document, Facts, Items, Part, Section, Text
+from tumble.report.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone
 from tumble.report.numbers import NONE
 
 
@@ -40,7 +41,7 @@ def document(sources: Sequence[Source], acceptance: Limits | None = None) -> Doc
     return Document(
         title="Calibration report",
         device=first.serial if first.model is None else f"{first.serial} ({first.model})",
-        accepted=not not_accepted(sources, acceptance),
+        tone=_tone(sources, acceptance),
         verdict=_verdict(sources, acceptance),
         facts=_front(sources, titles),
         created=max(calibration.provenance.get("created", "") for calibration in calibrations),
@@ -48,15 +49,24 @@ def document(sources: Sequence[Source], acceptance: Limits | None = None) -> Doc
     )
 
 
+def _tone(sources: Sequence[Source], acceptance: Limits | None) -> Tone:
+    """The colour of the worst verdict."""
+    if not_accepted(sources, acceptance):
+        return "bad"
+    return "doubt" if any(source.calibration.outcome.remarks for source in sources) else "good"
+
+
 def _verdict(sources: Sequence[Source], acceptance: Limits | None) -> str:
     """The verdict in a few words: of the calibrations, and where there are limits, of every check."""
-    if not all(source.calibration.outcome.accepted for source in sources):
+    outcomes = [source.calibration.outcome for source in sources]
+    if not all(outcome.accepted for outcome in outcomes):
         return "not accepted"
+    accepted = "accepted with scatter" if any(outcome.remarks for outcome in outcomes) else "accepted"
     results: dict[str, list[str]] = {}
     for _, verdict in _checks(sources, acceptance):
         results.setdefault(verdict.occasion, []).append(verdict.result)
     worst = ("fail", "undecided", "pass")
-    return ", ".join(["accepted", *(f"{check}: {min(found, key=worst.index)}" for check, found in results.items())])
+    return ", ".join([accepted, *(f"{check}: {min(found, key=worst.index)}" for check, found in results.items())])
 
 
 def _checks(sources: Sequence[Source], acceptance: Limits | None) -> Iterator[tuple[Source, Verdict]]:
@@ -123,6 +133,7 @@ def _sections(source: Source, key: str, acceptance: Limits | None) -> tuple[Sect
     recordings = recording.recordings(calibration)
     sections: list[Section | None] = [
         _result(calibration),
+        result.beyond(calibration),
         limits.section(calibration, acceptance),
         result.launches(calibration) if calibration.launches else None,
         result.application(calibration),
@@ -153,6 +164,8 @@ def _result(calibration: Calibration) -> Section:
         )
         if found := remarks(calibration):
             blocks.append(Items(items=found))
+    if calibration.prediction is not None:
+        blocks.append(Text(text=f"Known to (standard uncertainty): {predicted(calibration.prediction)}."))
     if calibration.outcome.unobservable:
         blocks.append(Text(text=f"Not determined: {', '.join(calibration.outcome.unobservable)}."))
     if calibration.notes:

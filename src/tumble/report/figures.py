@@ -15,10 +15,12 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.further import linear_parameters
 from tumble.calibration.results import Parameter, RestResult, SensorsAtRest, TurnResult
 from tumble.estimation.estimate import FIT_SIGMAS
 from tumble.report.characters import drawable
 from tumble.report.numbers import raised
+from tumble.sensors.parameters import group_name
 from tumble.terminal.text import shown_units
 from tumble.units import G_STANDARD, Array, engineering
 
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
 INK, GREY, FAINT = "#1c2733", "#6b7785", "#d5dae0"
 COLOURS = ("#1f4e79", "#c0561a", "#3d7d52", "#7d4f93", "#a08020", "#58728c")
 """For accelerometers, gyros, or the sensors of a block in turn."""
+
+MOST_WITH_NUMBERS, MOST_WITH_LABELS = 30, 45
+"""How many parameters a map of correlations shows with numbers, and with labels as large as others."""
 
 PAGE = 6.7
 """Width of a figure as wide as the page, inches."""
@@ -119,7 +124,7 @@ def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult
 
 
 def correlations(name: str, names: Sequence[str], correlation: Array) -> str:
-    """Heat map of the correlation coefficients, with their values in hundredths."""
+    """Heat map of the correlation coefficients, with their values in hundredths where these have room."""
     count = len(names)
 
     def draw(figure: Figure) -> None:
@@ -131,13 +136,13 @@ def correlations(name: str, names: Sequence[str], correlation: Array) -> str:
         )
         axes.set_aspect("equal")
         axes.invert_yaxis()
-        for p in range(count):
+        for p in range(count if count <= MOST_WITH_NUMBERS else 0):
             for q in range(p):
                 _coefficient(axes, p, q, round(100.0 * float(correlation[p, q])))
         labels = [drawable(label) for label in names]
         axes.set_xticks(range(count), labels, rotation=90)
         axes.set_yticks(range(count), labels)
-        axes.tick_params(length=0.0, labelsize=6.5)
+        axes.tick_params(length=0.0, labelsize=min(6.5, 6.5 * MOST_WITH_LABELS / count))
         axes.spines[:].set_visible(False)
         bar = figure.colorbar(mesh, ax=axes, shrink=0.5, pad=0.01, label="correlation coefficient")
         bar.outline.set_visible(False)
@@ -159,7 +164,7 @@ def convergence(name: str, steps: Sequence[Mapping[str, float]], parameters: Seq
     kinds: dict[str, list[Parameter]] = {}
     for p in parameters:
         if p.u:
-            kinds.setdefault(".".join(p.name.split(".")[:2]), []).append(p)
+            kinds.setdefault(group_name(p.name), []).append(p)
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -222,10 +227,11 @@ def _per_rest(axes: Axes, values: Array, unit: str, per: str, sensors: Sequence[
 
 
 def comparison(name: str, titles: Sequence[str], calibrations: Sequence[Calibration]) -> str:
-    """Parameters of several calibrations with U (k = 2), each as a difference from their mean, one panel a kind."""
+    """Parameters of the linear model of several calibrations with U (k = 2), each as a difference from their mean, one
+    panel a kind."""
     kinds: dict[str, list[str]] = {}
-    for p in calibrations[0].parameters:
-        kinds.setdefault(".".join(p.name.split(".")[:2]), []).append(p.name)
+    for p in linear_parameters(calibrations[0].parameters):
+        kinds.setdefault(group_name(p.name), []).append(p.name)
     units = shown_units(calibrations[0].parameters)
 
     def draw(figure: Figure) -> None:

@@ -38,6 +38,14 @@ def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
     return minus(value), U
 
 
+def with_standard(parameter: Parameter, size: float) -> tuple[str, str]:
+    """Value and u of a parameter in a unit of this size, to the second significant digit of u."""
+    if parameter.u is None:
+        return significant(parameter.value / size, 6), NONE
+    value, u = rounded(parameter.value / size, parameter.u / size)
+    return minus(value if float(value) else value.lstrip("-")), u
+
+
 def as_value(number: float | None, parameter: Parameter, size: float) -> str:
     """Another number of a parameter, to the digits of its U."""
     if number is None:

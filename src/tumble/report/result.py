@@ -3,15 +3,38 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.further import (
+    GroupLine,
+    decided_by_priors,
+    further_parameters,
+    group_lines,
+    linear_parameters,
+    other_factors,
+    verdicts,
+)
 from tumble.calibration.results import Launch, Parameter
 from tumble.report import drawings, figures
-from tumble.report.blocks import Block, Facts, Figure, Formula, Items, Matrices, Matrix, ReportTable, Section, Text
-from tumble.report.numbers import NONE, as_value, fixed, significant, with_expanded
+from tumble.report.blocks import (
+    Block,
+    Facts,
+    Figure,
+    Formula,
+    Items,
+    Matrices,
+    Matrix,
+    ReportTable,
+    Section,
+    Text,
+    Tone,
+)
+from tumble.report.numbers import NONE, as_value, fixed, significant, with_expanded, with_standard
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
 from tumble.terminal.text import shown_units
 from tumble.units import Array, engineering
 
@@ -51,21 +74,72 @@ def described(name: str) -> str:
 
 
 def parameter_table(calibration: Calibration) -> ReportTable:
-    """Parameters with U (k = 2); where there are such, deviations from the systematic values and from launch to
-    launch."""
-    units = shown_units(calibration.parameters)
-    launches = bool(calibration.launches)
-    passport = any(p.deviation is not None for p in calibration.parameters)
+    """Parameters of the linear model with U (k = 2); where there are such, coverage factors other than 2, deviations
+    from the systematic values and from launch to launch."""
+    parameters = linear_parameters(calibration.parameters)
+    units = shown_units(parameters)
+    launches, factors = bool(calibration.launches), other_factors(parameters)
+    passport = any(p.deviation is not None for p in parameters)
     columns = ["parameter", "", "mean" if launches else "value", "U (k = 2)", "unit"]
+    columns += ["k for 95 %"] if factors else []
     columns += (["run to run"] if launches else []) + (["from nominal"] if passport else [])
     rows = []
-    for p in calibration.parameters:
+    for p in parameters:
         size, unit = units[p.name]
         row = [p.name, described(p.name), *with_expanded(p, size), unit]
+        row += [fixed(p.k, 2)] if factors else []
         row += [as_value(p.run_to_run, p, size)] if launches else []
         row += [as_value(p.deviation, p, size)] if passport else []
         rows.append(tuple(row))
     return ReportTable(columns=tuple(columns), rows=tuple(rows), text=(0, 1, 4))
+
+
+def beyond(calibration: Calibration) -> Section | None:
+    """A line for each group beyond the linear model, what its prior decides, and all its parameters."""
+    lines = group_lines(calibration)
+    if not lines:
+        return None
+    blocks: list[Block] = [
+        Text(
+            text="Each group has a prior, the standard deviation over instruments of its grade or that of the data "
+            "sheet; where the data exceed it, it was widened. Learned is how much of the prior's variance the "
+            "recording has taken off: at 0 % only the prior is known."
+        ),
+        _group_table(lines),
+    ]
+    if decided := decided_by_priors(calibration):
+        blocks.append(Text(text=f"{decided[0].upper()}{decided[1:]}."))
+    if further := further_parameters(calibration.parameters):
+        blocks.append(_further_table(further))
+    return Section(title="Beyond the linear model", blocks=tuple(blocks))
+
+
+def _group_table(lines: Sequence[GroupLine]) -> ReportTable:
+    rows = []
+    for line in lines:
+        value, u = (NONE, NONE) if line.largest is None else with_standard(line.largest, line.size)
+        prior = NONE if line.prior is None else significant(line.prior / line.size, 4)
+        rows.append((line.name, line.words, value.lstrip("−"), u, prior, line.shown, line.learned_percent, line.remark))
+    columns = ("group", "what it is", "largest", "u", "prior", "unit", "learned", "")
+    return ReportTable(columns=columns, rows=tuple(rows), text=(0, 1, 5, 7), dense=True)
+
+
+def _further_table(parameters: Sequence[Parameter]) -> ReportTable:
+    units = shown_units(parameters)
+    rows = []
+    for p in parameters:
+        size, unit = units[p.name]
+        prior = NONE if p.prior is None else significant(p.prior / size, 4)
+        learned = NONE if p.learned is None else f"{100.0 * p.learned:.0f} %"
+        rows.append((p.name, *with_standard(p, size), fixed(p.k, 2), unit, prior, learned))
+    return ReportTable(
+        columns=("parameter", "value", "u", "k for 95 %", "unit", "prior", "learned"),
+        rows=tuple(rows),
+        text=(0, 4),
+        caption="u is the standard uncertainty, k u the half width of the interval of 95 %, prior a standard "
+        "deviation, as widened.",
+        dense=True,
+    )
 
 
 def launches(calibration: Calibration) -> Section:
@@ -117,6 +191,13 @@ def application(calibration: Calibration) -> Section:
         Formula(name="apply"),
         *_what_a_reading_is(calibration),
     ]
+    if further_parameters(calibration.parameters):
+        blocks.append(
+            Text(
+                text="This is the linear model. The terms of the groups beyond it are to be taken off the reading "
+                "before, as “tumble apply” does; the test vectors are without them."
+            )
+        )
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
     if not any(models.values()):
         blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
@@ -224,13 +305,12 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
             text="U is the expanded uncertainty: the standard uncertainty times the coverage factor k = 2, which for a "
             "normal distribution covers about 95 %, and less where u was estimated from few residuals. It contains the "
             "noise at rest and in turns, the scatter between rests that the residuals show, and the stated uncertainty "
-            "of gravity; of several launches also their instability. It does not contain what one recording cannot "
-            "show: changes with temperature and age, nonlinearity that is the same in every rest, and an error of "
-            "gravity larger than stated."
+            "of gravity; of several launches also their instability. " + _not_contained(calibration)
         ),
         Figure(
             svg=figures.correlations(name, names, r),
-            caption="Correlation coefficients of the parameters, in hundredths.",
+            caption="Correlation coefficients of the parameters"
+            + (", in hundredths." if len(names) <= figures.MOST_WITH_NUMBERS else "."),
             width=0.85,
         ),
     ]
@@ -240,14 +320,32 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
 
+def _not_contained(calibration: Calibration) -> str:
+    """What U has nothing of."""
+    if further_parameters(calibration.parameters):
+        return (
+            "It contains what the groups beyond the linear model leave open within their priors. It does not contain "
+            "the change from one power-on to the next and with age, effects that no group describes, and an error of "
+            "gravity larger than stated."
+        )
+    return (
+        "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that is "
+        "the same in every rest, and an error of gravity larger than stated."
+    )
+
+
 def covariance(calibration: Calibration) -> Section | None:
     """The whole covariance matrix, a table for each pair of kinds of sensor."""
     if calibration.covariance is None:
         return None
     names = [p.name for p in calibration.parameters]
-    kinds = list(dict.fromkeys(name.split(".")[0] for name in names))
-    members = {kind: [i for i, name in enumerate(names) if name.startswith(f"{kind}.")] for kind in kinds}
-    blocks: list[Block] = [Text(text="In products of SI units (m/s², 1, rad, rad/s), in the order of the file.")]
+    linear = [name for name in names if not beyond_linear(name)]
+    said = "In products of SI units (m/s², 1, rad, rad/s), in the order of the file."
+    if len(linear) < len(names):
+        said += f" Of the linear model; that of all {len(names)} parameters is in the calibration file."
+    kinds = list(dict.fromkeys(sensor_kind(name) for name in linear))
+    members = {kind: [names.index(name) for name in linear if name.startswith(f"{kind}.")] for kind in kinds}
+    blocks: list[Block] = [Text(text=said)]
     for n, first in enumerate(kinds):
         for second in kinds[: n + 1]:
             rows = tuple(
@@ -270,9 +368,10 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
     """Root mean square of the increments of every kind of parameter in each iteration."""
     if not calibration.iterations:
         return None
+    parameters = linear_parameters(calibration.parameters)
     kinds: dict[str, list[Parameter]] = {}
-    for p in calibration.parameters:
-        kinds.setdefault(".".join(p.name.split(".")[:2]), []).append(p)
+    for p in parameters:
+        kinds.setdefault(group_name(p.name), []).append(p)
     rows = []
     for number, step in enumerate(calibration.iterations, 1):
         row = [str(number)]
@@ -288,20 +387,38 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
         caption="Increments, root mean square of each kind of parameter.",
     )
     blocks: list[Block] = []
-    if any(p.u for p in calibration.parameters):
-        svg = figures.convergence(name, calibration.iterations, calibration.parameters)
+    if any(p.u for p in parameters):
+        svg = figures.convergence(name, calibration.iterations, parameters)
         caption = "The largest increment of each kind of parameter, in units of its standard uncertainty u."
         blocks.append(Figure(svg=svg, caption=caption))
     return Section(title="Convergence", blocks=(*blocks, table))
 
 
 def verdict(calibration: Calibration) -> list[Block]:
-    """Whether the calibration is accepted, and the reasons against it."""
-    if calibration.outcome.accepted:
-        unchecked = " and ".join(name for name, fit in calibration.fits.items() if fit.degrees < 0.5)
-        said = "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
-        if unchecked:
-            said += f" Nothing checks the {unchecked}: there are no more data than unknowns."
-        return [Text(text=said, tone="good")]
-    said = "Not accepted: these values must not be used."
-    return [Text(text=said, tone="bad"), Items(items=calibration.outcome.reasons, tone="bad")]
+    """Whether the calibration is accepted, the reasons against it, and the remarks with what they are caused by."""
+    outcome = calibration.outcome
+    if not outcome.accepted:
+        tone: Tone = "bad"
+        said = "Not accepted: these values must not be used."
+    elif outcome.remarks:
+        tone = "doubt"
+        said = "Accepted with scatter: the noise within the rests does not explain all residuals."
+    else:
+        tone = "good"
+        said = _agreement(calibration)
+    blocks: list[Block] = [Text(text=said, tone=tone)]
+    *parts, _ = verdicts(calibration)
+    if parts:
+        blocks.append(Text(text=f"{'; '.join(parts).capitalize()}."))
+    if outcome.reasons:
+        blocks.append(Items(items=outcome.reasons, tone="bad"))
+    return [*blocks, *([Items(items=outcome.remarks)] if outcome.remarks else [])]
+
+
+def _agreement(calibration: Calibration) -> str:
+    """That it is accepted, and what nothing checks."""
+    unchecked = " and ".join(name for name, fit in calibration.fits.items() if fit.degrees < 0.5)
+    said = "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
+    if unchecked:
+        said += f" Nothing checks the {unchecked}: there are no more data than unknowns."
+    return said

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.instrument import Instrument, is_linear
+from tumble.sensors.instrument import readings as readings_of
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, RATE, group_name
 from tumble.units import Array
 
-FIXED_POINT_STEPS = 3
-"""Steps for what is not linear: each leaves the part of 1e-3 or less that the nonlinear terms are of the reading."""
+FIXED_POINT_STEPS = 5
+"""Steps for what is not linear: each leaves the part of 1e-3 to 1e-2 that the nonlinear terms are of the reading."""
 
 
 def specific_force(instrument: Instrument, values: Array, readings: Array) -> Array:
@@ -29,18 +30,24 @@ def angular_rate(instrument: Instrument, values: Array, readings: Array, force: 
     return _solved(instrument.gyro, K, RATE, readings, force)
 
 
-def _solved(block: Block, K: Array, measured: slice, readings: Array, force: Array) -> Array:
-    """The measured vector (N, 3), by fixed-point steps: x ← S⁻¹ (ŷ − b − what is not linear in x)."""
+def _solved(
+    block: Block, K: Array, measured: slice, readings: Array, force: Array, change: tuple[Array, Array] | None = None
+) -> Array:
+    """The measured vector (N, 3), by fixed-point steps: x ← S⁻¹ ((ŷ − b − what is not linear in x) / s); where
+    parameters change with temperature, `change` is that of the bias, and s, both (N, n)."""
     inverse = np.linalg.pinv(K[:, measured])
     rest = K.copy()
     rest[:, measured], rest[:, CONSTANT] = 0.0, 0.0
-    reading = readings - K[:, CONSTANT]
-    x = reading @ inverse.T
+    offset, gain = change if change is not None else (np.zeros(1), np.ones(1))
+    reading = readings - K[:, CONSTANT] - offset
+    x = (reading / gain) @ inverse.T
     if not np.any(rest):
         return np.asarray(x)
+    if not np.any(rest[:, FORCE]):
+        force = np.zeros_like(x)  # what does not count may be lost
     for _ in range(FIXED_POINT_STEPS):
-        beta = functions(block, x, np.zeros_like(x)) if measured == FORCE else functions(block, force, x)
-        x = (reading - np.einsum("npb,pb->np", beta, rest)) @ inverse.T
+        true = (x, np.zeros_like(x)) if measured == FORCE else (force, x)
+        x = ((reading - readings_of(block, rest, *true)) / gain) @ inverse.T
     return np.asarray(x)
 
 
@@ -48,13 +55,15 @@ def _solved(block: Block, K: Array, measured: slice, readings: Array, force: Arr
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
     biases and scale factors change by per K of temperature (n,), about a reference, °C, where there is one. Lever arms
-    and delays, which need the motion, are not in it."""
+    (n, 3), m, need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
 
     accel: Block
     gyro: Block | None
     accel_coefficients: Array
     gyro_coefficients: Array
     slopes: Mapping[str, Array]
+    levers: Array
+    delay: float = 0.0
     reference: float | None = None
 
     @staticmethod
@@ -83,29 +92,51 @@ class Compensator:
             accel_coefficients=coefficients[0],
             gyro_coefficients=coefficients[1],
             slopes=_slopes(blocks, values),
+            levers=instrument.levers(further),
+            delay=instrument.delay(further),
             reference=reference,
         )
 
+    @property
+    def linear(self) -> bool:
+        """Whether matrix and bias of each kind are all there is, whatever the temperature."""
+        kinds = ((self.accel, self.accel_coefficients), (self.gyro, self.gyro_coefficients))
+        return not self.slopes and all(block is None or is_linear(block, K) for block, K in kinds)
+
+    def model(self, kind: str) -> SensorModel:
+        """Matrix and bias of a kind of sensors, without what is beyond them."""
+        block, K = (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
+        assert block is not None
+        return SensorModel(matrix=K[:, _measured(block)], bias=K[:, CONSTANT])
+
+    def at_one_point(self, readings: Array, rate: Array, acceleration: Array) -> Array:
+        """Readings (N, n), SI, as all accelerometers would have them where the last one is, in motion with a rate and
+        an angular acceleration (N, 3), rad/s and rad/s²: less what f_p − f = ω̇ × r_p + ω × (ω × r_p) adds through
+        the sensitivity."""
+        r = self.levers[None]
+        across = np.cross(rate[:, None], np.cross(rate[:, None], r))
+        added = np.cross(acceleration[:, None], r) + across
+        return np.asarray(readings - np.einsum("npk,pk->np", added, self.accel_coefficients[:, FORCE]))
+
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
         """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C."""
-        readings = self._at_reference(self.accel, self.accel_coefficients, readings, temperature)
-        return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)))
+        change = self._change(self.accel, self.accel_coefficients, temperature)
+        return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)), change)
 
     def rate(self, readings: Array, force: Array, temperature: Array | None = None) -> Array:
         """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures (N,), °C."""
         assert self.gyro is not None
-        readings = self._at_reference(self.gyro, self.gyro_coefficients, readings, temperature)
-        return _solved(self.gyro, self.gyro_coefficients, RATE, readings, force)
+        change = self._change(self.gyro, self.gyro_coefficients, temperature)
+        return _solved(self.gyro, self.gyro_coefficients, RATE, readings, force, change)
 
-    def _at_reference(self, block: Block, K: Array, readings: Array, temperature: Array | None) -> Array:
-        """Readings as they would be at the reference temperature."""
+    def _change(self, block: Block, K: Array, temperature: Array | None) -> tuple[Array, Array] | None:
+        """Changes (N, n) of the biases from the reference temperature, and factors (N, n) of the sensitivities."""
         bias, scale = self.slopes.get(f"{block.kind}.bias"), self.slopes.get(f"{block.kind}.scale")
         if temperature is None or self.reference is None or bias is None or scale is None:
-            return readings
-        change = (temperature - self.reference)[:, None]
+            return None
+        warmer = (temperature - self.reference)[:, None]
         size = np.linalg.norm(K[:, _measured(block)], axis=1)
-        offset = K[:, CONSTANT]
-        return np.asarray(offset + (readings - offset - bias * change) / (1.0 + scale * change / size))
+        return bias * warmer, 1.0 + scale * warmer / size
 
 
 def _slopes(blocks: tuple[Block, Block | None], values: Mapping[str, float]) -> dict[str, Array]:

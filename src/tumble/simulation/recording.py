@@ -186,7 +186,7 @@ class _SampledBlock:
         site, vibration, fs = scenario.site, scenario.vibration, scenario.profile.sample_rate
         rate = np.array(earth_rate(scenario.latitude)) @ L
         still = vibration.amplitude == 0.0 and not np.any(self.drift)
-        middle = (np.arange(first, first + 1 if still else last) + 0.5) / fs - self.late
+        middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - self.late, dtype=float)
         force = np.full(len(middle), site.gravity)
         if vibration.amplitude > 0.0:
             mean = vibration.amplitude * np.sinc(vibration.frequency / fs)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -15,6 +16,14 @@ from rich.text import Text
 
 from tumble.calibration.calibrate import ITERATED_METHODS
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.further import (
+    decided_by_priors,
+    group_lines,
+    linear_parameters,
+    other_factors,
+    predicted,
+    verdicts,
+)
 from tumble.calibration.launches import difference_percent
 from tumble.calibration.results import Parameter
 from tumble.terminal.table import add_numbers, plain_table
@@ -31,11 +40,13 @@ WHAT_AN_INCREMENT_SAYS = (
 
 
 def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None = None) -> Table:
-    """Parameters with uncertainties in engineering units; where there are any, with deviations from the systematic
-    values and from launch to launch; with `truth`, also true values and the distance from them in units of u."""
-    several = bool(calibration.launches)
+    """Parameters with uncertainties in engineering units; where a coverage factor is not 2, with U = k u; where there
+    are any, with deviations from the systematic values and from launch to launch; with `truth`, also true values and
+    the distance from them in units of u."""
+    several, expanded = bool(calibration.launches), other_factors(calibration.parameters)
     passport = any(p.deviation is not None for p in calibration.parameters)
     headings = ["mean" if several else "value", "u (k=1)"]
+    headings += ["k", "U (95 %)"] if expanded else []
     headings += (["run to run"] if several else []) + (["deviation"] if passport else [])
     table = plain_table("parameter")
     add_numbers(table, *headings)
@@ -47,8 +58,32 @@ def parameter_table(calibration: Calibration, truth: Mapping[str, float] | None 
         size, unit = units[p.name]
         numbers = [p.value, *([p.run_to_run] if several else []), *([p.deviation] if passport else [])]
         row = [_shown(number, p.u, size) for number in numbers]
-        row.insert(1, "" if p.u is None else rounded(p.value / size, p.u / size)[1])
+        row[1:1] = _uncertainty(p, size, expanded=expanded)
         table.add_row(p.name, *row, unit, *(_against(p, truth, size) if truth is not None else []))
+    return table
+
+
+def _uncertainty(parameter: Parameter, size: float, *, expanded: bool) -> list[str]:
+    """u, and where it is wanted the coverage factor k and U = k u."""
+    if parameter.u is None:
+        return [""] * (3 if expanded else 1)
+    u, k = parameter.u / size, parameter.k
+    return [rounded(0.0, u)[1], *([f"{k:.2f}", rounded(0.0, k * u)[1]] if expanded else [])]
+
+
+def group_table(calibration: Calibration) -> Table:
+    """A line for each group beyond the linear model: its largest |value| with u, what the session has learned of it,
+    and how much its prior was widened."""
+    table = plain_table("group")
+    add_numbers(table, "largest", "u (k=1)")
+    table.add_column("unit")
+    add_numbers(table, "learned")
+    table.add_column("")
+    for line in group_lines(calibration):
+        largest = line.largest
+        value = "" if largest is None else _shown(abs(largest.value), largest.u, line.size)
+        u = "" if largest is None or largest.u is None else rounded(0.0, largest.u / line.size)[1]
+        table.add_row(line.name, value, u, line.shown if largest else "", line.learned_percent, line.remark)
     return table
 
 
@@ -133,15 +168,23 @@ def rest_table(calibration: Calibration) -> Table:
 
 
 def calibration_report(
-    calibration: Calibration, truth: Mapping[str, float] | None = None, others: Sequence[Calibration] = ()
+    calibration: Calibration,
+    truth: Mapping[str, float] | None = None,
+    others: Sequence[Calibration] = (),
+    *,
+    every: bool = False,
 ) -> RenderableType:
     """All that `tumble calibrate` says about an accepted or rejected result; `others` are calibrations of the same
-    sessions by other methods."""
+    sessions by other methods. The tables have the parameters of the linear model, then a line for each further group;
+    with `every`, all parameters."""
+    whole, calibration = calibration, calibration if every else _of_linear_model(calibration)
     parts: list[RenderableType] = []
     device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
     parts.append(Text(f"device {device} · method {calibration.method} · frame {calibration.frame}"))
     if calibration.parameters:
         parts += [Text(""), parameter_table(calibration, truth)]
+    if group_lines(whole):
+        parts += [Text(""), group_table(whole)]
     if calibration.launches:
         parts += [Text(""), launch_table(calibration)]
         if any(p.deviation is not None for p in calibration.parameters):
@@ -155,10 +198,21 @@ def calibration_report(
     if calibration.fits:
         parts += [Text(""), Text("\n".join(_fit_lines(calibration)))]
     if truth is not None:
-        parts.append(Text(_truth_line(calibration, truth)))
+        parts.append(Text(_truth_line(whole, truth)))
+    if whole.prediction is not None:
+        parts.append(Text(predicted(whole.prediction)))
+    if decided := decided_by_priors(whole):
+        parts.append(Text(decided))
     parts += [Text(note) for note in calibration.notes]
-    parts += [Text(""), Text("accepted" if calibration.outcome.accepted else "not accepted")]
+    parts += [Text(f"remark: {remark}") for remark in calibration.outcome.remarks]
+    parts += [Text(""), *map(Text, verdicts(calibration))]
     return Group(*parts)
+
+
+def _of_linear_model(calibration: Calibration) -> Calibration:
+    """The calibration with the parameters of the linear model alone, in its launches too."""
+    launches = tuple(replace(one, parameters=linear_parameters(one.parameters)) for one in calibration.launches)
+    return replace(calibration, parameters=linear_parameters(calibration.parameters), launches=launches)
 
 
 def _fit_lines(calibration: Calibration) -> list[str]:

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from tumble.units import engineering
+from tumble.sensors.parameters import shown_in
 
 if TYPE_CHECKING:
     pass
@@ -47,7 +47,7 @@ def _figures(line: SummaryLine) -> list[str]:
     assert line.bias is not None
     assert line.scatter is not None
     assert line.rms is not None
-    size, unit = engineering(line.unit, line.rms)
+    size, unit = shown_in(line.group, line.unit, line.rms)
     return [
         *(f"{value / size:.3g}" for value in (line.bias, line.scatter, line.rms)),
         unit,

@@ -7,8 +7,9 @@ from rich.table import Table
 from rich.text import Text
 
 from tumble.calibration.compare import Comparison
+from tumble.sensors.parameters import shown_in
 from tumble.terminal.table import add_numbers, plain_table
-from tumble.units import engineering, rounded
+from tumble.units import rounded
 
 
 def comparison_report(comparison: Comparison) -> RenderableType:
@@ -34,7 +35,7 @@ def _table(comparison: Comparison) -> Table:
     table.add_column("unit")
     add_numbers(table, "d/u", "E_n")
     for d in comparison.differences:
-        size, unit = engineering(d.unit, max(abs(d.first), abs(d.second), d.u or 0.0))
+        size, unit = shown_in(d.name, d.unit, max(abs(d.first), abs(d.second), d.u or 0.0))
         u = (d.u or 0.0) / size
         numbers = [rounded(value / size, u)[0] for value in (d.first, d.second, d.value)]
         judged = ["", ""] if d.e_n is None or not d.u else [f"{d.value / d.u:+.2f}", f"{d.e_n:+.2f}"]

@@ -17,8 +17,8 @@ from tumble.planning.plan import PlanResult
 from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme, duration
 from tumble.programme.sheet_words import clock, move_text
-from tumble.sensors.parameters import group_of, positions_by_group
-from tumble.units import DEGREE, engineering
+from tumble.sensors.parameters import group_of, positions_by_group, shown_in
+from tumble.units import DEGREE
 from tumble.usual_setup import MOVE
 
 LARGEST = 4
@@ -79,9 +79,8 @@ def _further(whole: Bound) -> RenderableType:
 
 
 def _in_unit(name: str, value: float) -> str:
-    """A value in the unit its group is shown in: the largest that leaves no less than 1, or the smallest."""
-    shown = group_of(name).shown or ((1.0, group_of(name).unit),)
-    size, unit = next(((s, u) for s, u in reversed(shown) if value >= s), shown[0])
+    """A value in the unit its group is shown in."""
+    size, unit = shown_in(name, group_of(name).unit, value)
     return f"{value / size:.3g} {unit}"
 
 
@@ -142,7 +141,7 @@ def short_of(bound: Bound, aim: Aim, setup: Setup) -> list[str]:
     out = _not_determined(bound)
     for group, value in (aim.wanted or {}).items():
         if group in bound.groups and bound.rms(group) > value:
-            size, unit = engineering(_unit(bound, group), value)
+            size, unit = shown_in(group, _unit(bound, group), value)
             out.append(
                 f"{group}: expected {value / size:.3g} {unit} (rms), found at best "
                 f"{_shown(bound, group, bound.rms(group))}; take more positions, or longer rests than {setup.rest:g} s"
@@ -173,7 +172,7 @@ def _shown(bound: Bound, group: str, u: float) -> str:
     """An uncertainty in its engineering unit."""
     if not math.isfinite(u):
         return "–"
-    size, unit = engineering(_unit(bound, group), u)
+    size, unit = shown_in(group, _unit(bound, group), u)
     return f"{u / size:.3g} {unit}"
 
 

@@ -6,19 +6,11 @@ import io
 import math
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from rich.console import Console, RenderableType
 
 from tumble.calibration.results import Parameter
-from tumble.units import engineering
-
-if TYPE_CHECKING:
-    pass
-
-
-def _group(parameter: Parameter) -> str:
-    return ".".join(parameter.name.split(".")[:2])
+from tumble.sensors.parameters import group_name, shown_in
 
 
 def shown_units(parameters: Sequence[Parameter]) -> dict[str, tuple[float, str]]:
@@ -26,12 +18,12 @@ def shown_units(parameters: Sequence[Parameter]) -> dict[str, tuple[float, str]]
     root mean square."""
     kinds: dict[str, list[Parameter]] = {}
     for p in parameters:
-        kinds.setdefault(_group(p), []).append(p)
+        kinds.setdefault(group_name(p.name), []).append(p)
     of_kind = {
-        kind: engineering(alike[0].unit, math.sqrt(sum(p.value**2 for p in alike) / len(alike)))
+        kind: shown_in(kind, alike[0].unit, math.sqrt(sum(p.value**2 for p in alike) / len(alike)))
         for kind, alike in kinds.items()
     }
-    return {p.name: of_kind[_group(p)] for p in parameters}
+    return {p.name: of_kind[group_name(p.name)] for p in parameters}
 
 
 def print_report(report: RenderableType) -> None:

@@ -1,0 +1,183 @@
+"""Where the operator is: the rests so far, the positions they are, the turn under way, and what is wrong with them.
+
+Nothing is remembered but what the operator has answered: all else follows from the blocks of the log, so that a page
+that is started again says the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.bench.chain import Blocks
+from tumble.earth import EARTH_RATE
+from tumble.programme.positions import Move, Position, Programme
+from tumble.reduction.matching import POSITION_LIMIT, SAME_ATTITUDE, TURN_LIMIT
+from tumble.units import DEGREE, Array
+
+CALM_BLOCKS = 5
+"""Half a second without movement is a rest that begins."""
+WRONG_WAY = 30.0 * DEGREE
+"""A turn that has gone so far against its sense is wrong, before it ends."""
+BIAS_LIMIT = 0.15
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limits:
+    """What decides whether a block is calm: scatter of the specific force, m/s², and distance of the rate from its
+    `level` (3,) at rest, rad/s; the level is None while no rest is known."""
+
+    scatter: float
+    rate: float | None
+    level: Array | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Rest:
+    """A rest: its blocks, its times, s, the mean specific force (3,) and rate (3,)."""
+
+    first: int
+    last: int
+    start: float
+    stop: float
+    force: Array
+    rate: Array | None
+
+    @property
+    def vertical(self) -> Array:
+        """Direction of the mean specific force in the body."""
+        return np.asarray(self.force / np.linalg.norm(self.force))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Fault:
+    """What is wrong, from `start` on, s: its kind, and a sentence. `kept` says whether a first part is good."""
+
+    kind: str
+    said: str
+    start: float
+    stop: float
+    kept: bool = False
+    choices: tuple[str, ...] = ("again", "go_on")
+
+
+def rest_of(blocks: Blocks, first: int, last: int) -> Rest:
+    """The rest of blocks first … last − 1."""
+    return Rest(
+        first=first,
+        last=last,
+        start=float(blocks.edges[first]),
+        stop=float(blocks.edges[last]),
+        force=blocks.force[first:last].mean(axis=0),
+        rate=None if blocks.rate is None else blocks.rate[first:last].mean(axis=0),
+    )
+
+
+def scatter_now(blocks: Blocks) -> float:
+    """Scatter of the specific force, m/s², over the last second."""
+    return float(np.sqrt(blocks.force[-10:].var(axis=0).sum()))
+
+
+def calm_since(blocks: Blocks, limits: Limits, most: int = 100_000) -> int | None:
+    """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together."""
+    last = len(blocks)
+    if last < CALM_BLOCKS or not _calm(blocks, last - CALM_BLOCKS, limits):
+        return None
+    first = last - CALM_BLOCKS
+    while first > max(0, last - most) and _calm(blocks, first - 1, limits):
+        first -= 1
+    return first
+
+
+def _calm(blocks: Blocks, first: int, limits: Limits) -> bool:
+    window = slice(first, first + CALM_BLOCKS)
+    if np.sqrt(blocks.force[window].var(axis=0).sum()) > limits.scatter:
+        return False
+    if blocks.rate is None or limits.rate is None or limits.level is None:
+        return True
+    wide = limits.rate + 2.0 * EARTH_RATE
+    return float(np.linalg.norm(blocks.rate[window].mean(axis=0) - limits.level)) < 1.5 * wide
+
+
+def turned_between(blocks: Blocks, first: int, last: int, level: Array | None) -> Array | None:
+    """Sum of the gyro increments (3,) over blocks first … last − 1, rad, less the rate at rest; None without gyros."""
+    if blocks.rate is None or level is None:
+        return None
+    seconds = np.diff(blocks.edges[first : last + 1])[:, None]
+    return np.asarray(((blocks.rate[first:last] - level) * seconds).sum(axis=0))
+
+
+def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
+    """Rests without a turn between them together: one position. Without gyros, those of one vertical."""
+    groups: list[list[Rest]] = []
+    for rest in rests:
+        if groups and _still(blocks, groups[-1][-1], rest):
+            groups[-1].append(rest)
+        else:
+            groups.append([rest])
+    return groups
+
+
+def _still(blocks: Blocks, before: Rest, after: Rest) -> bool:
+    apart = float(np.arccos(np.clip(before.vertical @ after.vertical, -1.0, 1.0)))
+    level = None if before.rate is None or after.rate is None else 0.5 * (before.rate + after.rate)
+    turned = turned_between(blocks, before.last, after.first, level)
+    return apart < SAME_ATTITUDE and (turned is None or float(np.linalg.norm(turned)) < SAME_ATTITUDE)
+
+
+def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
+    """Verticals (N, 3) in the body, freed from bias by the median difference from the nearest positions."""
+    forces = np.array([rest.force for rest in rests]).reshape(-1, 3)
+    expected = np.array([position.vertical_b for position in programme.positions])
+    unit = forces / np.linalg.norm(forces, axis=1, keepdims=True)
+    bias = np.median(forces - gravity * expected[np.argmax(unit @ expected.T, axis=1)], axis=0)
+    free = forces - bias if len(rests) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity else forces
+    return np.asarray(free / np.linalg.norm(free, axis=1, keepdims=True))
+
+
+def position_fault(programme: Programme, k: int, vertical: Array, rest: Rest) -> Fault | None:
+    """Whether a rest is position k of a programme in order, by its vertical."""
+    off = np.array([np.arccos(np.clip(vertical @ p.vertical_b, -1.0, 1.0)) for p in programme.positions])
+    if off[k] <= POSITION_LIMIT:
+        return None
+    nearest = int(np.argmin(off))
+    like = f"this is {nearest + 1}" if off[nearest] <= POSITION_LIMIT else "this is none of the programme"
+    said = f"wrong position: {like}, wanted {k + 1} ({programme.positions[k].label}); it is {off[k] / DEGREE:.0f}° off"
+    return Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop)
+
+
+def turn_fault(move: Move, before: Position, turned: Array | None, start: float, stop: float) -> Fault | None:
+    """Whether a whole turn is that of the programme, by the gyros."""
+    if move.axis is None or move.angle is None or turned is None:
+        return None
+    axis_b = before.matrix.T @ move.axis
+    if float(np.linalg.norm(turned - move.angle * axis_b)) <= TURN_LIMIT:
+        return None
+    done = float(turned @ axis_b)
+    if np.linalg.norm(turned + move.angle * axis_b) <= TURN_LIMIT:
+        said = f"turned the wrong way: {done / DEGREE:+.0f}° instead of {move.angle / DEGREE:+.0f}°"
+        return Fault(kind="wrong way", said=f"{said}; turn back the way you came", start=start, stop=stop)
+    across = float(np.linalg.norm(turned - done * axis_b))
+    said = (
+        f"another turn than the programme's: {done / DEGREE:+.0f}° about its axis and {across / DEGREE:.0f}° across it"
+    )
+    return Fault(kind="wrong turn", said=f"{said}, wanted {move.angle / DEGREE:+.0f}°", start=start, stop=stop)
+
+
+def against(move: Move, before: Position, turned: Array) -> float:
+    """How far, rad, a turn under way has gone against its sense; 0 where it goes the right way."""
+    if move.axis is None or move.angle is None:
+        return 0.0
+    return max(0.0, -float(turned @ (before.matrix.T @ move.axis)) * float(np.sign(move.angle)))
+
+
+def nearest_positions(programme: Programme, units: Array) -> list[int | None]:
+    """Which position of a programme in any order each vertical (N, 3) is; None where it is none."""
+    expected = np.array([position.vertical_b for position in programme.positions])
+    cosines = units @ expected.T
+    nearest = np.argmax(cosines, axis=1)
+    return [
+        int(k) if cosine >= np.cos(POSITION_LIMIT) else None
+        for k, cosine in zip(nearest, cosines.max(axis=1), strict=True)
+    ]

@@ -1,0 +1,125 @@
+"""What a log on disk says so far, followed as it grows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tumble.bench.lines import Lines
+from tumble.recording.session import LogSpec
+from tumble.units import Array
+
+PIECE_BYTES = 1 << 20
+
+
+@dataclass(kw_only=True, slots=True)
+class Follower:
+    """Reads whole lines of a growing text log: `columns` are those of the session, in its order."""
+
+    path: Path
+    columns: tuple[str, ...]
+    clock: str | None
+    _at: int = 0
+    _lines: Lines | None = None
+
+    @staticmethod
+    def of(spec: LogSpec) -> Follower:
+        """Of the file of a log."""
+        return Follower(path=growing_file(spec), columns=spec.columns, clock=spec.time)
+
+    def rows(self) -> Array:
+        """Rows (m, columns) that have come since the last time, at most those of a piece of the file."""
+        with self.path.open("rb") as file:
+            file.seek(self._at)
+            data = file.read(PIECE_BYTES)
+        data = data[: data.rfind(b"\n") + 1]
+        self._at += len(data)
+        if not data:
+            return np.empty((0, len(self.columns)))
+        if self._lines is None:
+            self._lines = Lines(columns=self.columns, clock=self.clock, refuse=_nothing)
+        return self._parsed(self._lines, data)
+
+    def _parsed(self, lines: Lines, data: bytes) -> Array:
+        rows = lines.feed(data)
+        text = ",".join(row.text for row in rows)
+        return np.fromstring(text, sep=",").reshape(-1, len(self.columns))
+
+
+def growing_file(spec: LogSpec) -> Path:
+    """The last file of a log, which is the one that grows."""
+    path = spec.files[-1]
+    assert isinstance(path, Path)
+    return path
+
+
+def _nothing(_: bytes) -> None:
+    """What is no row is counted by whoever records it."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Samples:
+    """Sound samples: end times and intervals, s, and the numbers of the log without its time; `lost` before each."""
+
+    time: Array
+    dt: Array
+    values: Array
+    lost: Array
+
+
+BRIDGED = 25
+"""Samples in a row that may be missing without a turn being lost."""
+_HEAD = 100
+
+
+@dataclass(kw_only=True, slots=True)
+class Clock:
+    """Makes samples of rows: in the order of their times, with the interval of each. `interval` is None until there
+    are enough rows to know it."""
+
+    spec: LogSpec
+    interval: float | None = None
+    last: float | None = None
+    count: int = 0
+    start: float = 0.0
+    _head: list[Array] | None = None
+
+    def samples(self, rows: Array) -> Samples | None:
+        """The samples of the next rows; None while the interval is not known."""
+        if self.interval is None:
+            self._head = [*(self._head or []), rows]
+            if sum(map(len, self._head)) < _HEAD:
+                return None
+            rows, self._head = np.concatenate(self._head), None
+            self._learn(rows)
+        assert self.interval is not None
+        sound = np.isfinite(rows).all(axis=1)
+        values = rows if self.spec.time is None else rows[:, 1:]
+        if self.spec.time is None or self.spec.regular:
+            time = np.asarray(self.start + self.interval * np.arange(self.count, self.count + len(rows)), dtype=float)
+            self.count += len(rows)
+        else:
+            time = rows[:, 0] * self.spec.time_factor
+            before = -np.inf if self.last is None else self.last
+            sound &= time > np.maximum.accumulate(np.concatenate([[before], time[:-1]]))
+        return self._steps(time[sound], values[sound], self.interval)
+
+    def _learn(self, rows: Array) -> None:
+        if self.spec.time is None:
+            self.interval = 1.0 / (self.spec.rate or 1.0)
+            self.start = self.interval
+            return
+        time = rows[:, 0] * self.spec.time_factor
+        regular = (time[-1] - time[0]) / (len(time) - 1)
+        self.interval = float(regular if self.spec.regular else np.median(np.diff(time)))
+        self.start = float(time[0])
+
+    def _steps(self, time: Array, values: Array, interval: float) -> Samples:
+        first = time[:1] - interval if self.last is None else np.array([self.last])
+        dt = np.diff(np.concatenate([first, time])) if len(time) else np.empty(0)
+        lost = np.where(dt > 1.5 * interval, np.round(dt / interval) - 1.0, 0.0)
+        if len(time):
+            self.last = float(time[-1])
+        return Samples(time=time, dt=np.where(lost > BRIDGED, interval, dt), values=values, lost=lost)

@@ -1,0 +1,125 @@
+"""From a source to the log of a session, in a thread of its own that does nothing else."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tumble.bench.follow import growing_file
+from tumble.bench.lines import Lines
+from tumble.bench.order import Order
+from tumble.bench.recorder import Recorder
+from tumble.bench.sources import Ended, Source
+from tumble.recording.session import Session
+
+READ_SECONDS = 0.05
+SILENT_SECONDS = 2.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Received:
+    """What has come so far: rows recorded, what was refused, late or repeated; whether the source has `ended`, for how
+    long it has been `silent`, s, and what is wrong, in words."""
+
+    source: str
+    rows: int
+    refused: int
+    last_refused: str
+    late: int
+    repeated: int
+    ended: bool
+    silent: float
+    trouble: tuple[str, ...]
+
+
+class Intake:
+    """Records a source into the log of a session until it is stopped."""
+
+    def __init__(self, source: Source, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
+        log = session.log
+        columns = log.columns
+        self.path = growing_file(log)
+        self.recorder = Recorder(self.path, ",".join(columns))
+        self.source = source
+        self.lines = Lines(columns=columns, clock=log.time, refuse=self.recorder.refuse)
+        self.order = Order(
+            unordered=source.unordered, seconds=log.time_factor, refuse=self.recorder.refuse, last=self._last(log.time)
+        )
+        self._resume(log.time_factor)
+        self._now, self._heard = now, now()
+        self.rows, self.ended = 0, False
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
+
+    def _last(self, clock: str | None) -> float | None:
+        """The time of the last row that is recorded."""
+        rows = self.lines.feed(self.recorder.last_line().encode() + b"\n") if clock is not None else []
+        return rows[-1].time if rows else None
+
+    def _resume(self, seconds: float) -> None:
+        """Record what waited when the recording ended, and let the source go on from there if it can."""
+        waited = [row for line in self.recorder.waiting() for row in self.lines.feed(line.encode() + b"\n")]
+        self.recorder.append(self.order.feed(waited) + self.order.end())
+        self.recorder.hold([])
+        skip_to = getattr(self.source, "skip_to", None)
+        if skip_to is not None and self.order.last is not None:
+            skip_to(self.order.last * seconds)
+
+    def start(self) -> None:
+        """Begin to listen."""
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                self.take(self.source.read(READ_SECONDS))
+        except Ended:
+            self.take(b"\n")
+            self.recorder.append(self.order.end())
+            self.ended = True
+        finally:
+            self.source.close()
+            self.recorder.append(self.order.end())
+            self.recorder.hold([])
+            self.recorder.close()
+
+    def take(self, data: bytes) -> None:
+        """Record what was received."""
+        waited = bool(self.order.waiting)
+        rows = self.order.feed(self.lines.feed(data)) if data or waited else []
+        if rows:
+            self.recorder.append(rows)
+            self.rows += len(rows)
+            self._heard = self._now()
+        if waited or self.order.waiting:
+            self.recorder.hold(self.order.waiting)
+        self.recorder.sync_if_due()
+
+    def stop(self) -> None:
+        """Stop listening and leave a complete log."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    @property
+    def received(self) -> Received:
+        """What has come so far."""
+        silent = 0.0 if self.ended else self._now() - self._heard
+        trouble = [said for said in (self.recorder.trouble, self.source.trouble) if said]
+        if self.order.restarted:
+            trouble.append("the clock of the unit has started anew: this is another power-on, record it as one")
+        if silent > SILENT_SECONDS and not self.source.trouble:
+            trouble.append(f"nothing has come for {silent:.0f} s")
+        return Received(
+            source=self.source.name,
+            rows=self.rows,
+            refused=self.lines.refused,
+            last_refused=self.lines.last_refused,
+            late=self.order.late,
+            repeated=self.order.repeated,
+            ended=self.ended,
+            silent=silent,
+            trouble=tuple(trouble),
+        )

@@ -1,0 +1,67 @@
+"""A bench from the words of the command line: the folder of its session, made where it is new, and its source."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tumble.bench import folder as folders
+from tumble.bench.sources import MOTIONCAL_LOG, Source, in_si, source_of
+from tumble.bench.station import Station
+from tumble.errors import InputError
+from tumble.programme.positions import programme as built_in
+from tumble.recording.session import SESSION_FILE
+
+FULL_SCALE_OF_VIRTUAL = 5.235987755982989  # rad/s: 300 °/s
+
+
+def station_of(
+    folder: Path,
+    listen: str | None,
+    *,
+    serial: str | None = None,
+    site: Mapping[str, Any],
+    programme: str | None = None,
+    wanted: tuple[str, ...] = (),
+    grade: str = "mems",
+) -> Station:
+    """The bench of a session folder and of what stands after --listen. Raises InputError."""
+    if programme is not None:
+        built_in(programme)
+    if listen is not None and not (folder / SESSION_FILE).exists():
+        _make(folder, listen, serial, site, programme)
+    return Station(folder, None if listen is None else _Once(listen), wanted=wanted, grade=grade)
+
+
+def _make(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any], programme: str | None) -> None:
+    """A session folder for a source: a copy of what is replayed, else of a source that sends SI, or MotionCal."""
+    kind, _, rest = listen.partition(":")
+    if kind == "replay":
+        original = Path(rest.rpartition("@")[0] if "@" in rest else rest)
+        source_of(listen).close()
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(original / SESSION_FILE, folder / SESSION_FILE)
+        return
+    if kind == "simulator":
+        log = in_si()
+        log["gyro"] = log["gyro"] | {"range": FULL_SCALE_OF_VIRTUAL}
+        site = {"latitude_deg": 56.84, "gravity": 9.81579, "gravity_u": 1e-6}
+        programme, serial = programme or rest.partition("@")[0] or "rough-table", serial or "virtual-1"
+        folders.begin(folder, log=log, serial=serial, site=site, programme=programme)
+        return
+    if serial is None:
+        raise InputError(f"{folder}: expected --serial with the number of the unit for a new session, found none")
+    log = dict(MOTIONCAL_LOG) if kind == "serial" and rest.endswith(":motioncal") else in_si()
+    folders.begin(folder, log=log, serial=serial, site=site, programme=programme)
+
+
+class _Once:
+    """Makes the source anew each time recording begins."""
+
+    def __init__(self, listen: str) -> None:
+        self._listen = listen.removesuffix(":motioncal")
+
+    def __call__(self) -> Source:
+        return source_of(self._listen)

@@ -1,0 +1,193 @@
+// The page follows the states that the server sends, and sends back what the operator answers.
+
+import { clock, details, groups, made, number, residuals, sphere, Tones, Trace } from "./parts.js";
+
+const of = (id) => document.getElementById(id);
+const tones = new Tones();
+const accel = new Trace(of("accel"), "Accelerometers", "m/s²");
+const gyro = new Trace(of("gyro"), "Gyros", "°/s");
+let state = {};
+let screen = "";
+
+function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function show(element, wanted) {
+  element.hidden = !wanted;
+}
+
+// -------------------- what is shown --------------------
+
+function header() {
+  const { unit, received, rest, session } = state;
+  say(of("serial"), unit.serial);
+  say(of("count"), rest ? `${rest.number}${rest.of ? ` of ${rest.of}` : ""} · ${session}` : session);
+  const faults = [[received.lost, "lost"], [received.late, "late"], [received.repeated, "repeated"], [received.refused, "refused"]];
+  const said = faults.filter(([count]) => count).map(([count, what]) => `${count} ${what}`).join(", ");
+  const rate = received.rate ? `${number(received.rate)} Hz` : "–";
+  say(of("received"), `${received.source} · ${clock(state.seconds || 0)} · ${rate} · ${received.samples} samples · ${said || "none lost"}`);
+  const trouble = received.trouble.concat(received.ended ? ["the source has ended"] : []);
+  if (!state.may_command) trouble.push("this page may look, not command: open the link with the token");
+  say(of("trouble"), trouble.join(" · "));
+  show(of("trouble"), trouble.length > 0);
+}
+
+function now() {
+  const { fault, position } = state;
+  say(of("headline"), state.headline);
+  say(of("fault"), fault ? fault.said : "");
+  show(of("fault"), Boolean(fault));
+  of("now").className = `now ${state.screen}`;
+  show(of("picture"), Boolean(position));
+  if (position && of("picture").getAttribute("src") !== position.picture) {
+    of("picture").src = position.picture;
+    of("picture").alt = `Position ${position.number}: ${position.label}; ${position.move}`;
+  }
+  show(of("sphere"), Boolean(state.sphere) && !position && state.screen !== "done");
+  if (state.sphere && !position) sphere(of("sphere"), state.sphere);
+  const points = position ? Object.entries(position.points).map(([axis, to]) => `${axis} → ${to}`).join("   ") : "";
+  say(of("points"), position ? `${position.label}   ${points}` : "");
+  figures();
+}
+
+function figures() {
+  const { rest, turn, scatter } = state;
+  const degrees = state.temperature === null || state.temperature === undefined ? "" : `${state.temperature.toFixed(2)} °C`;
+  if (state.screen === "rest") {
+    say(of("big"), rest.nothing_more ? "enough" : rest.left === null ? "…" : clock(rest.left));
+    details(of("details"), [
+      ["u of the mean", `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
+      ["gyros", rest.gyro_u === null ? "" : `${number(rest.gyro_u)} °/h of ${number(rest.gyro_wanted)} °/h`],
+      ["drift", `${number(rest.drift)} µg${rest.settling ? ": still settling" : ""}`],
+      ["temperature", degrees],
+      ["at rest", clock(rest.seconds)],
+      ["", rest.nothing_more ? "longer gives nothing" : ""],
+    ]);
+  } else if (state.screen === "turn") {
+    const angle = turn.angle === null ? "" : ` of ${turn.angle > 0 ? "+" : "−"}${Math.abs(turn.angle).toFixed(0)}°`;
+    say(of("big"), turn.done === null ? "" : `${turn.done.toFixed(0)}°${angle}`);
+    const scale = turn.full_scale === null ? "" : ` of ${number(turn.full_scale)} °/s`;
+    details(of("details"), [
+      ["move", state.position ? state.position.move : "any"],
+      ["rate", turn.rate === null ? "" : `${turn.rate.toFixed(1)} °/s${scale}`],
+      ["note", state.early],
+    ]);
+  } else {
+    say(of("big"), "");
+    details(of("details"), scatter ? [["scatter now", `${number(scatter.now)} m/s², at rest below ${number(scatter.limit)}`], ["temperature", degrees]] : []);
+  }
+}
+
+function estimate() {
+  const found = state.estimate;
+  const busy = state.estimating ? " · estimating …" : "";
+  say(of("estimated"), (found ? `Estimate from ${found.rests} rests${found.enough ? ": all wanted u reached" : ""}` : "No estimate yet") + busy);
+  if (!found) { of("groups").replaceChildren(); return; }
+  groups(of("groups"), found.groups);
+  residuals(of("residuals"), found.residuals);
+  say(of("next"), found.next ? `Best next: ${found.next}` : "");
+  say(of("cause"), found.cause);
+  show(of("cause"), Boolean(found.cause));
+}
+
+function finish() {
+  const { result } = state;
+  show(of("finish"), Boolean(result));
+  if (!result) return;
+  say(of("result"), result.accepted ? "Calibrated: accepted" : "Calibrated: not accepted");
+  of("reasons").replaceChildren(...result.reasons.map((reason) => made("li", reason)));
+  of("files").replaceChildren(...result.files.map((name) => {
+    const link = made("a", name);
+    link.href = `files/${encodeURIComponent(name)}`;
+    link.download = name;
+    return link;
+  }));
+}
+
+function buttons() {
+  const choices = state.fault ? state.fault.choices : [];
+  const wanted = {
+    again: choices.includes("again"),
+    keep_first: choices.includes("keep_first"),
+    go_on: choices.includes("go_on") || (state.screen === "done" && !state.complete && !state.result),
+    calibrate: !state.result && (state.screen === "done" || state.received.ended || Boolean(state.estimate)),
+    resume: Boolean(state.result) && !state.received.ended,
+  };
+  for (const button of document.querySelectorAll("#buttons button")) show(button, wanted[button.dataset.do]);
+  for (const button of document.querySelectorAll("main button")) button.disabled = !state.may_command;
+  show(of("table"), state.table);
+}
+
+function update(next) {
+  state = next;
+  header();
+  now();
+  estimate();
+  finish();
+  buttons();
+  say(of("message"), state.message);
+  accel.add(state.trace.t, state.trace.a, state.trace.anew);
+  gyro.add(state.trace.t, state.trace.g, state.trace.anew);
+  const heard = `${state.screen} ${state.headline}`;
+  if (heard !== screen) tones.play(state.screen);
+  screen = heard;
+  document.body.dataset.screen = state.screen;
+}
+
+// -------------------- what is answered --------------------
+
+async function command(name, value = "") {
+  try {
+    const answer = await fetch("command", {
+      method: "POST",
+      headers: { "Content-Type": "application/json" },
+      body: JSON.stringify({ do: name, value }),
+    });
+    say(of("message"), answer.ok ? (await answer.json()).said : await answer.text());
+  } catch {
+    say(of("message"), "the server does not answer");
+  }
+}
+
+function table(what) {
+  const next = state.position ? state.position.number : state.rest ? state.rest.number : 1;
+  command("table", what === "next" ? `to ${next}` : what);
+}
+
+const ARROWS = { ArrowLeft: "U+90", ArrowRight: "U-90", ArrowUp: "E+90", ArrowDown: "E-90", PageUp: "N+90", PageDown: "N-90" };
+
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey || event.target.matches("input, select")) return;
+  if (state.table && ARROWS[event.key]) { event.preventDefault(); table(ARROWS[event.key]); return; }
+  if (state.table && event.key === "n") { table("next"); return; }
+  const button = document.querySelector(`button[data-key="${CSS.escape(event.key.toLowerCase())}"]`);
+  if (button && button.offsetParent && !button.disabled) button.click();
+});
+
+document.addEventListener("click", (event) => {
+  const button = event.target.closest("button");
+  if (!button) return;
+  if (button.dataset.do) command(button.dataset.do);
+  if (button.dataset.table) table(button.dataset.table);
+});
+
+function onSubmit(id, name, input) {
+  of(id).addEventListener("submit", (event) => {
+    event.preventDefault();
+    command(name, of(input).value);
+    if (of(input).matches("input")) of(input).value = "";
+  });
+}
+
+onSubmit("leave", "leave_out", "leave-number");
+onSubmit("export", "export", "export-to");
+onSubmit("unit", "next_unit", "unit-serial");
+of("sound").addEventListener("click", () => of("sound").setAttribute("aria-pressed", String(tones.toggle())));
+
+const events = new EventSource("events");
+events.onmessage = (event) => update(JSON.parse(event.data));
+events.onerror = () => {
+  say(of("trouble"), "the server does not answer; the page goes on when it does");
+  show(of("trouble"), true);
+};

@@ -1,0 +1,151 @@
+// Parts of the page: each takes an element and data, and puts text and shapes into it. Nothing is ever markup.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** A new element of HTML with text in it. */
+export function made(tag, text = "", className = "") {
+  const element = document.createElement(tag);
+  element.textContent = text;
+  if (className) element.className = className;
+  return element;
+}
+
+function shape(tag, attributes) {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  return element;
+}
+
+/** A number to three digits, or a dash. */
+export function number(value, digits = 3) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  return Math.abs(value) >= 10 ** digits ? value.toFixed(0) : String(Number(value.toPrecision(digits)));
+}
+
+/** A time as minutes and seconds. */
+export function clock(seconds) {
+  const whole = Math.max(0, Math.round(seconds));
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+}
+
+/** Terms and their values. */
+export function details(list, pairs) {
+  const wanted = pairs.filter(([, value]) => value !== "");
+  list.replaceChildren(...wanted.flatMap(([term, value]) => [made("dt", term), made("dd", value)]));
+}
+
+/** A bar for every group: the middle is the wanted u, each half a factor of a hundred. */
+export function groups(box, list) {
+  box.replaceChildren(...list.map((group) => {
+    const row = made("div", "", `group ${!group.determined ? "unknown" : group.enough ? "enough" : ""}`);
+    const name = made("div", "", "name");
+    const found = group.determined ? `${number(group.u)} ${group.unit}` : "not determined";
+    const wanted = ` of ${number(group.wanted)} ${group.unit}`;
+    name.append(made("span", group.group), made("span", found + wanted));
+    row.append(name, bar(group, found));
+    return row;
+  }));
+}
+
+function bar(group, found) {
+  const ratio = group.determined ? Math.log10(group.u / group.wanted) : 2;
+  const width = Math.min(100, Math.max(2, 50 + 25 * ratio));
+  const box = made("div", "", "bar");
+  box.setAttribute("role", "meter");
+  box.setAttribute("aria-label", `${group.group}: u over the wanted u`);
+  box.setAttribute("aria-valuemin", "0");
+  box.setAttribute("aria-valuemax", "100");
+  box.setAttribute("aria-valuenow", String(Math.round(width)));
+  box.setAttribute("aria-valuetext", found);
+  const fill = made("i");
+  fill.style.width = `${width}%`;
+  box.append(fill, made("b"));
+  return box;
+}
+
+/** The residual of every rest in sigmas. */
+export function residuals(box, list) {
+  box.replaceChildren(...list.map((each, i) => {
+    const item = made("span", `${i + 1}: ${each.sigmas.toFixed(1)}`, each.sigmas > 5 ? "bad" : "");
+    item.setAttribute("role", "listitem");
+    return item;
+  }));
+}
+
+/** The sphere of directions: what is taken, and what each of the 26 directions would buy (the fuller, the more). */
+export function sphere(box, data) {
+  const picture = shape("svg", { viewBox: "-118 -66 236 132" });
+  for (const [side, x] of [[1, -59], [-1, 59]]) {
+    picture.append(shape("circle", { cx: x, cy: 4, r: 50, fill: "#eef1f6", stroke: "#5b6470" }));
+    const label = shape("text", { x, y: -53, "text-anchor": "middle", "font-size": 11, fill: "#16181d" });
+    label.textContent = side > 0 ? "Z up" : "Z down";
+    picture.append(label);
+    let k = 0;
+    for (let i = -1; i < 2; i++) for (let j = -1; j < 2; j++) for (let l = -1; l < 2; l++) {
+      if (!i && !j && !l) continue;
+      const gain = data.gains ? 1 - data.gains[k] : 0;
+      k += 1;
+      const length = Math.hypot(i, j, l);
+      mark(picture, [i / length, j / length, l / length], side, x, 2 + 14 * Math.sqrt(Math.max(0, gain)), "none", "#b3141c");
+    }
+    for (const direction of data.taken) mark(picture, direction, side, x, 4.5, "#17692f", "#17692f");
+  }
+  box.replaceChildren(picture);
+}
+
+function mark(picture, [dx, dy, dz], side, x, radius, fill, stroke) {
+  if (dz * side < -1e-9) return;
+  const scale = 50 / Math.sqrt(1 + Math.abs(dz));
+  picture.append(shape("circle", { cx: x + scale * dx, cy: 4 - scale * dy, r: radius, fill, stroke, "stroke-width": 1.5 }));
+}
+
+/** A picture of the last minute of three channels. */
+export class Trace {
+  constructor(box, title, unit) {
+    this.box = box;
+    const colours = ["#c0392b", "#217a4b", "#2c5fa8"];
+    const series = [{}, ...["x", "y", "z"].map((name, i) => ({ label: name, stroke: colours[i], width: 1.5 }))];
+    const axes = [{}, { label: unit, size: 64 }];
+    this.data = [[], [], [], []];
+    this.plot = new window.uPlot(
+      { title, width: this.width(), height: 170, series, axes, scales: { x: { time: false } }, cursor: { show: false }, legend: { show: false } },
+      this.data, box);
+    new ResizeObserver(() => this.plot.setSize({ width: this.width(), height: 170 })).observe(box);
+  }
+
+  width() { return Math.max(200, this.box.clientWidth); }
+
+  add(time, channels, anew) {
+    if (anew) this.data = [[], [], [], []];
+    if (!channels.length) return;
+    this.data = this.data.map((old, i) => old.concat(i ? channels[i - 1] : time).slice(-600));
+    this.plot.setData(this.data);
+  }
+}
+
+/** A short tone: high for good, low for bad. */
+export class Tones {
+  constructor() { this.context = null; }
+
+  toggle() {
+    if (this.context) { this.context.close(); this.context = null; return false; }
+    this.context = new AudioContext();
+    return true;
+  }
+
+  play(screen) {
+    const notes = { fault: [220, 185], turn: [660, 880], rest: [520], done: [523, 659, 784] }[screen];
+    if (!this.context || !notes) return;
+    notes.forEach((pitch, i) => {
+      const tone = this.context.createOscillator();
+      const volume = this.context.createGain();
+      const start = this.context.currentTime + 0.18 * i;
+      tone.frequency.value = pitch;
+      volume.gain.setValueAtTime(0.25, start);
+      volume.gain.exponentialRampToValueAtTime(0.001, start + 0.17);
+      tone.connect(volume).connect(this.context.destination);
+      tone.start(start);
+      tone.stop(start + 0.18);
+    });
+  }
+}

@@ -1,0 +1,91 @@
+"""A bench is run: its server until the process is ended, and the link to it."""
+
+from __future__ import annotations
+
+import socket
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from tumble.bench.access import Access, lasting_token
+from tumble.bench.station import Station
+from tumble.errors import InputError, needs_extra
+
+LOOPBACK = "127.0.0.1"
+_ANY = ("0.0.0.0", "::")
+
+
+def serve(
+    station: Station, *, host: str = LOOPBACK, port: int = 8422, browser: bool = False, say: Callable[[str], None]
+) -> None:
+    """Serve the page of a station until the process is interrupted. `say` gets the link."""
+    with needs_extra("the bench page", "bench", "fastapi", "uvicorn", "starlette"):
+        import uvicorn
+
+        from tumble.bench.server import app_of
+    with _listening(host, port) as bound:
+        port = bound.getsockname()[1]
+        access = Access(host=host, port=port, token=lasting_token())
+        app = app_of(station, access)
+        server = _server(uvicorn, app)
+        link = f"http://{_reachable(host)}:{port}/?token={access.token}"
+        say(f"the page: {link}")
+        if not access.loopback:
+            say(_qr(link))
+        if browser:
+            webbrowser.open(link)
+        station.start()
+        try:
+            server.run(sockets=[bound])
+        finally:
+            station.stop()
+
+
+def _server(uvicorn: Any, app: Any) -> Any:
+    """A server that ends the streams of its pages when it ends; no request is logged, for one of them has the token."""
+
+    class Server(uvicorn.Server):  # type: ignore[misc]
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            app.state.stopping = True
+            await super().shutdown(sockets)
+
+    return Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=3))
+
+
+@contextmanager
+def _listening(host: str, port: int) -> Iterator[socket.socket]:
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        bound = socket.socket(family, socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((host, port))
+        bound.listen(128)
+    except OSError as error:
+        raise InputError(f"--host {host} --port {port}: expected a free address, found: {error.strerror}") from None
+    with bound:
+        yield bound
+
+
+def _reachable(host: str) -> str:
+    """The address of this machine for a link: where all are listened to, that towards the network."""
+    if host not in _ANY:
+        return f"[{host}]" if ":" in host else host
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # nothing is sent: only the way is asked for
+        except OSError:
+            return LOOPBACK
+        return str(probe.getsockname()[0])
+
+
+def _qr(link: str) -> str:
+    """The link as a QR code in characters."""
+    with needs_extra("a QR code", "bench", "qrcode"):
+        import qrcode
+    import io
+
+    made, out = qrcode.QRCode(border=1), io.StringIO()
+    made.add_data(link)
+    made.print_ascii(out=out, invert=True)
+    return out.getvalue()

@@ -1,0 +1,136 @@
+"""The server of the page: the state as server-sent events, pictures, results, and the commands of the buttons."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import FileResponse, RedirectResponse, StreamingResponse
+
+from tumble.bench.access import HEADERS, Access
+from tumble.bench.station import Station
+from tumble.programme.positions import ANY_MOVE
+from tumble.programme.sheet_pictures import picture
+
+PAGE = Path(__file__).parent / "page"
+ASSETS = {
+    "bench.css": "text/css",
+    "bench.js": "text/javascript",
+    "parts.js": "text/javascript",
+    "vendor/uPlot.iife.min.js": "text/javascript",
+    "vendor/uPlot.min.css": "text/css",
+}
+_KEEP_ALIVE = 1.0
+_YEAR = 365 * 86400
+_LONGEST_COMMAND = 4096
+
+
+def app_of(station: Station, access: Access) -> FastAPI:
+    """The application that serves a station."""
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
+    app.state.stopping = False
+
+    @app.middleware("http")
+    async def guarded(request: Request, call: Callable[[Request], Awaitable[Response]]) -> Response:
+        refused = _refusal(request, access)
+        response = refused if refused is not None else await call(request)
+        for name, value in HEADERS.items():
+            response.headers[name] = value
+        return response
+
+    @app.get("/")
+    async def index() -> Response:
+        return FileResponse(PAGE / "index.html", media_type="text/html; charset=utf-8")
+
+    @app.get("/favicon.ico")
+    async def icon() -> Response:
+        return Response(status_code=204)
+
+    @app.get("/assets/{name:path}")
+    async def asset(name: str) -> Response:
+        if name not in ASSETS:
+            return _plain(404, "no such file")
+        return FileResponse(PAGE / name, media_type=ASSETS[name])
+
+    @app.get("/events")
+    async def events(request: Request) -> Response:
+        may_command = access.knows(request.cookies.get(access.cookie))
+        return StreamingResponse(_events(app, station, request, may_command), media_type="text/event-stream")
+
+    @app.get("/picture/{number}.svg")
+    async def drawing(number: int) -> Response:
+        listed = station.programme
+        if listed is None or not 0 <= number < len(listed.positions):
+            return _plain(404, "no such position")
+        move = listed.moves[number - 1] if number and listed.ordered else ANY_MOVE
+        return Response(picture(listed.positions[number], move), media_type="image/svg+xml")
+
+    @app.get("/files/{name}")
+    async def result(name: str) -> Response:
+        path = station.file(name)
+        if path is None or not path.is_file():
+            return _plain(404, "no such result")
+        return FileResponse(path, media_type="application/octet-stream", filename=name)
+
+    @app.post("/command")
+    async def command(request: Request) -> Response:
+        body = await request.body()
+        try:
+            given = json.loads(body if len(body) <= _LONGEST_COMMAND else b"")
+            name, value = str(given["do"]), str(given.get("value", ""))
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            return _plain(400, "expected a command")
+        said = await asyncio.to_thread(station.command, name, value)
+        return Response(json.dumps({"said": said}), media_type="application/json")
+
+    return app
+
+
+def _refusal(request: Request, access: Access) -> Response | None:
+    """Why a request is not answered; the way in with a token is answered here."""
+    if not access.answers_to(request.headers.get("host")):
+        return _plain(421, "this server does not answer to that name")
+    given = request.query_params.get("token")
+    if request.url.path == "/" and given is not None and access.knows(given):
+        response = RedirectResponse("/", status_code=303)
+        response.set_cookie(access.cookie, access.token, max_age=_YEAR, httponly=True, samesite="strict")
+        return response
+    holds = access.knows(request.cookies.get(access.cookie))
+    if not holds and (not access.loopback or request.method != "GET" or given is not None):
+        return _plain(403, "open the link with the token that the server has printed")
+    if request.method != "GET" and not access.same_origin(request.headers.get("origin"), request.headers.get("host")):
+        return _plain(403, "only the page of this server may command")
+    return None
+
+
+def _plain(status: int, said: str) -> Response:
+    return Response(said, status_code=status, media_type="text/plain")
+
+
+async def _events(app: FastAPI, station: Station, request: Request, may_command: bool) -> AsyncIterator[str]:
+    """The states as they change, each with the block means that are new since the one before."""
+    yield "retry: 500\n\n"
+    before: dict[str, Any] = {}
+    since = 0
+    while not app.state.stopping and not await request.is_disconnected():
+        state = await asyncio.to_thread(station.wait, before, _KEEP_ALIVE)
+        if state is before:
+            yield ": still here\n\n"
+            continue
+        before = state
+        trace = station.trace(since)
+        since = trace["next"]
+        yield f"data: {json.dumps(_finite(state | {'trace': trace, 'may_command': may_command}))}\n\n"
+
+
+def _finite(value: Any) -> Any:
+    """The same without numbers that JSON has none for."""
+    if isinstance(value, float):
+        return value if value == value and abs(value) != float("inf") else None
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,135 @@
+"""The uncertainties that are wanted, and what of them is reached."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.estimation.estimate import Estimate
+from tumble.planning.requirements import wanted_of
+from tumble.planning.setup import Setup
+from tumble.sensors.grades import Grade, grade
+from tumble.sensors.model import Block
+from tumble.units import Array, engineering
+
+PART_OF_SPREAD = 0.05
+"""What a calibration is to leave of the errors before it, where the noise of the grade allows that."""
+PART_OF_WISH = 0.2
+"""Of the wanted u of a bias: what the noise of one rest may leave."""
+_REST = 60.0
+_MORE = 5
+
+
+def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
+    """Wanted standard uncertainties, SI, by group: those in texts such as "gyro.scale=2ppm" and, for the others, of the
+    grade: a twentieth of its errors before calibration or, where that is more, what a minute of its noise leaves."""
+    kind = grade(grade_name)
+    stated = wanted_of(texts, None, Setup.of(grade=grade_name)) if texts else {}
+    return _of_grade(kind) | stated
+
+
+def rest_wishes(wanted: Mapping[str, float], grade_name: str) -> tuple[float, float]:
+    """Wanted u of the mean of a rest, m/s² and rad/s: a fifth of that of the biases or, where that is more, what a
+    minute of the noise of the grade leaves."""
+    noise = grade(grade_name).noise
+    accel = max(PART_OF_WISH * wanted["accel.bias"], noise.accel_white / _REST**0.5)
+    return accel, max(PART_OF_WISH * wanted["gyro.bias"], noise.gyro_white / _REST**0.5)
+
+
+def _of_grade(kind: Grade) -> dict[str, float]:
+    wanted: dict[str, float] = {}
+    levels = {"accel": (kind.noise.accel_white, kind.noise.accel_instability, 9.8)}
+    levels["gyro"] = (kind.noise.gyro_white * _REST**0.5, kind.noise.gyro_instability * _REST, math.pi)
+    for name, spread in (("accel", kind.accel), ("gyro", kind.gyro)):
+        white, instability, signal = levels[name]
+        white = white / _REST**0.5 if name == "accel" else white
+        bias = math.hypot(white, instability) / (1.0 if name == "accel" else _REST)
+        relative = math.hypot(white, instability) / signal
+        wanted[f"{name}.bias"] = max(PART_OF_SPREAD * spread.bias, bias)
+        wanted[f"{name}.scale"] = max(PART_OF_SPREAD * spread.scale, relative)
+        wanted[f"{name}.axis"] = max(PART_OF_SPREAD * spread.axis, 2.0 * relative)
+    return wanted
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Reached:
+    """A group of parameters: the largest u of its parameters and the wanted one, SI; `determined`: whether the data
+    tell all of them."""
+
+    group: str
+    unit: str
+    u: float
+    wanted: float
+    determined: bool
+
+    @property
+    def enough(self) -> bool:
+        """Whether the wanted u is reached."""
+        return self.determined and self.u <= self.wanted
+
+    def shown(self) -> dict[str, object]:
+        """For the page: numbers in the unit that is shown."""
+        size, unit = engineering(self.unit, self.wanted)
+        return {
+            "group": self.group,
+            "unit": unit,
+            "u": self.u / size,
+            "wanted": self.wanted / size,
+            "determined": self.determined,
+            "enough": self.enough,
+        }
+
+
+def reached(estimate: Estimate, wanted: Mapping[str, float]) -> tuple[Reached, ...]:
+    """What of the wishes an estimate reaches, by group in the order of its parameters; other groups are passed over."""
+    names: dict[str, list[int]] = {}
+    for i, name in enumerate(estimate.names):
+        names.setdefault(_group(name), []).append(i)
+    u = estimate.u
+    return tuple(
+        Reached(
+            group=group,
+            unit=estimate.units[rows[0]],
+            u=float(u[rows].max()),
+            wanted=wanted[group],
+            determined=bool(estimate.observable[rows].all()),
+        )
+        for group, rows in names.items()
+        if group in wanted
+    )
+
+
+def _group(name: str) -> str:
+    """The group of a parameter: "gyro.bias" of gyro.bias.x, "gyro.bias.t1" of gyro.bias.x.t1."""
+    first, *_, last = parts = name.split(".")
+    change = [last] if last in ("t1", "t2", "drift") else []
+    return ".".join([first, parts[1], *change])
+
+
+def better_by(rests: int) -> float:
+    """How many times better five more rests would make it, as the root of their number."""
+    return math.sqrt((rests + _MORE) / rests)
+
+
+DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], dtype=float) - 1.0
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+"""The 26 faces, edges and corners of a cube, from its middle."""
+
+
+def gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u: float, gravity: float) -> Array:
+    """What a further rest with the vertical along each of DIRECTIONS (26,) leaves of the accelerometers' u over the
+    wanted ones (root mean square), from what is measured so far: its reading has the length of gravity, which is one
+    row of the covariance of the estimate, without what its turn would tell of the gyros."""
+    rows = [estimate.names.index(name) for name in block.names]
+    C = estimate.covariance[np.ix_(rows, rows)]
+    weight = np.array([wanted.get(_group(name), np.inf) for name in block.names])
+    before = float(np.sqrt((np.diag(C) / weight**2).sum()))
+    J = np.einsum("pn,nkm->pkm", np.linalg.pinv(block.axes), block.jacobian(np.zeros(len(rows))))
+    force = np.column_stack([gravity * DIRECTIONS, np.ones(len(DIRECTIONS))])
+    h = np.einsum("qp,pkm,qk->qm", DIRECTIONS, J, force)
+    Ch = h @ C
+    left = np.diag(C) - Ch**2 / (rest_u**2 + np.einsum("qm,qm->q", h, Ch))[:, None]
+    return np.asarray(np.sqrt((np.maximum(left, 0.0) / weight**2).sum(axis=1)) / before)

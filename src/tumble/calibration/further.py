@@ -1,0 +1,144 @@
+"""What a calibration says beyond the linear model: a line for each group of parameters, what corrected readings are
+known to, where a prior decides an uncertainty, and the verdicts. Words and numbers for terminal, notebook and report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tumble.calibration.results import Parameter
+from tumble.estimation.prediction import Prediction
+from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
+from tumble.units import engineering
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
+
+WIDENED = 1.05
+"""From here on a prior counts as widened."""
+BY_PRIOR = 0.5
+"""A parameter of which the session has learned less is known by its prior rather than by the data."""
+OPEN = 2.0
+"""The u of single biases over that of the corrected specific force from which on they are open singly."""
+OTHER_THAN_TWO = 0.05
+"""Coverage factors this far from 2 are shown."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupLine:
+    """A group of parameters in a calibration: `largest` is that of the largest |value|, None where the session
+    determines none; `learned` is the smallest and the largest fraction; the prior, SI, how many times it was
+    `widened`, and the unit shown as (`size` in SI, `shown`)."""
+
+    name: str
+    words: str
+    largest: Parameter | None
+    learned: tuple[float, float] | None
+    prior: float | None
+    widened: float
+    size: float
+    shown: str
+
+    @property
+    def remark(self) -> str:
+        """In words: not determined, or by how much the prior was widened; empty otherwise."""
+        if self.largest is None:
+            return "not determined"
+        return f"prior widened {self.widened:.2g}×" if self.widened > WIDENED else ""
+
+    @property
+    def learned_percent(self) -> str:
+        """The learned fractions such as "66–72 %"; empty where there are none."""
+        if self.learned is None or self.largest is None:
+            return ""
+        low, high = (f"{100.0 * fraction:.0f}" for fraction in self.learned)
+        return f"{low} %" if low == high else f"{low}–{high} %"
+
+
+def linear_parameters(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters of the linear model: bias, scale factor, axis angles."""
+    return tuple(p for p in parameters if not beyond_linear(p.name))
+
+
+def further_parameters(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters of the groups beyond the linear model."""
+    return tuple(p for p in parameters if beyond_linear(p.name))
+
+
+def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
+    """A line for every group beyond the linear model that the calibration has anything to say of."""
+    members: dict[str, list[Parameter]] = {group.name: [] for group in calibration.groups}
+    for p in further_parameters(calibration.parameters):
+        members.setdefault(group_name(p.name), []).append(p)
+    return tuple(_line(calibration, name, own) for name, own in members.items())
+
+
+def _line(calibration: Calibration, name: str, members: Sequence[Parameter]) -> GroupLine:
+    found = next((group for group in calibration.groups if group.name == name), None)
+    entry = named_group(name)
+    largest = max(members, key=lambda p: abs(p.value), default=None)
+    learned = found.learned if found is not None else tuple(p.learned for p in members if p.learned is not None)
+    prior = found.prior if found is not None else next((p.prior for p in members if p.prior), None)
+    unit = largest.unit if largest is not None else entry.unit if entry is not None else ""
+    size, shown = shown_in(name, unit, abs(largest.value) if largest is not None else prior or 0.0)
+    return GroupLine(
+        name=name,
+        words=entry.words if entry is not None else name,
+        largest=largest,
+        learned=(min(learned), max(learned)) if learned else None,
+        prior=prior,
+        widened=found.widened if found is not None else 1.0,
+        size=size,
+        shown=shown,
+    )
+
+
+def predicted(prediction: Prediction) -> str:
+    """What corrected readings are known to, in a line."""
+    size, unit = engineering("m/s^2", prediction.force_u)
+    said = f"corrected specific force at 1 g: u {prediction.force_u / size:.2g} {unit}"
+    if prediction.rate_u is None or prediction.at_rate is None:
+        return said
+    size, unit = engineering("rad/s", prediction.rate_u)
+    turned, per = engineering("rad/s", prediction.at_rate)
+    return f"{said}; corrected rate at {prediction.at_rate / turned:.2g} {per}: u {prediction.rate_u / size:.2g} {unit}"
+
+
+def decided_by_priors(calibration: Calibration) -> str | None:
+    """Which groups leave the biases of the accelerometers to a prior, and which rests would settle it, in a line; None
+    where the data decide."""
+    biases = [p.u for p in calibration.parameters if group_name(p.name) == "accel.bias" and p.u]
+    groups = [line.words for line in group_lines(calibration) if _open(line)]
+    if calibration.prediction is None or not biases or not groups:
+        return None
+    times = max(biases) / calibration.prediction.force_u
+    if times <= OPEN:
+        return None
+    return (
+        f"a prior, not the data, decides u of {'; '.join(groups)}: u of a single bias is up to {times:.1f} times that "
+        "of the corrected specific force; rests in oblique attitudes (corners, edges) would settle it: tumble plan"
+    )
+
+
+def _open(line: GroupLine) -> bool:
+    """Whether a group that accelerometers show at rest is known by its prior rather than by the data."""
+    entry = named_group(line.name)
+    seen_at_rest = entry is not None and entry.kind == "accel" and entry.regressors is not None
+    return seen_at_rest and line.largest is not None and line.learned is not None and line.learned[0] < BY_PRIOR
+
+
+def verdicts(calibration: Calibration) -> tuple[str, ...]:
+    """The verdict, after those of accelerometers and gyros where these differ."""
+    outcome = calibration.outcome
+    names = (*(p.name for p in calibration.parameters), *outcome.unobservable)
+    both = {"accel", "gyro"} <= {sensor_kind(name) for name in names}
+    if not both or outcome.accel.verdict == outcome.gyro.verdict:
+        return (outcome.verdict,)
+    return f"accelerometers: {outcome.accel.verdict}", f"gyros: {outcome.gyro.verdict}", outcome.verdict
+
+
+def other_factors(parameters: Sequence[Parameter]) -> bool:
+    """Whether the coverage factor of any parameter is another than 2."""
+    return any(abs(p.k - 2.0) > OTHER_THAN_TWO for p in parameters if p.u)

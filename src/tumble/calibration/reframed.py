@@ -1,0 +1,137 @@
+"""A calibration of triads in another frame: what belongs to the axes turns, what belongs to a sensor stays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tumble.calibration.coverage import degrees_through
+from tumble.calibration.results import Launch, Parameter
+from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.model import Block
+from tumble.sensors.parameters import LINEAR, group_name
+from tumble.units import Array
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
+
+_VARIABLES = ("time", "temperature", "temperature²")
+_LINEAR = frozenset(group.name for group in LINEAR)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Turned:
+    """Parameters in the new frame: those of the linear model, and the derivative (r, r) of the `rest` after them with
+    the same before, which also takes their values there."""
+
+    framed: Framed
+    carry: Array
+    parameters: tuple[Parameter, ...]
+    covariance: Array | None
+
+
+def reframed(calibration: Calibration, frame: Frame) -> Calibration:
+    """A complete calibration in another frame."""
+    assert calibration.accel is not None
+    accel = Block(kind="accel", axes=triad_axes(calibration.accel.matrix))
+    gyro = None
+    if calibration.gyro is not None:
+        gyro = Block(kind="gyro", axes=triad_axes(calibration.gyro.matrix))
+
+    def turned(of: Calibration | Launch) -> _Turned:
+        return _turned((accel, gyro), (frame_of(calibration.frame), frame), of.parameters, of.covariance)
+
+    mean, launches = turned(calibration), [turned(launch) for launch in calibration.launches]
+    return replace(
+        calibration,
+        frame=frame,
+        parameters=_with_spread(mean, launches),
+        covariance=mean.covariance,
+        accel=mean.framed.accel,
+        gyro=mean.framed.gyro,
+        iterations=tuple(_increments(calibration, mean, step) for step in calibration.iterations),
+        launches=tuple(
+            replace(launch, parameters=each.parameters, covariance=each.covariance)
+            for launch, each in zip(calibration.launches, launches, strict=True)
+        ),
+    )
+
+
+def _turned(
+    blocks: tuple[Block, Block | None],
+    frames: tuple[Frame, Frame],
+    parameters: tuple[Parameter, ...],
+    covariance: Array | None,
+) -> _Turned:
+    own = len([p for p in parameters if group_name(p.name) in _LINEAR])
+    rest = parameters[own:]
+    framed = convert(
+        *blocks,
+        source=frames[0],
+        values=np.array([p.value for p in parameters[:own]]),
+        covariance=None if covariance is None else covariance[:own, :own],
+        target=frames[1],
+    )
+    carry = _carry(blocks, [p.name for p in rest], framed.rotation)
+    if covariance is not None:
+        count = len(framed.names)
+        whole = np.zeros((count + len(rest), len(parameters)))
+        whole[:count, :own], whole[count:, own:] = framed.jacobian, carry
+        covariance = np.asarray(whole @ covariance @ whole.T)
+    u = [None] * len(parameters) if covariance is None else np.sqrt(np.diag(covariance)).tolist()
+    degrees = _degrees(framed.jacobian, parameters[:own])
+    linear = tuple(
+        Parameter(name=name, value=float(value), u=each, unit=unit, dof=dof)
+        for name, value, each, unit, dof in zip(framed.names, framed.values, u, framed.units, degrees, strict=False)
+    )
+    values = carry @ np.array([p.value for p in rest])
+    after = tuple(
+        replace(p, value=float(value), u=each, deviation=None, learned=_learned(p, each), dof=dof)
+        for p, value, each, dof in zip(rest, values, u[len(linear) :], _degrees(carry, rest), strict=True)
+    )
+    return _Turned(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
+
+
+def _degrees(jacobian: Array, before: tuple[Parameter, ...]) -> list[float | None]:
+    """Degrees of freedom of what parameters become by a `jacobian`."""
+    return degrees_through(jacobian, np.array([p.u or 0.0 for p in before]), [p.dof for p in before])
+
+
+def _learned(parameter: Parameter, u: float | None) -> float | None:
+    """The part of the prior's variance that u has taken off, where the parameter has one."""
+    if parameter.learned is None or parameter.prior is None or u is None:
+        return parameter.learned
+    return min(max(1.0 - (u / parameter.prior) ** 2, 0.0), 1.0)
+
+
+def _carry(blocks: tuple[Block, Block | None], names: list[str], Q: Array) -> Array:
+    """Derivative (r, r) of the parameters of these names beyond the linear model in the new frame."""
+    out = np.eye(len(names))
+    instrument = Instrument.of(*blocks, {group_name(name) for name in names}, _VARIABLES)
+    further = instrument.names[instrument.linear_count :]
+    at = [names.index(name) for name in further if name in names]
+    if len(at) == len(further):
+        out[np.ix_(at, at)] = carried_further(instrument, Q)
+    return out
+
+
+def _with_spread(mean: _Turned, launches: list[_Turned]) -> tuple[Parameter, ...]:
+    """The parameters of the mean with the standard deviation from launch to launch."""
+    if not launches:
+        return mean.parameters
+    by_launch = [{p.name: p.value for p in launch.parameters} for launch in launches]
+    return tuple(
+        replace(p, run_to_run=float(np.std([values[p.name] for values in by_launch], ddof=1))) for p in mean.parameters
+    )
+
+
+def _increments(calibration: Calibration, mean: _Turned, step: Mapping[str, float]) -> dict[str, float]:
+    """The increments of an iteration in the new frame."""
+    before = np.array([step.get(p.name, 0.0) for p in calibration.parameters])
+    own = len(before) - len(mean.carry)
+    after = np.concatenate([mean.framed.jacobian @ before[:own], mean.carry @ before[own:]])
+    return dict(zip((p.name for p in mean.parameters), after.tolist(), strict=True))

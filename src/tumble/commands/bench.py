@@ -1,0 +1,74 @@
+"""`tumble bench`: the live page at the turntable."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tumble import usual_setup
+from tumble.commands.arguments import EXISTING_FOLDER
+from tumble.errors import InputError
+
+GRADES = ["navigation", "tactical", "mems", "consumer"]
+
+
+@click.command()
+@click.argument("session", type=EXISTING_FOLDER)
+@click.option(
+    "--listen", metavar="SOURCE", help="What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …"
+)
+@click.option("--serial", "serial_number", help="Serial number, where SESSION is new.")
+@click.option(
+    "--latitude",
+    type=float,
+    default=usual_setup.LATITUDE_DEG,
+    show_default=True,
+    help="Of the site, °, of a new session.",
+)
+@click.option("--gravity", type=float, help="Measured gravity, m/s², of a new session.")
+@click.option("--programme", help="Of a new session; default: free positions.")
+@click.option(
+    "--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. gyro.scale=2ppm; repeat. Default: the grade's."
+)
+@click.option(
+    "--grade", type=click.Choice(GRADES), default="mems", show_default=True, help="Where the other wishes come from."
+)
+@click.option(
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    help="Address to listen on; beyond the loopback a token is asked for.",
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=8422, show_default=True, help="0: any that is free.")
+@click.option("--browser", is_flag=True, help="Open the page.")
+def bench(
+    session: Path,
+    listen: str | None,
+    serial_number: str | None,
+    latitude: float,
+    gravity: float | None,
+    programme: str | None,
+    wanted: tuple[str, ...],
+    grade: str,
+    host: str,
+    port: int,
+    browser: bool,
+) -> None:
+    """The live page: follow a recording, say what to do next, and calibrate at the end.
+
+    SESSION is a folder with session.toml, or a new one for a source that is recorded. Without --listen the log that
+    another program writes there is followed.
+    """
+    from tumble.bench.opening import station_of
+    from tumble.bench.serve import serve
+
+    if listen is None and not (session / "session.toml").exists():
+        raise InputError(
+            f"{session}: expected a session folder, or --listen with what to record into it, found neither"
+        )
+    site = {"latitude_deg": latitude} | ({} if gravity is None else {"gravity": gravity})
+    station = station_of(
+        session, listen, serial=serial_number, site=site, programme=programme, wanted=wanted, grade=grade
+    )
+    serve(station, host=host, port=port, browser=browser, say=lambda text: click.echo(text, err=True))

@@ -1,0 +1,95 @@
+"""What a format loses that has no place for the groups of parameters beyond the linear model, and how large that is.
+
+The size is the largest change of a reading that a group makes, over all attitudes at 1 g, and for what only motion
+shows at the rate of the session's turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+
+import numpy as np
+
+from tumble.calibration.calibration_file import Calibration
+from tumble.estimation.prediction import directions
+from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.parameters import FORCE, ParameterGroup, groups, positions_by_group
+from tumble.units import DEGREE, G_STANDARD, Array
+
+USUAL_RATE = 100.0 * DEGREE
+"""rad/s, where a calibration does not say how fast its turns were."""
+WARMER, HOUR = 10.0, 3600.0
+"""K and s over which changes are stated."""
+NO_PLACE = "no place in this file"
+NOT_IN_MATRIX = "not in matrix and bias"
+
+
+def not_held(calibration: Calibration, held: Container[str] = (), said: str = NO_PLACE) -> tuple[str, ...]:
+    """A sentence for each group beyond the linear model that the calibration has and that is not `held`."""
+    if calibration.accel is None:
+        return ()
+    found = positions_by_group(p.name for p in calibration.parameters)
+    lost = [group for group in groups() if not group.linear and group.name in found and group.name not in held]
+    return tuple(_sentence(calibration, group, said) for group in lost)
+
+
+def _sentence(calibration: Calibration, group: ParameterGroup, said: str) -> str:
+    size, where = _largest(calibration, group)
+    words = group.words.partition(",")[0].replace("−", "-")
+    shown = f"{size / (1e-3 * G_STANDARD):.3g} mg" if group.kind == "accel" else f"{size / DEGREE:.3g} deg/s"
+    return f"{words}: {said}, an error of up to {shown} {where}"
+
+
+def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, str]:
+    """The largest effect of a group on a reading, SI, and where."""
+    rate = USUAL_RATE
+    if calibration.prediction is not None and calibration.prediction.at_rate is not None:
+        rate = calibration.prediction.at_rate
+    at_rate = f"at {rate / DEGREE:.3g} deg/s"
+    values = {p.name: p.value for p in calibration.parameters}
+    own = np.array([values[name] for name in values if name in _names(calibration, group)])
+    if group.motion == "lever":
+        return rate**2 * float(np.linalg.norm(own.reshape(-1, 3), axis=1).max()), at_rate
+    if group.motion == "delay":
+        return rate * G_STANDARD * float(np.abs(own).max()), f"in 1 g {at_rate}"
+    if group.base is not None:
+        return _of_change(group, float(np.abs(own).max()), rate, at_rate)
+    effect = float(np.abs(_effects(calibration, group, values, rate)).max())
+    felt = group.kind == "accel" or group.name == "gyro.g_sensitivity"
+    return effect, "in 1 g" if felt else at_rate
+
+
+def _of_change(group: ParameterGroup, largest: float, rate: float, at_rate: str) -> tuple[float, str]:
+    """The effect of the change of a bias or a scale factor."""
+    span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
+    if group.base is not None and group.base.endswith("bias"):
+        return largest * span, over
+    size, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
+    return largest * span * size, f"{over} {where}"
+
+
+def _names(calibration: Calibration, group: ParameterGroup) -> tuple[str, ...]:
+    compensator = calibration.compensator
+    block = compensator.accel if group.kind == "accel" else compensator.gyro
+    return () if block is None else group.names(block)
+
+
+def _effects(calibration: Calibration, group: ParameterGroup, values: Mapping[str, float], rate: float) -> Array:
+    """What the group adds to the readings (N, n) in all attitudes at 1 g and at a rate about all axes."""
+    compensator = calibration.compensator
+    instrument = Instrument.of(compensator.accel, compensator.gyro, {group.name}, variables=())
+    block = instrument.block(group)
+    assert group.regressors is not None
+    K = group.regressors(block) @ np.array([values[name] for name in group.names(block)])
+    up = np.concatenate([np.eye(3), -np.eye(3), directions()])
+    return np.asarray(np.einsum("npb,pb->np", functions(block, G_STANDARD * up, rate * up), K))
+
+
+def g_sensitivity(calibration: Calibration) -> Array:
+    """The g-sensitivity (n, 3) of the gyros by channel, rad/s per m/s²; zero where it is not known."""
+    return np.array(calibration.compensator.gyro_coefficients[:, FORCE])
+
+
+def still(sensitivity: Array) -> tuple[str, ...]:
+    """What an example of gyros with g-sensitivity supposes."""
+    return ("the example of the gyros is without acceleration",) if np.any(sensitivity) else ()

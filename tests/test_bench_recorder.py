@@ -1,0 +1,438 @@
+"""Everything received is on disk, whatever the line, the network or the machine does."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tumble.bench.folder import begin, begin_next, leave_out, session_to_record, take_back
+from tumble.bench.intake import Intake
+from tumble.bench.lines import MOTIONCAL_COLUMNS, Lines, Row
+from tumble.bench.mavlink import Mavlink, line_of
+from tumble.bench.order import Order
+from tumble.bench.recorder import Recorder
+from tumble.bench.sources import MOTIONCAL_LOG, GrowingFile, Replay, Serial, StandardInput, Tcp, Udp, in_si, source_of
+from tumble.bench.virtual_table import VirtualTable
+from tumble.errors import InputError
+from tumble.recording.session import Exclusion, read_session
+from tumble.units import G_STANDARD
+
+COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
+HEADER = ",".join(COLUMNS)
+RATE = 100.0
+
+
+def row(k: int) -> str:
+    """The k-th row of a log, from 1."""
+    return f"{k / RATE!r},0.1,9.8,-0.2,0.001,{k * 1e-6!r},0.003"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "launch"
+    begin(made, log=in_si(), serial="A-1", site={"latitude_deg": 50.0}, programme=None)
+    return made
+
+
+def log_of(folder: Path) -> list[str]:
+    return (folder / "log.csv").read_text().splitlines()
+
+
+def eventually(what: Callable[[], bool], seconds: float = 10.0) -> None:
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+def lines(columns: tuple[str, ...] = COLUMNS, refused: list[bytes] | None = None) -> Lines:
+    return Lines(columns=columns, clock="t", refuse=(refused if refused is not None else []).append, now=lambda: 5.0)
+
+
+# -------------------- lines --------------------
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=30))
+def test_rows_do_not_depend_on_how_the_bytes_are_cut(cuts: list[int]) -> None:
+    data = "".join(f"{row(k)}\n" for k in range(1, 20)).encode()
+    parser, found, at = lines(), [], 0
+    for cut in [*cuts, len(data)]:
+        found += parser.feed(data[at : at + cut])
+        at += cut
+    assert [r.text for r in found] == [row(k) for k in range(1, 20)]
+    assert parser.refused == 0
+
+
+@given(st.binary(max_size=200))
+def test_garbage_is_refused_and_whole_rows_after_it_are_not(garbage: bytes) -> None:
+    parser = lines()
+    found = parser.feed(garbage.replace(b"\n", b"") + b"\n" + row(1).encode() + b"\n")
+    assert row(1) in [r.text for r in found]
+
+
+def test_a_header_says_in_what_order_the_values_are() -> None:
+    found = lines().feed(b"gx,gy,gz,ax,ay,az,t,extra\n4,5,6,1,2,3,0.5,9\n")
+    assert [(r.text, r.time) for r in found] == [("0.5,1,2,3,4,5,6", 0.5)]
+
+
+def test_json_lines_are_rows_by_name() -> None:
+    sent = {"gz": 6, "t": 0.5, "ax": 1, "ay": 2, "az": 3, "gx": 4, "gy": 5.5, "<b>": "x"}
+    assert lines().feed(json.dumps(sent).encode() + b"\n") == [Row(text="0.5,1.0,2.0,3.0,4.0,5.5,6.0", time=0.5)]
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        b"\xff\xfe\x00",
+        b"1,2,3",
+        b"0.1,1,2,x,4,5,6",
+        b"nan,1,2,3,4,5,6",
+        b"0.1,inf,2,3,4,5,6",
+        b'{"t": 1}',
+        b"{",
+        b'{"t": 1e999}',
+    ],
+)
+def test_what_is_no_row_is_refused_and_said(bad: bytes) -> None:
+    refused: list[bytes] = []
+    parser = lines(refused=refused)
+    assert parser.feed(bad + b"\n") == []
+    assert parser.refused == 1
+    assert refused == [bad]
+    assert parser.last_refused
+
+
+def test_motioncal_lines_get_the_time_of_their_arrival() -> None:
+    found = lines(MOTIONCAL_COLUMNS).feed(b"Raw:-8,16,8192,1,-2,3,250,-31,412\n")
+    assert found == [Row(text="5.0,-8,16,8192,1,-2,3,25.0,-3.1,41.2", time=5.0)]
+
+
+# -------------------- order --------------------
+
+
+def _in_order(sent: list[int], *, unordered: bool = True) -> tuple[list[str], Order]:
+    order = Order(unordered=unordered, seconds=1.0, refuse=lambda _: None, now=lambda: 0.0)
+    out = [text for k in sent for text in order.feed([Row(text=str(k), time=k / RATE)])]
+    return out + order.end(), order
+
+
+@given(st.randoms(use_true_random=False), st.integers(1, 20))
+def test_rows_exchanged_and_repeated_on_the_way_come_in_order_and_once(rng: random.Random, far: int) -> None:
+    sent = sorted(range(10, 200), key=lambda k: k + rng.uniform(0, far))
+    sent = [1, 2, 3, 4, 5, 6, 7, 8, 9, *(k for k in sent for _ in range(rng.choice([1, 1, 2])))]
+    out, order = _in_order(sent)
+    assert out == [str(k) for k in range(1, 200)]
+    assert order.repeated == len(sent) - 199
+
+
+def test_a_lost_row_holds_up_others_for_a_tenth_of_a_second_only() -> None:
+    clock = [0.0]
+    order = Order(unordered=True, seconds=1.0, refuse=lambda _: None, now=lambda: clock[0])
+    order.feed([Row(text=str(k), time=k / RATE) for k in (1, 2, 3)])
+    assert order.feed([Row(text="5", time=0.05)]) == []
+    clock[0] = 0.11
+    assert order.feed([]) == ["5"]
+    assert order.feed([Row(text="4", time=0.04)]) == []
+    assert order.late == 1
+
+
+def test_a_clock_that_starts_anew_is_said() -> None:
+    _, order = _in_order([1000, 1001, 1], unordered=False)
+    assert order.restarted
+    assert order.late == 1
+
+
+# -------------------- recorder --------------------
+
+
+def test_a_recording_goes_on_after_a_line_that_was_cut(folder: Path) -> None:
+    path = folder / "log.csv"
+    path.write_text(f"{HEADER}\n{row(1)}\n{row(2)[:9]}")
+    recorder = Recorder(path, HEADER)
+    recorder.append([row(3)])
+    recorder.close()
+    assert log_of(folder) == [HEADER, row(1), row(3)]
+    assert (folder / "refused.txt").read_text() == row(2)[:9] + "\n"
+
+
+def test_two_cannot_record_one_log_and_no_log_of_other_columns_is_touched(folder: Path) -> None:
+    recorder = Recorder(folder / "log.csv", HEADER)
+    with pytest.raises(InputError, match="another process"):
+        Recorder(folder / "log.csv", HEADER)
+    recorder.close()
+    with pytest.raises(InputError, match="expected the columns a,b"):
+        Recorder(folder / "log.csv", "a,b")
+    assert log_of(folder) == [HEADER]
+
+
+def test_a_full_disk_is_said_and_nothing_is_lost(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorder = Recorder(folder / "log.csv", HEADER)
+    write, full = os.write, [True]
+
+    def limited(descriptor: int, data: bytes) -> int:
+        if full[0]:
+            raise OSError(28, "No space left on device")
+        return write(descriptor, data[:7])
+
+    monkeypatch.setattr(os, "write", limited)
+    recorder.append([row(1)])
+    assert "No space left" in str(recorder.trouble)
+    full[0] = False
+    recorder.append([row(2)])
+    assert recorder.trouble is None
+    recorder.close()
+    assert log_of(folder) == [HEADER, row(1), row(2)]
+
+
+# -------------------- sources --------------------
+
+
+def _recorded(folder: Path, source: object, sent: Callable[[], None], until: int) -> Intake:
+    intake = Intake(source, session_to_record(folder))  # type: ignore[arg-type]
+    intake.start()
+    try:
+        sent()
+        eventually(lambda: intake.rows >= until)
+    finally:
+        intake.stop()
+    return intake
+
+
+def test_udp_with_loss_repetition_and_exchange(folder: Path) -> None:
+    source, rng = Udp("127.0.0.1", 0), random.Random(3)
+    numbers = [k for k in range(1, 400) if k <= 20 or k >= 390 or rng.random() > 0.02]
+    sent = sorted(
+        (k for k in numbers for _ in range(1 + (rng.random() < 0.1))), key=lambda k: k + rng.uniform(0, 4) * (k > 20)
+    )
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            for k in sent:
+                out.sendto(row(k).encode(), ("127.0.0.1", source.port))
+                time.sleep(0.0005)
+
+    intake = _recorded(folder, source, send, len(numbers))
+    assert log_of(folder) == [HEADER, *(row(k) for k in numbers)]
+    assert intake.received.repeated == len(sent) - len(numbers)
+
+
+def test_tcp_connections_one_after_the_other(folder: Path) -> None:
+    source = Tcp("127.0.0.1", 0)
+
+    def send() -> None:
+        for first in (1, 51):
+            with socket.create_connection(("127.0.0.1", source.port)) as out:
+                out.sendall(
+                    "".join(f"{row(k)}\n" for k in range(first, first + 50)).encode() + row(first + 50)[:5].encode()
+                )
+
+    intake = _recorded(folder, source, send, 100)
+    assert log_of(folder)[1:] == [row(k) for k in range(1, 101)]
+    assert intake.received.refused == 2
+
+
+def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(folder: Path, tmp_path: Path) -> None:
+    link, (master, slave) = tmp_path / "tty", pty.openpty()
+    link.symlink_to(os.ttyname(slave))
+    source = Serial(str(link), 115200)
+    intake = Intake(source, session_to_record(folder))
+    intake.start()
+    try:
+        os.write(
+            master,
+            row(1)[4:].encode() + b"\n\xff\xf0\x80\n" + f"{row(2)}\r\n{row(3)}\n".encode() + row(4)[:11].encode(),
+        )
+        eventually(lambda: intake.rows == 2)
+        os.close(slave)
+        os.close(master)
+        eventually(lambda: intake.source.trouble is not None)
+        assert "is gone" in " ".join(intake.received.trouble)
+        master, slave = pty.openpty()
+        link.unlink()
+        link.symlink_to(os.ttyname(slave))
+        eventually(lambda: intake.source.trouble is None)
+        os.write(master, f"{row(5)}\n{row(6)}\n".encode())
+        eventually(lambda: intake.rows == 4)
+    finally:
+        intake.stop()
+        os.close(slave)
+        os.close(master)
+    assert log_of(folder)[1:] == [row(k) for k in (2, 3, 5, 6)]
+    assert intake.received.refused == 3
+
+
+def _sent(descriptor: int, data: bytes) -> None:
+    os.write(descriptor, data)
+
+
+def test_serial_line_of_a_motioncal_sketch(tmp_path: Path) -> None:
+    folder = tmp_path / "launch"
+    begin(folder, log=MOTIONCAL_LOG, serial="A", site={"latitude_deg": 50.0, "field": 50.0}, programme=None)
+    master, slave = pty.openpty()
+    source = Serial(os.ttyname(slave), 115200)
+    _recorded(folder, source, lambda: _sent(master, b"Raw:1,2,8192,4,5,6,7,8,9\n" * 3), 3)
+    os.close(master)
+    os.close(slave)
+    assert [line.split(",", 1)[1] for line in log_of(folder)[1:]] == ["1,2,8192,4,5,6,0.7,0.8,0.9"] * 3
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_mavlink_through_its_own_sender(folder: Path) -> None:
+    from pymavlink import mavutil
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    source = Mavlink(f"udp:{port}")
+    sender = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=1)
+
+    def send() -> None:
+        for k in range(1, 180):
+            sender.mav.raw_imu_send(10_000 * k, 0, 0, 1000, 0, 0, 17, 0, 0, 0)
+            sender.mav.scaled_imu2_send(10 * k, 1, 0, 1000, 0, 0, 17, 0, 0, 0)
+            time.sleep(0.01)
+
+    _recorded(folder, source, send, 20)
+    sender.port.close()
+    rows = np.array([[float(v) for v in line.split(",")] for line in log_of(folder)[1:]])
+    np.testing.assert_allclose(np.diff(rows[:, 0]), 0.01, atol=1e-9)
+    np.testing.assert_allclose(rows[0, 3], G_STANDARD)
+    np.testing.assert_allclose(rows[0, 6], 0.017)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_messages_of_an_autopilot_are_si() -> None:
+    from pymavlink.dialects.v20 import common
+
+    high = common.MAVLink_highres_imu_message(2_500_000, 1.0, 2.0, 9.8, 0.1, 0.2, 0.3, *([0.0] * 7), 0)
+    assert line_of(high) == "2.5,1.0,2.0,9.8,0.1,0.2,0.3\n"
+    scaled = common.MAVLink_scaled_imu_message(2500, 1000, 0, 0, 100, 0, 0, 0, 0, 0)
+    assert [float(v) for v in line_of(scaled).split(",")] == pytest.approx([2.5, G_STANDARD, 0, 0, 0.1, 0, 0])
+
+
+def test_a_file_that_grows(folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "growing.csv"
+    path.write_text(f"{HEADER}\n{row(1)}\n{row(2)[:5]}")
+
+    def grow() -> None:
+        time.sleep(0.2)
+        with path.open("a") as file:
+            file.write(row(2)[5:] + "\n" + row(3) + "\n" + row(4)[:3])
+
+    _recorded(folder, GrowingFile(path), grow, 3)
+    assert log_of(folder)[1:] == [row(1), row(2), row(3)]
+
+
+def test_standard_input_to_its_end(folder: Path) -> None:
+    out, into = os.pipe()
+    os.write(into, f"{row(1)}\n{row(2)}\n{row(3)}".encode())
+    os.close(into)
+    intake = _recorded(folder, StandardInput(out), lambda: None, 2)
+    os.close(out)
+    assert log_of(folder)[1:] == [row(1), row(2), row(3)]
+    assert intake.ended
+
+
+def test_a_replay_is_the_log_to_the_byte_and_keeps_its_pace(folder: Path, tmp_path: Path) -> None:
+    text = f"{HEADER}\n" + "".join(f"{row(k)}\n" for k in range(1, 201))
+    (folder / "log.csv").write_text(text)
+    copy = tmp_path / "copy"
+    begin(copy, log=in_si(), serial="A-1", site={"latitude_deg": 50.0}, programme=None)
+    started = time.monotonic()
+    _recorded(copy, Replay(folder, 4.0), lambda: None, 200)
+    assert 0.4 < time.monotonic() - started < 3.0
+    assert (copy / "log.csv").read_text() == text
+
+
+def test_the_virtual_table_sends_a_unit_in_si(folder: Path) -> None:
+    table = VirtualTable("nine@50x")
+    _recorded(folder, table, lambda: None, 300)
+    rows = np.array([[float(v) for v in line.split(",")] for line in log_of(folder)[1:300]])
+    np.testing.assert_allclose(np.linalg.norm(rows[:, 1:4], axis=1), 9.8, atol=0.5)
+    table.knock()
+    table.turn("N", 90.0)
+    assert table.moving
+
+
+@pytest.mark.parametrize("text", ["udp:x", "serial:/dev/ttyX", "replay:nowhere@0x", "what", "tcp:70000", "file:"])
+def test_a_source_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(InputError):
+        source_of(text)
+
+
+# -------------------- the folder --------------------
+
+
+def test_what_is_left_out_is_added_to_a_file_that_stays_as_it_is(folder: Path) -> None:
+    path = folder / "session.toml"
+    (folder / "log.csv").touch()
+    path.write_text("# a comment\n" + path.read_text())
+    before = path.read_text()
+    first = Exclusion(start=1.25, stop=2.5, reason='a "knock" \n[[x]]')
+    leave_out(folder, first)
+    longer = Exclusion(start=1.25, stop=7.5, reason="a knock")
+    leave_out(folder, longer, instead_of=first)
+    leave_out(folder, Exclusion(rest=3, reason="<script>"))
+    assert read_session(folder).excluded == (longer, Exclusion(rest=3, reason="<script>"))
+    assert path.read_text().startswith(before.rstrip("\n"))
+    take_back(folder, Exclusion(rest=3, reason="<script>"))
+    assert read_session(folder).excluded == (longer,)
+
+
+def test_the_next_unit_has_a_folder_of_its_own_whatever_its_number(folder: Path) -> None:
+    made = begin_next(folder, "../../<script>alert(1)</script>")
+    assert made.parent == folder.parent
+    assert session_to_record(made).device.serial == "../../<script>alert(1)</script>"
+    assert begin_next(folder, "launch").name == "launch-2"
+
+
+# -------------------- killed --------------------
+
+RECORDS = """
+import sys
+from pathlib import Path
+from tumble.bench.folder import session_to_record
+from tumble.bench.intake import Intake
+from tumble.bench.sources import GrowingFile
+intake = Intake(GrowingFile(Path(sys.argv[2])), session_to_record(Path(sys.argv[1])))
+intake.start()
+intake._thread.join()
+"""
+
+
+def test_a_killed_process_loses_nothing_that_was_received(folder: Path, tmp_path: Path) -> None:
+    source, rng, sent = tmp_path / "source.csv", random.Random(1), 0
+    source.write_text(f"{HEADER}\n")
+    for _ in range(5):
+        process = subprocess.Popen([sys.executable, "-c", RECORDS, str(folder), str(source)])
+        try:
+            eventually(lambda: (folder / "log.csv").exists(), 30.0)
+            end = time.monotonic() + rng.uniform(0.5, 1.5)
+            while time.monotonic() < end:
+                with source.open("a") as file:
+                    for _ in range(rng.randint(1, 40)):
+                        sent += 1
+                        file.write(row(sent) + "\n")
+                time.sleep(0.005)
+        finally:
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+    intake = Intake(GrowingFile(source), session_to_record(folder))
+    intake.start()
+    eventually(lambda: len(log_of(folder)) == sent + 1)
+    intake.stop()
+    assert log_of(folder)[1:] == [row(k) for k in range(1, sent + 1)]
