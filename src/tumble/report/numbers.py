@@ -31,18 +31,28 @@ def raised(exponent: int) -> str:
 
 
 def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
+<<<<<<< HEAD
     """Value and U of a parameter in a unit of this size, to the second significant digit of U."""
     if parameter.u is None:
         return significant(parameter.value / size, 6), NONE
     value, U = rounded(parameter.value / size, parameter.k * parameter.u / size)
     return minus(value), U
+=======
+    """Value and U (k = 2) of a parameter in a unit of this size, to the second significant digit of U."""
+    return _with(parameter, COVERAGE, size)
+>>>>>>> main
 
 
 def with_standard(parameter: Parameter, size: float) -> tuple[str, str]:
     """Value and u of a parameter in a unit of this size, to the second significant digit of u."""
+    return _with(parameter, 1.0, size)
+
+
+def _with(parameter: Parameter, factor: float, size: float) -> tuple[str, str]:
+    """Value and `factor` u, to the second significant digit of the latter; never a negative zero."""
     if parameter.u is None:
         return significant(parameter.value / size, 6), NONE
-    value, u = rounded(parameter.value / size, parameter.u / size)
+    value, u = rounded(parameter.value / size, factor * parameter.u / size)
     return minus(value if float(value) else value.lstrip("-")), u
 
 

@@ -373,9 +373,8 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
         )
     found = _quantity(group, text)
     if found is None or found <= 0.0:
-        raise ValueError(
-            f"{key}: expected a positive number and one of {', '.join(_typed_units(group))}, found {text!r}"
-        )
+        units = ", ".join(_typed_units(group))
+        raise ValueError(f"{key}: expected a positive number and one of {units}, found {text!r}")
     return group.name, found
 
 
