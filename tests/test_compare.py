@@ -15,6 +15,7 @@ from tumble.calibration.compare import compare_calibrations
 from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.recording.session import Site
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 
@@ -177,3 +178,47 @@ def test_the_command_says_different_devices_and_ends_with_1_where_they_differ(tm
     assert "different devices: A-0007 and B-1" in result.stderr
     assert "1 of 21 |E_n| beyond 1" in result.stdout
     assert CliRunner().invoke(main, [*words[:2], str(tmp_path / "near.json")]).exit_code == 0
+
+
+def of_common_gravity(moved: float) -> tuple[Calibration, Calibration]:
+    """Two calibrations at one site whose scale factors are known to 1.2 ppm but for gravity, known to 20 ppm; of the
+    second that of x is moved."""
+    site = Site(latitude=0.8, height=0.0, gravity=9.8, gravity_u=9.8 * 20e-6)
+    one = calibration()
+    scales = [p.name.startswith("accel.scale") for p in one.parameters]
+    change = np.where(scales, -(1.0 + np.array([p.value for p in one.parameters])) * 20e-6, 0.0)
+    own = np.where(scales, 1.2e-6, [p.u for p in one.parameters])
+    covariance = np.diag(own**2) + np.outer(change, change)
+    u = np.sqrt(np.diag(covariance)).tolist()
+    parameters = tuple(replace(p, u=each) for p, each in zip(one.parameters, u, strict=True))
+    first = replace(one, parameters=parameters, covariance=covariance, site=site)
+    other = tuple(replace(p, value=p.value + moved) if p.name == "accel.scale.x" else p for p in parameters)
+    return first, replace(first, parameters=other)
+
+
+def test_a_common_error_of_gravity_hides_no_step_of_a_scale_factor() -> None:
+    first, second = of_common_gravity(40e-6)
+    found = compare_calibrations(first, second)
+    moved = next(d for d in found.differences if d.name == "accel.scale.x")
+    assert moved.u == pytest.approx(1.2e-6 * np.sqrt(2.0), rel=0.01)
+    assert moved.e_n == pytest.approx(-40e-6 / (2.0 * 1.2e-6 * np.sqrt(2.0)), rel=0.01)
+    assert not found.agree
+    assert found.probability is not None
+    assert found.probability < 1e-100
+
+
+def test_gravity_of_its_own_for_each_is_in_the_difference() -> None:
+    first, second = of_common_gravity(40e-6)
+    assert second.site is not None
+    found = compare_calibrations(first, replace(second, site=replace(second.site, gravity=9.80001)))
+    moved = next(d for d in found.differences if d.name == "accel.scale.x")
+    assert moved.u == pytest.approx(20e-6 * np.sqrt(2.0), rel=0.01)
+
+
+def test_differences_that_are_small_one_by_one_contradict_together() -> None:
+    """All 21 at 0.9 of E_n: χ² is 68 for 21, by chance once in 600 000 cases."""
+    first, second = calibration(), calibration()
+    apart = tuple(replace(p, value=p.value + 0.9 * 2.0 * np.sqrt(2.0) * (p.u or 0.0)) for p in second.parameters)
+    found = compare_calibrations(replace(first, site=None), replace(second, parameters=apart))
+    assert all(abs(d.e_n or 0.0) < 1.0 for d in found.differences)
+    assert not found.agree

@@ -74,7 +74,7 @@ def test_a_calibration_is_judged_when_it_is_added() -> None:
         result = run("add", f"{name}.json", "--date", "2026-03-01")
         assert result.exit_code == 1
         assert f"added as record {number} in r.sqlite\nnot accepted: {said}: accel.bias.x\n" == result.stderr
-        assert "decision rule: pass where the value is inside the limits by at least U (k = 2)" in result.stdout
+        assert "decision rule: pass where the value is inside the limits by at least U (95.45 %)" in result.stdout
         assert run("show", number).exit_code == 1
     assert len(run("list", "A-0007").stdout.splitlines()) == 1 + 4
 
@@ -101,13 +101,13 @@ def test_the_calibration_file_comes_back_as_it_was(filled: Path) -> None:
 
 def test_a_trend_has_a_line_for_each_parameter_and_a_chart(filled: Path) -> None:
     result = run("trend", "A-0007")
-    assert result.exit_code == 0
-    assert result.stderr == ""
+    assert result.exit_code == 1  # the bias has changed by 1500 µg with U = 3 µg
+    assert result.stderr == "changed: accel.bias.x\n"
     line = next(line for line in result.stdout.splitlines() if line.startswith("accel.bias.x"))
     assert line.split()[1:6] == ["▁█", "1500.0", "2.0", "-4000", "4000"]
     assert line.split()[-1] == "pass"
     drawn = run("trend", "A-0007", "accel.bias.x", "-o", "chart.html")
-    assert drawn.stderr == "written to chart.html\n"
+    assert drawn.stderr == "written to chart.html\nchanged: accel.bias.x\n"
     assert "Device A-0007" in (filled / "chart.html").read_text(encoding="utf-8")
     one = drawn.stdout
     assert "limits: -4 to 4 mg" in one

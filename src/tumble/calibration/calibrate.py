@@ -13,6 +13,7 @@ import numpy.typing as npt
 from tumble import __version__
 from tumble.calibration.calibration_file import Calibration, SensingAxes, read_calibration
 from tumble.calibration.case import CaseAlignment, estimate_in
+from tumble.calibration.coverage import MANY_DEGREES, with_degrees
 from tumble.calibration.observed import Observed, Progress, inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
@@ -40,7 +41,6 @@ from tumble.units import DEGREE, ZERO_CELSIUS, Array
 DEFAULT_METHOD = "joint"
 Terms = Literal["full", "linear"]
 """Which parameters: all groups of the table, or bias, scale factor and axis angles alone."""
-MANY_DEGREES = 1e5
 """Degrees of freedom from which Student's t is the normal distribution."""
 METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
 ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequential": sequential, "scalar": scalar}
@@ -372,7 +372,7 @@ def _result(
         model=session.device.model,
         method=estimate.method,
         frame=frame if complete else "accelerometer",
-        parameters=parameters,
+        parameters=with_degrees(parameters, estimate.fits),
         covariance=estimate.covariance[np.ix_(seen, seen)],
         accel=None if "accel" in missing else estimate.accel,
         gyro=None if missing else estimate.gyro,

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble.calibration.correction import true_force, true_rate
+from tumble.calibration.coverage import with_degrees
 from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
     Launch,
@@ -398,7 +399,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         return SensorModel(matrix=matrix, bias=bias)
 
     outcome = content["outcome"]
-    parameters = tuple(map(parameter_from, content["parameters"]))
+    parameters = with_degrees(map(parameter_from, content["parameters"]), fits_from(content))
     return Calibration(
         serial=text_from(content["device"]["serial"]),
         model=optional(text_from, content["device"]["model"]),
@@ -427,7 +428,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         launches=tuple(
             Launch(
                 session=text_from(launch["session"]),
-                parameters=tuple(map(parameter_from, launch["parameters"])),
+                parameters=with_degrees(map(parameter_from, launch["parameters"]), fits_from(launch)),
                 covariance=covariance_from(launch["covariance"], len(launch["parameters"])),
                 log_sha256=text_from(launch.get("log_sha256", "")),
                 site=site_from(launch),

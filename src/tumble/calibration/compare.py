@@ -1,13 +1,17 @@
 """Two calibrations compared: differences in units of their combined uncertainty, in one frame.
 
-With d = first − second and uncertainties u₁, u₂ of two recordings that have nothing in common,
+With d = first − second,
 
-    u(d)² = u₁² + u₂²,    E_n = d / √(U₁² + U₂²) = d / 2u(d)        U = 2u (k = 2)
+    u(d)² = u₁² + u₂² − 2 g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
 
-(ISO/IEC 17043, annex B). |E_n| ≤ 1 is agreement. One honest value in twenty-two lies beyond, so that of 21 parameters
-one or two may, and more where u was estimated with few degrees of freedom (`coverage`); χ² = dᵀ (C₁ + C₂)⁻¹ d judges
-all of them together, correlations included. What both recordings have in common, such as an error of the site's
-gravity, is counted twice in u(d), which errs on the side of agreement.
+(ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.calibration.coverage`). g₁ and g₂
+are what one standard uncertainty of gravity changes in each; they count where both used the same stated gravity with
+the same uncertainty, whose error then is no part of a difference, and are zero otherwise. |E_n| ≤ 1 is agreement. One
+honest value in twenty-two lies beyond, so that of 21 parameters one or two may.
+
+χ² = dᵀ C⁻¹ d with C = C₁ + C₂ − g₁g₂ᵀ − g₂g₁ᵀ judges all m of them together, correlations included. Where u was
+estimated with ν degrees of freedom, the fewest of all differences, χ²/m is F distributed with m and ν (Hotelling).
+A time base that both share is in no u, and so in no C.
 """
 
 from __future__ import annotations
@@ -18,25 +22,30 @@ from math import sqrt
 
 import numpy as np
 from scipy.stats import chi2
+from scipy.stats import f as fisher
 
 from tumble.calibration.calibration_file import Calibration, calibration_from
-from tumble.calibration.coverage import COVERAGE, shortfalls
+from tumble.calibration.coverage import by_gravity, expanded_of, remarks, shared_gravity, welch_satterthwaite
 from tumble.calibration.results import Parameter
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.units import Array
 
+LEAST_PROBABILITY = 1e-3
+"""Two calibrations contradict each other where chance exceeds their χ² less often than this."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Difference:
-    """A parameter of both calibrations, SI; `u` is the standard uncertainty of first − second, None where one of them
-    has none."""
+    """A parameter of both calibrations, SI; `u` is the standard uncertainty of first − second without what both share,
+    None where one of them has none, `dof` its degrees of freedom, None where it is known."""
 
     name: str
     unit: str
     first: float
     second: float
     u: float | None
+    dof: float | None = None
 
     @property
     def value(self) -> float:
@@ -46,7 +55,7 @@ class Difference:
     @property
     def e_n(self) -> float | None:
         """The E_n number; None without uncertainties."""
-        return self.value / (COVERAGE * self.u) if self.u else None
+        return self.value / expanded_of(self.u, self.dof) if self.u else None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -66,9 +75,10 @@ class Comparison:
 
     @property
     def agree(self) -> bool:
-        """Whether there are E_n numbers and none exceeds 1 in size."""
+        """Whether there are E_n numbers, none exceeds 1 in size, and χ² is not beyond chance."""
         judged = [abs(d.e_n) for d in self.differences if d.e_n is not None]
-        return bool(judged) and max(judged) <= 1.0
+        by_chance = self.probability is None or self.probability >= LEAST_PROBABILITY
+        return bool(judged) and max(judged) <= 1.0 and by_chance
 
 
 def compare_calibrations(first: Calibration | FilePath, second: Calibration | FilePath) -> Comparison:
@@ -93,9 +103,13 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
             f"compare: expected calibrations with parameters in common, found {len(ours)} and {len(theirs)} parameters "
             "and none in both; compare devices of one kind"
         )
-    differences = tuple(_difference(ours[name], theirs[name]) for name in common)
-    covariance = _covariance(a, b, common)
-    chi_square, degrees, probability = _chi_square(np.array([d.value for d in differences]), covariance)
+    shared = _shared(a, b, common)
+    differences = tuple(
+        _difference(ours[name], theirs[name], g) for name, g in zip(common, shared.T.tolist(), strict=True)
+    )
+    covariance = _covariance(a, b, common, shared)
+    fewest = min((d.dof for d in differences if d.dof is not None), default=None)
+    chi_square, degrees, probability = _chi_square(np.array([d.value for d in differences]), covariance, fewest)
     return Comparison(
         frame=frame,
         differences=differences,
@@ -108,34 +122,69 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
     )
 
 
-def _difference(first: Parameter, second: Parameter) -> Difference:
+def _difference(first: Parameter, second: Parameter, shared: Sequence[float]) -> Difference:
     known = first.u is not None and second.u is not None
-    u = sqrt((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2) if known else None
-    return Difference(name=first.name, unit=first.unit, first=first.value, second=second.value, u=u)
+    parts = [_apart(p, g) for p, g in zip((first, second), shared, strict=True)]
+    left = shared[0] - shared[1]
+    return Difference(
+        name=first.name,
+        unit=first.unit,
+        first=first.value,
+        second=second.value,
+        u=sqrt(sum(variance for variance, _ in parts) + left**2) if known else None,
+        dof=welch_satterthwaite([*parts, (left**2, None)]) if known else None,
+    )
 
 
-def _covariance(first: Calibration, second: Calibration, names: Sequence[str]) -> Array | None:
+def _apart(parameter: Parameter, shared: float) -> tuple[float, float | None]:
+    """Variance of a parameter without what is shared, and its degrees of freedom."""
+    whole = (parameter.u or 0.0) ** 2
+    own = max(whole - shared**2, 0.0)
+    return own, None if parameter.dof is None or whole == 0.0 else parameter.dof * (own / whole) ** 2
+
+
+def _shared(first: Calibration, second: Calibration, names: Sequence[str]) -> Array:
+    """What one standard uncertainty of g changes in these parameters of both (2, m), where they share its error."""
+    if not shared_gravity(first.site, second.site):
+        return np.zeros((2, len(names)))
+    return np.array([_by_gravity(calibration, names) for calibration in (first, second)])
+
+
+def _by_gravity(calibration: Calibration, names: Sequence[str]) -> Array:
+    """What one standard uncertainty of g changes in these parameters (m,)."""
+    found = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
+    order = [p.name for p in calibration.parameters]
+    return np.asarray(found[[order.index(name) for name in names]])
+
+
+def _covariance(first: Calibration, second: Calibration, names: Sequence[str], shared: Array) -> Array | None:
     """Covariance (m, m) of the differences of these parameters."""
-    total = np.zeros((len(names), len(names)))
+    both = np.outer(shared[0], shared[1])
+    total = -both - both.T
     for calibration in (first, second):
         if calibration.covariance is None:
             return None
         order = [p.name for p in calibration.parameters]
         chosen = [order.index(name) for name in names]
         total += calibration.covariance[np.ix_(chosen, chosen)]
-    return total
+    return np.asarray(total)
 
 
-def _chi_square(differences: Array, covariance: Array | None) -> tuple[float, int, float] | tuple[None, None, None]:
-    """dᵀ C⁻¹ d in units of the uncertainties, the rank of C, and the probability that chance alone exceeds it."""
-    if covariance is None or not np.diag(covariance).all():
+def _chi_square(
+    differences: Array, covariance: Array | None, fewest: float | None
+) -> tuple[float, int, float] | tuple[None, None, None]:
+    """dᵀ C⁻¹ d in units of the uncertainties, the rank of C, and the probability that chance alone exceeds it, C being
+    known (None) or estimated with the `fewest` degrees of freedom."""
+    if covariance is None or np.any(np.diag(covariance) <= 0.0):
         return None, None, None
     u = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(u, u)
     scaled = differences / u
     rank = int(np.linalg.matrix_rank(correlation, hermitian=True))
     chi_square = float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled)
-    return chi_square, rank, float(chi2.sf(chi_square, rank))
+    if fewest is None:
+        return chi_square, rank, float(chi2.sf(chi_square, rank))
+    return chi_square, rank, float(fisher.sf(chi_square / rank, rank, fewest))
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:
@@ -150,7 +199,7 @@ def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:
             out.append(f"the {which} was not accepted: {'; '.join(calibration.outcome.reasons)}")
         if all(p.u is None for p in calibration.parameters):
             out.append(f"the {which} has no uncertainties: nothing is judged")
-        out += [f"the {which}: {shortfall}" for shortfall in shortfalls(calibration)]
+        out += [f"the {which}: {remark}" for remark in remarks(calibration)]
     digests = [c.provenance.get("log_sha256") for c in (first, second)]
     if digests[0] is not None and digests[0] == digests[1]:
         out.append("both come from the same log: their differences are smaller than their uncertainties allow")

@@ -1,92 +1,176 @@
-"""How often a stated uncertainty is right: what ±U with U = k u, k = 2, covers.
+"""What the expanded uncertainty of a parameter is: U = k u, which covers its true value in 95.45 of 100 cases.
 
-The error of a value in units of its u is normal where u is known: ±2u covers 95.4 %. Where u was estimated from
-residuals with ν degrees of freedom, it has Student's t distribution, and ±k u covers
+The error of a value in units of its u is normal where u is known, and k = 2. Where u was estimated with ν degrees of
+freedom, it has Student's t distribution, and
 
-    P = 2 T(k; ν) − 1        5 degrees: 89.8 % with k = 2, and 95 % with k = 2.57
+    k = t₉₅.₄₅(ν),   ν = u⁴ / Σ (u_i⁴/ν_i),   u² = Σ u_i²                          (Welch, Satterthwaite)
 
-The parameters of sensors whose rests or turns show a scatter have the degrees of freedom with which it was estimated,
-those of gyros the fewer of the two. Noise that is known and in u as well only raises P. In the mean of launches, u is
-either the instability between L launches, with L − 1, or what the launches know of themselves (Welch–Satterthwaite).
-Not counted is the scatter of the placements on the faces of the case, which is in the parameters of that frame.
+`Parameter.dof` is ν and `Parameter.k` is k. ν is that of the joint method, or of the scatter of the rests or turns that
+a sensor takes part in, the fewest of those that scatter; in another frame that of what a parameter is made of, taken as
+fully correlated. In the mean of L launches
+
+    u² = max(s², n²)/L + g²,   ν = u⁴ / [ (s²/L)²/(L − 1) + Σ (n_l²/L²)²/ν_l ]
+
+with s the standard deviation from launch to launch, n² the mean variance that launches know of themselves, whose n_l
+count where n > s, and g what is common to all of them, the uncertainty of gravity. A run-to-run s that is as large as n
+by chance thus leaves few degrees of freedom, and a small one many.
+
+Where no scatter was detected, u is of the noise within rests; how much scatter could be there unseen is said.
 
 Source: JCGM 100:2008 (GUM), annex G.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from math import inf
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from math import inf, sqrt
+from typing import TYPE_CHECKING
 
-from scipy.special import stdtr, stdtrit
+import numpy as np
+from scipy.stats import chi2
 
-from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Launch, Parameter
+from tumble.calibration.results import Parameter, coverage_factor
 from tumble.estimation.estimate import Fit
+from tumble.units import Array
 
-COVERAGE = 2.0
-"""The coverage factor k of every expanded uncertainty U = k u."""
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
+    from tumble.recording.session import Site
 
-WANTED = 0.95
-"""What U should cover."""
+PROBABILITY = 0.9545
+"""What U covers, as certificates state it."""
+
+MANY_DEGREES = 1e5
+"""Degrees of freedom from which on a u counts as known."""
+
+UNSEEN = 0.05
+"""A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
+
+COUNTED = 4.0
+"""cᵀ C⁻¹ c above which a covariance is taken not to have the uncertainty of gravity."""
 
 _KINDS = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 
-def degrees_of_freedom(calibration: Calibration, name: str) -> float:
+def degrees_of_freedom(parameter: Parameter) -> float:
     """With how many the u of a parameter was estimated; infinite where the noise is known."""
+    return inf if parameter.dof is None else parameter.dof
+
+
+def expanded(parameter: Parameter) -> float | None:
+    """U = k u; None where the parameter has no u."""
+    return None if parameter.u is None else parameter.k * parameter.u
+
+
+def expanded_of(u: float, degrees: float | None) -> float:
+    """U of a standard uncertainty with so many degrees of freedom; None: it is known."""
+    return coverage_factor(inf if degrees is None else degrees) * u
+
+
+def welch_satterthwaite(parts: Iterable[tuple[float, float | None]]) -> float | None:
+    """Degrees of freedom of a sum of independent errors, from the variance and the degrees of each; None: known."""
+    found = list(parts)
+    of_variance = sum(variance**2 / degrees for variance, degrees in found if degrees is not None and degrees > 0.0)
+    total = sum(variance for variance, _ in found) ** 2
+    return None if total >= MANY_DEGREES * of_variance else total / of_variance
+
+
+def with_degrees(parameters: Iterable[Parameter], fits: Mapping[str, Fit]) -> tuple[Parameter, ...]:
+    """Parameters of a method that gives no degrees of freedom, with those of the fits; unchanged if any has some."""
+    parameters = tuple(parameters)
+    if any(p.dof is not None for p in parameters):
+        return parameters
+    return tuple(replace(p, dof=_of_fits(fits, p.name)) for p in parameters)
+
+
+def degrees_through(jacobian: Array, u: Array, degrees: Iterable[float | None]) -> list[float | None]:
+    """Degrees of freedom of functions of parameters with the `jacobian` (q, m), from the parameters' u (m,) and degrees
+    of freedom: their scatter is the same, so that the variances are wrong together.
+
+        1/√ν = Σ w_j/√ν_j,   w_j = (J_j u_j)²/Σ
+    """
+    parts = (jacobian * u) ** 2
+    inverse = np.array([0.0 if d is None else 1.0 / sqrt(d) for d in degrees])
+    weight = parts / np.maximum(parts.sum(axis=1, keepdims=True), 1e-300)
+    return [None if root**2 * MANY_DEGREES < 1.0 else 1.0 / root**2 for root in (weight @ inverse).tolist()]
+
+
+def degrees_of_mean(
+    own: Iterable[tuple[float, float | None]], run_to_run: float, common: float
+) -> tuple[float, float | None]:
+    """u and degrees of freedom of the mean of launches (module docstring), from the variances that they know of
+    themselves with their degrees of freedom, what is common left out, the standard deviation from launch to launch,
+    and the standard uncertainty that is common to all."""
+    parts = list(own)
+    L = len(parts)
+    between, within = run_to_run**2 / L, sum(variance for variance, _ in parts) / L**2
+    of_variance = between**2 / (L - 1)
+    if within > between:
+        of_variance += sum((variance / L**2) ** 2 / d for variance, d in parts if d is not None)
+    square = max(between, within) + common**2
+    known = square**2 >= MANY_DEGREES * of_variance
+    return sqrt(square), None if known else square**2 / of_variance
+
+
+def by_gravity(parameters: Sequence[Parameter], covariance: Array | None, site: Site | None) -> Array:
+    """Change (m,) of parameters with one standard uncertainty of g, as far as their covariance (m, m) has it: of the
+    scale factors of accelerometers alone, in every frame
+
+        c = −(1 + k) u(g)/g · min(1, 1/√(cᵀ C⁻¹ c))
+
+    cᵀ C⁻¹ c is at most 1 where u(g) is in C, somewhat more where a prior took part of it; zero where it is not in C.
+    """
+    nothing = np.zeros(len(parameters))
+    if site is None or covariance is None or site.gravity_u == 0.0:
+        return nothing
+    relative = site.gravity_u / site.gravity
+    change = np.array([-(1.0 + p.value) * relative if _is_scale(p) else 0.0 for p in parameters])
+    u = np.sqrt(np.diag(covariance))
+    if not change.any() or not np.all(u > 0.0):
+        return nothing
+    scaled = change / u
+    size = float(scaled @ np.linalg.lstsq(covariance / np.outer(u, u), scaled, rcond=None)[0])
+    return nothing if size > COUNTED else change / sqrt(max(size, 1.0))
+
+
+def _is_scale(parameter: Parameter) -> bool:
+    """Whether it is a scale factor of an accelerometer; of those in the drift per second and kelvin not."""
+    return parameter.name.startswith("accel.scale.") and parameter.unit == "1"
+
+
+def shared_gravity(first: Site | None, second: Site | None) -> bool:
+    """Whether two calibrations used the same stated gravity, with the same uncertainty, whose error they share."""
+    if first is None or second is None:
+        return False
+    return (first.gravity, first.gravity_u) == (second.gravity, second.gravity_u) and first.gravity_u > 0.0
+
+
+def remarks(calibration: Calibration) -> tuple[str, ...]:
+    """For each kind of sensor whose U is of known noise although few residuals could have shown a scatter: how large
+    one may be there unseen."""
     if calibration.launches:
-        return _of_mean(calibration.launches, calibration[name])
-    return _of_fits(calibration.fits, name)
-
-
-def coverage(calibration: Calibration, name: str) -> float:
-    """The probability, at least, that ±2u of a parameter contains its true value."""
-    return covered(degrees_of_freedom(calibration, name))
-
-
-def covered(degrees: float) -> float:
-    """The probability of ±2u where u was estimated with so many degrees of freedom; infinitely many: it is known."""
-    return float(2.0 * stdtr(degrees, COVERAGE) - 1.0)
-
-
-def shortfalls(calibration: Calibration) -> tuple[str, ...]:
-    """For each kind of sensor of which ±U covers less than 95 % of some parameter: how much, and which k would do."""
+        return ()
     found = []
     for kind, sensors in _KINDS.items():
-        names = [p.name for p in calibration.parameters if p.name.startswith(f"{kind}.") and p.u]
-        degrees = [degrees_of_freedom(calibration, name) for name in names]
-        if names and min(coverage(calibration, name) for name in names) < WANTED:
-            found.append(_shortfall(sensors, min(degrees), more=max(degrees) > min(degrees)))
+        groups = [fit for name, fit in calibration.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
+        hidden = max(((_hidden(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
+        if hidden[0] > 1.0:
+            found.append(
+                f"no scatter of the {sensors} was detected, with {hidden[1]:.2g} degrees of freedom to show one: U "
+                f"covers the noise within rests and turns; a scatter of up to {hidden[0]:.2g} times that noise may be "
+                "there unseen"
+            )
     return tuple(found)
 
 
-def _shortfall(sensors: str, degrees: float, *, more: bool) -> str:
-    factor = stdtrit(degrees, 0.5 + 0.5 * WANTED)
-    count = f"{degrees:.3g} degree{'' if degrees == 1.0 else 's'} of freedom{' or more' if more else ''}"
-    return (
-        f"the u of the {sensors} was estimated with {count}: k = 2 covers at least {100.0 * covered(degrees):.1f} %, "
-        f"k = {factor:.2f} at least {100.0 * WANTED:.0f} %"
-    )
+def _hidden(fit: Fit) -> float:
+    """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
+    return sqrt(max(fit.chi_square / float(chi2.ppf(UNSEEN, fit.degrees)) - 1.0, 0.0))
 
 
-def _of_fits(fits: Mapping[str, Fit], name: str) -> float:
-    """The fewest of the groups of a parameter's kind of sensor that scatter."""
+def _of_fits(fits: Mapping[str, Fit], name: str) -> float | None:
+    """The fewest of the groups of a parameter's kind of sensor that scatter; None where none does."""
     kind = name.partition(".")[0]
     groups = [fit for group, fit in fits.items() if group.startswith(kind)]
-    return min((fit.degrees for fit in groups if fit.scatter > 0.0 and fit.degrees > 0.0), default=inf)
-
-
-def _of_mean(launches: tuple[Launch, ...], mean: Parameter) -> float:
-    """Of the mean of launches (module docstring)."""
-    own = [
-        (p.u**2, _of_fits(launch.fits, p.name))
-        for launch in launches
-        for p in launch.parameters
-        if p.name == mean.name and p.u
-    ]
-    variance, count = sum(square for square, _ in own), len(launches)
-    if mean.run_to_run is not None and count > 1 and count * mean.run_to_run**2 > variance:
-        return count - 1.0
-    spread = sum(square**2 / degrees for square, degrees in own)
-    return variance**2 / spread if spread > 0.0 else inf
+    return min((fit.degrees for fit in groups if fit.scatter > 0.0 and fit.degrees > 0.0), default=None)

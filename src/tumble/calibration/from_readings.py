@@ -19,6 +19,7 @@ from scipy.special import ndtri
 
 from tumble import __version__
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import with_degrees
 from tumble.calibration.readings_table import Nominal, ReadingsTable, Sensor, plain_units, read_table, sizes_seen
 from tumble.calibration.readings_table import nominal as nominal_of
 from tumble.calibration.results import Parameter, Readings
@@ -190,18 +191,19 @@ def _calibration(
     outcome: Outcome,
 ) -> Calibration:
     model = None if framed is None else framed.accel
+    fits = {} if found is None else {_FIT_NAMES[nominal.sensor]: found.fit(nominal.result_unit)}
     return Calibration(
         serial=serial,
         model=None,
         method="ellipsoid",
         frame="accelerometer" if framed is None else framed.frame,
-        parameters=() if framed is None else _parameters(nominal, framed),
+        parameters=() if framed is None else with_degrees(_parameters(nominal, framed), fits),
         covariance=None if framed is None else framed.covariance,
         accel=model if nominal.sensor == "accel" else None,
         gyro=model if nominal.sensor == "gyro" else None,
         mag=model if nominal.sensor == "mag" else None,
         outcome=outcome,
-        fits={} if found is None else {_FIT_NAMES[nominal.sensor]: found.fit(nominal.result_unit)},
+        fits=fits,
         site=_site(nominal),
         readings={nominal.sensor: _readings(table, nominal)},
         notes=_notes(table, nominal, found),

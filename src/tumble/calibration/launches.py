@@ -2,8 +2,8 @@
 
 The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
 their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
-uncertainty of gravity is common to all launches of a site and does not average out, nor does what is wrong
-with a prior.
+uncertainty of gravity is common to all launches of a site, and what is wrong with a prior to all launches: both
+are taken out of either and do not average out (`tumble.calibration.coverage`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from tumble.calibration.calibrate import DEFAULT_METHOD, Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
 from tumble.errors import InputError
@@ -112,7 +113,8 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     values = np.array(
         [move @ [_named(run)[name].value for name in common] for run, move in zip(runs, moves, strict=True)]
     )
-    covariance = _covariance(runs, moves, common, values)
+    spread = values.std(axis=0, ddof=1)
+    covariance, degrees = _covariance(runs, moves, common, spread)
     parameters = tuple(
         Parameter(
             name=name,
@@ -120,11 +122,12 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
             u=float(u),
             unit=_named(runs[0])[name].unit,
             deviation=_mean_deviation(runs, name),
-            run_to_run=float(spread),
+            run_to_run=float(each),
+            dof=dof,
             **_learned(runs, name, float(u)),
         )
-        for name, value, u, spread in zip(
-            common, values.mean(axis=0), np.sqrt(np.diag(covariance)), values.std(axis=0, ddof=1), strict=True
+        for name, value, u, each, dof in zip(
+            common, values.mean(axis=0), np.sqrt(np.diag(covariance)), spread, degrees, strict=True
         )
     )
     digests = [run.calibration.provenance["log_sha256"] for run in runs]
@@ -204,22 +207,55 @@ def _mean_deviation(runs: Sequence[Run], name: str) -> float | None:
     return sum(deviations) / len(runs) if len(deviations) == len(runs) else None
 
 
-def _covariance(runs: Sequence[Run], moves: Sequence[Array], names: list[str], values: Array) -> Array:
-    """Covariance of the mean (module docstring)."""
+def _covariance(
+    runs: Sequence[Run], moves: Sequence[Array], names: list[str], run_to_run: Array
+) -> tuple[Array, list[float | None]]:
+    """Covariance of the mean and degrees of freedom of its diagonal (module docstring)."""
     count = len(runs)
-    own, by_prior = np.zeros((len(names), len(names))), np.zeros((len(names), len(names)))
-    for run, move in zip(runs, moves, strict=True):
-        if run.calibration.covariance is not None:
-            order = [p.name for p in run.calibration.parameters]
-            chosen = [order.index(name) for name in names]
-            covariance = move @ run.calibration.covariance[np.ix_(chosen, chosen)] @ move.T
-            own += covariance / count**2
-            by_prior += _by_prior(run, names, covariance) / count
-    between = values.var(axis=0, ddof=1) / count
-    by_gravity = np.mean([_by_gravity(run, names) for run in runs], axis=0)
-    excess = np.maximum(between - np.diag(own), 0.0)
-    common = np.outer(by_gravity, by_gravity) + by_prior
-    return np.asarray(own + np.diag(excess) + (1.0 - 1.0 / count) * common)
+    whole = [move @ _own(run, names) @ move.T for run, move in zip(runs, moves, strict=True)]
+    gravity = _gravity_in_common(runs, names, whole)
+    by_prior = [_by_prior(run, names, covariance) for run, covariance in zip(runs, whole, strict=True)]
+    own = [c - np.outer(gravity, gravity) - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
+    common = np.outer(gravity, gravity) + np.mean(by_prior, axis=0)
+    covariance = np.sum(own, axis=0) / count**2 + common
+    degrees: list[float | None] = []
+    for i, name in enumerate(names):
+        parts = [
+            _own_variance(_named(run)[name], float(c[i, i]), float(each[i, i]))
+            for run, c, each in zip(runs, whole, own, strict=True)
+        ]
+        u, dof = degrees_of_mean(parts, float(run_to_run[i]), float(np.sqrt(common[i, i])))
+        covariance[i, i] = u**2
+        degrees.append(dof)
+    return np.asarray(covariance), degrees
+
+
+def _own(run: Run, names: list[str]) -> Array:
+    """The covariance of these parameters of a launch; zero where it has none."""
+    if run.calibration.covariance is None:
+        return np.zeros((len(names), len(names)))
+    order = [p.name for p in run.calibration.parameters]
+    chosen = [order.index(name) for name in names]
+    return np.asarray(run.calibration.covariance[np.ix_(chosen, chosen)])
+
+
+def _own_variance(parameter: Parameter, whole: float, own: float) -> tuple[float, float | None]:
+    """The part of a variance that is not common, and its degrees of freedom."""
+    own = max(own, 0.0)
+    return own, None if parameter.dof is None or whole == 0.0 else parameter.dof * (own / whole) ** 2
+
+
+def _gravity_in_common(runs: Sequence[Run], names: list[str], covariances: Sequence[Array]) -> Array:
+    """What one standard uncertainty of g changes in the parameters (m,) of all launches; zero where they are of several
+    values of g, or do not count its uncertainty."""
+    sites = [run.calibration.site for run in runs]
+    if not all(shared_gravity(sites[0], site) for site in sites):
+        return np.zeros(len(names))
+    changes = [
+        by_gravity([_named(run)[name] for name in names], covariance, run.calibration.site)
+        for run, covariance in zip(runs, covariances, strict=True)
+    ]
+    return np.asarray(np.mean(changes, axis=0))
 
 
 def _by_prior(run: Run, names: list[str], covariance: Array) -> Array:
@@ -299,13 +335,6 @@ def _to_temperature(run: Run, names: list[str], reference: float | None) -> Arra
         if sensor_kind(name) != "mag" and group_of(name).variable == "temperature":
             out[names.index(name.rpartition(".")[0]), i] = reference - own
     return out
-
-
-def _by_gravity(run: Run, names: list[str]) -> Array:
-    """Change of the parameters with one standard uncertainty of g: only accelerometer scale factors, −(1 + k) δg/g."""
-    site, found = run.session.site, _named(run)
-    relative = site.gravity_u / site.gravity
-    return np.array([-(1.0 + found[n].value) * relative if group_name(n) == "accel.scale" else 0.0 for n in names])
 
 
 def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:

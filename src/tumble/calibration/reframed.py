@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tumble.calibration.coverage import degrees_through
 from tumble.calibration.results import Launch, Parameter
 from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument
@@ -82,16 +83,22 @@ def _turned(
         whole[:count, :own], whole[count:, own:] = framed.jacobian, carry
         covariance = np.asarray(whole @ covariance @ whole.T)
     u = [None] * len(parameters) if covariance is None else np.sqrt(np.diag(covariance)).tolist()
+    degrees = _degrees(framed.jacobian, parameters[:own])
     linear = tuple(
-        Parameter(name=name, value=float(value), u=each, unit=unit)
-        for name, value, each, unit in zip(framed.names, framed.values, u, framed.units, strict=False)
+        Parameter(name=name, value=float(value), u=each, unit=unit, dof=dof)
+        for name, value, each, unit, dof in zip(framed.names, framed.values, u, framed.units, degrees, strict=False)
     )
     values = carry @ np.array([p.value for p in rest])
     after = tuple(
-        replace(p, value=float(value), u=each, deviation=None, learned=_learned(p, each))
-        for p, value, each in zip(rest, values, u[len(linear) :], strict=True)
+        replace(p, value=float(value), u=each, deviation=None, learned=_learned(p, each), dof=dof)
+        for p, value, each, dof in zip(rest, values, u[len(linear) :], _degrees(carry, rest), strict=True)
     )
     return _Turned(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
+
+
+def _degrees(jacobian: Array, before: tuple[Parameter, ...]) -> list[float | None]:
+    """Degrees of freedom of what parameters become by a `jacobian`."""
+    return degrees_through(jacobian, np.array([p.u or 0.0 for p in before]), [p.dof for p in before])
 
 
 def _learned(parameter: Parameter, u: float | None) -> float | None:

@@ -16,7 +16,7 @@ from tumble.commands.arguments import FILE
 def compare(first: Path, second: Path) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
 
-    Exit status 0: no |E_n| exceeds 1; 1: one does.
+    Exit status 0: no |E_n| exceeds 1 and χ² is within chance (probability 0.001); 1: otherwise.
     """
     from tumble.calibration.compare import compare_calibrations
     from tumble.terminal.comparison import comparison_report

@@ -88,7 +88,7 @@ def add(
 
 def _print_record(opened: Any, record: Record, rows: list[ParameterRow]) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
-    from tumble.registry.series import verdict_of
+    from tumble.registry.series import rows_in_frame, verdict_of
     from tumble.registry.store import launches_of, limits_records
     from tumble.terminal.registry import record_report
     from tumble.terminal.text import print_report
@@ -96,7 +96,7 @@ def _print_record(opened: Any, record: Record, rows: list[ParameterRow]) -> bool
     verdict = verdict_of(opened, record, rows, {own.number: own for own in limits_records(opened)})
     with opened.reading() as connection:
         launches = launches_of(connection, record.number)
-    print_report(record_report(record, launches, rows, verdict))
+    print_report(record_report(record, launches, rows_in_frame(opened, record, rows, record.frame), verdict))
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
@@ -174,9 +174,13 @@ def show(number: int, out: Path | None, place: str | None) -> None:
 @click.option("-o", "--out", type=FILE, help="Draw control charts into this .html or .svg; needs matplotlib.")
 @_place
 def trend(serial: str, parameter: str | None, out: Path | None, place: str | None) -> None:
-    """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration."""
+    """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
+
+    Exit status 1 if the device has changed since the calibration before by more than chance makes (0.001).
+    """
     from tumble.registry.connect import open_registry
     from tumble.registry.monitor import monitored
+    from tumble.registry.trend import beyond_chance
     from tumble.report.control_chart import write_chart
     from tumble.terminal.registry import history_report, trend_report
     from tumble.terminal.text import print_report
@@ -187,6 +191,10 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
         write_chart(out, found)
         click.echo(f"written to {out}", err=True)
     print_report(trend_report(found) if parameter is None else history_report(found))
+    changed = beyond_chance(found.trends)
+    if changed:
+        click.echo(f"changed: {', '.join(own.series.name for own in changed)}", err=True)
+    sys.exit(1 if changed else 0)
 
 
 @registry.command()

@@ -47,7 +47,7 @@ def undetermined(readings: Array, *, block: Block) -> Refusal | None:
     enough."""
     directions = rough_directions(readings @ np.linalg.inv(block.axes).T)
     rows = _direction_rows(block, directions)
-    _, s, Vt = np.linalg.svd(rows, full_matrices=True)
+    _, s, Vt = np.linalg.svd(rows, full_matrices=len(rows) < 9)
     if len(s) == 9 and s[8] * LARGEST_CONDITION > s[0]:
         return None
     rank = int(np.sum(s * COUNTED > s[0]))
@@ -92,7 +92,7 @@ def _distinct(directions: Array) -> int:
 
 def _plane_in_words(directions: Array) -> str:
     """That all directions lie in one plane, where they do."""
-    _, s, Vt = np.linalg.svd(directions - directions.mean(axis=0), full_matrices=True)
+    _, s, Vt = np.linalg.svd(directions - directions.mean(axis=0), full_matrices=len(directions) < 3)
     if len(directions) < 3 or s[-1] > 0.1 * s[0]:
         return ""
     normal = Vt[2] * np.sign(Vt[2][np.argmax(np.abs(Vt[2]))])

@@ -1,7 +1,7 @@
 """A Digital Calibration Certificate: the XML of PTB's DCC, schema 3.3.0, with quantities in D-SI 2.2.1.
 
-Every parameter of accelerometers and gyros is a quantity with its expanded uncertainty U = 2u (k = 2) and the
-probability that this covers the value, by Student's t where u was estimated (`coverage`). A list of all of
+Every parameter of accelerometers and gyros is a quantity with its expanded uncertainty U = k u, of the
+probability 0.9545, with its own coverage factor k: Student's t where u was estimated (`coverage`). A list of all of
 them has their covariance matrix, the matrices and biases of the model equation follow, and an example worked with it:
 
     reading = matrix · true + bias,    true = matrix⁻¹ (reading − bias)
@@ -22,7 +22,8 @@ import numpy as np
 from scipy.stats import chi2, f
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import COVERAGE, covered, degrees_of_freedom
+from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
+from tumble.calibration.results import coverage_factor
 from tumble.export.certificate import Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
@@ -191,7 +192,7 @@ def _parameters(data: ET.Element, calibration: Calibration) -> None:
         quantity = _child(data, "quantity")
         quantity.set("id", parameter.name)
         _named(quantity, "name", parameter.name)
-        _real(quantity, parameter.value, parameter.u, parameter.unit, degrees_of_freedom(calibration, parameter.name))
+        _real(quantity, parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter))
 
 
 def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degrees: float) -> None:
@@ -200,10 +201,11 @@ def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degree
     _child(real, "value", repr(float(value)), _SI)
     _child(real, "unit", d_si(unit), _SI)
     if u is not None:
+        k = coverage_factor(degrees)
         expanded = _child(_child(real, "measurementUncertaintyUnivariate", namespace=_SI), "expandedMU", namespace=_SI)
-        _child(expanded, "valueExpandedMU", repr(float(COVERAGE * u)), _SI)
-        _child(expanded, "coverageFactor", f"{COVERAGE:g}", _SI)
-        _child(expanded, "coverageProbability", f"{covered(degrees):.3f}", _SI)
+        _child(expanded, "valueExpandedMU", repr(float(k * u)), _SI)
+        _child(expanded, "coverageFactor", f"{k:.4g}", _SI)
+        _child(expanded, "coverageProbability", f"{PROBABILITY:g}", _SI)
         _child(expanded, "distribution", "normal" if np.isinf(degrees) else "Student's t", _SI)
 
 
@@ -220,7 +222,7 @@ def _covariance(data: ET.Element, calibration: Calibration, covariance: Array) -
         column = _child(_child(matrix, "columnXMLList", namespace=_SI), "covarianceXMLList", namespace=_SI)
         _child(column, "valueXMLList", shown(covariance[:, j]), _SI)
         _child(column, "unitXMLList", " ".join(d_si(other, unit) for other in units), _SI)
-    fewest = min(degrees_of_freedom(calibration, p.name) for p in parameters)
+    fewest = min(degrees_of_freedom(p) for p in parameters)
     _child(region, "coverageFactorXMLList", f"{_region_factor(len(units), fewest):.6f}", _SI)
     _child(region, "coverageProbabilityXMLList", str(REGION_PROBABILITY), _SI)
 

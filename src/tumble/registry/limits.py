@@ -4,7 +4,7 @@ In the file of limits (TOML), [incoming] and [periodic] give them by parameter (
 ("accel.bias"); the longer name goes before. A limit is "5 mg", which is ±5 mg about zero, or a table: min, max, or
 deviation, which is about the type's systematic value in the calibration file that `systematic` names.
 
-The decision rule is RULE. With the limits low, high and the expanded uncertainty U = 2u:
+The decision rule is RULE. With the limits low, high and the expanded uncertainty U = t₉₅.₄₅(ν) u:
 
     pass         low + U ≤ value ≤ high − U
     fail         value < low − U  or  value > high + U
@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from tumble.calibration.coverage import COVERAGE
+from tumble.calibration.coverage import expanded_of
 from tumble.errors import InputError
 from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
 from tumble.sensors.frames import FRAMES
@@ -31,8 +31,8 @@ from tumble.sensors.parameters import ParameterGroup, group_name, group_of, quan
 FORMAT = 1
 
 RULE = (
-    "decision rule: pass where the value is inside the limits by at least U (k = 2), fail where it is outside by more "
-    "than U, otherwise undecided (guard band w = U: ISO 14253-1, JCGM 106)"
+    "decision rule: pass where the value is inside the limits by at least U (95.45 %), fail where it is outside by "
+    "more than U, otherwise undecided (guard band w = U: ISO 14253-1, JCGM 106)"
 )
 
 Result = Literal["pass", "fail", "undecided"]
@@ -147,7 +147,7 @@ def _not_determined(name: str, limits: tuple[float, float]) -> LimitJudgement:
 
 def _judged(row: ParameterRow, limits: tuple[float, float]) -> LimitJudgement:
     low, high = limits
-    expanded = None if row.u is None else COVERAGE * row.u
+    expanded = None if row.u is None else expanded_of(row.u, row.dof)
     return LimitJudgement(
         name=row.name,
         unit=row.unit,
@@ -155,16 +155,16 @@ def _judged(row: ParameterRow, limits: tuple[float, float]) -> LimitJudgement:
         expanded=expanded,
         low=low,
         high=high,
-        result=judge_value(row.value, row.u, low, high),
+        result=judge_value(row.value, row.u, low, high, row.dof),
     )
 
 
-def judge_value(value: float, u: float | None, low: float, high: float) -> Result:
-    """The verdict on a value with its standard uncertainty (module docstring); undecided without one, or where a limit
-    is not a number."""
+def judge_value(value: float, u: float | None, low: float, high: float, dof: float | None = None) -> Result:
+    """The verdict on a value with its standard uncertainty and degrees of freedom (module docstring); undecided without
+    one, or where a limit is not a number."""
     if u is None or math.isnan(low) or math.isnan(high):
         return "undecided"
-    expanded = COVERAGE * u
+    expanded = expanded_of(u, dof)
     if low + expanded <= value <= high - expanded:
         return "pass"
     return "fail" if value < low - expanded or value > high + expanded else "undecided"

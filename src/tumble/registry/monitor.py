@@ -40,7 +40,7 @@ class Monitored:
 
     def _verdict(self, trend: Trend, i: int) -> str:
         point = trend.series.points[i]
-        return judge_value(point.value, point.u, *self.limits[trend.series.name])
+        return judge_value(point.value, point.u, *self.limits[trend.series.name], point.dof)
 
 
 def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitored:

@@ -32,13 +32,15 @@ LONGEST_NAME = 200
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ParameterRow:
-    """A parameter of the result (`launch` 0) or of a launch (from 1): value and standard uncertainty, SI."""
+    """A parameter of the result (`launch` 0) or of a launch (from 1): value and standard uncertainty, SI, and the
+    degrees of freedom of the latter, as the file has them; None where it is known, and in tables of the registry."""
 
     launch: int
     name: str
     value: float
     u: float | None
     unit: str
+    dof: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -163,7 +165,7 @@ def all_parameter_rows(calibration: Calibration) -> Iterable[ParameterRow]:
 def parameter_rows(parameters: Iterable[Parameter]) -> Iterable[ParameterRow]:
     """Parameters of a result."""
     for p in parameters:
-        yield ParameterRow(launch=0, name=p.name, value=p.value, u=p.u, unit=p.unit)
+        yield ParameterRow(launch=0, name=p.name, value=p.value, u=p.u, unit=p.unit, dof=p.dof)
 
 
 def _launch_rows(calibration: Calibration) -> tuple[LaunchRow, ...]:

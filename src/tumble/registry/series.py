@@ -8,14 +8,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import TYPE_CHECKING
 
+from tumble.calibration.coverage import by_gravity
 from tumble.errors import InputError
+from tumble.recording.session import Site
 from tumble.registry.connect import Registry
 from tumble.registry.limits import Verdict, judge, parse_limits
 from tumble.registry.records import ParameterRow, Record, State, all_parameter_rows
-from tumble.registry.store import LimitsRecord, file_of, parameters_of, records
+from tumble.registry.store import LimitsRecord, file_of, records
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -29,6 +35,11 @@ class SeriesPoint:
     value: float
     u: float | None
     launches: tuple[tuple[float, float | None], ...]
+    dof: float | None = None
+    """Degrees of freedom of u; None where it is known."""
+    site: Site | None = None
+    by_gravity: float = 0.0
+    """Change of the value with one standard uncertainty of the site's gravity."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,28 +56,30 @@ def series_of(registry: Registry, serial: str, frame: str) -> list[Series]:
 
     Raises InputError for an unknown device, and for a record that cannot be taken to the frame."""
     found = [record for record in records(registry, serial) if record.superseded_by is None]
-    rows = parameters_of(registry, [record.number for record in found])
-    same = {record.number: rows_in_frame(registry, record, rows[record.number], frame) for record in found}
-    names = {row.name: row.unit for record in reversed(found) for row in same[record.number] if row.launch == 0}
+    alike = {record.number: _in_frame(registry, record, frame) for record in found}
+    names = {p.name: p.unit for record in reversed(found) for p in alike[record.number].parameters}
     return [
-        Series(name=name, unit=unit, points=tuple(_points(name, unit, found, same))) for name, unit in names.items()
+        Series(name=name, unit=unit, points=tuple(_points(name, unit, found, alike))) for name, unit in names.items()
     ]
 
 
-def _points(
-    name: str, unit: str, found: Iterable[Record], rows: Mapping[int, Sequence[ParameterRow]]
-) -> Iterable[SeriesPoint]:
+def _points(name: str, unit: str, found: Iterable[Record], alike: Mapping[int, Calibration]) -> Iterable[SeriesPoint]:
     for record in found:
-        own = [row for row in rows[record.number] if (row.name, row.unit) == (name, unit)]
-        for row in own:
-            if row.launch == 0:
+        calibration = alike[record.number]
+        change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
+        for i, own in enumerate(calibration.parameters):
+            if (own.name, own.unit) == (name, unit):
+                launches = [p for x in calibration.launches for p in x.parameters if (p.name, p.unit) == (name, unit)]
                 yield SeriesPoint(
                     number=record.number,
                     performed=record.performed,
                     state=record.state,
-                    value=row.value,
-                    u=row.u,
-                    launches=tuple((x.value, x.u) for x in own if x.launch > 0),
+                    value=own.value,
+                    u=own.u,
+                    launches=tuple((p.value, p.u) for p in launches),
+                    dof=own.dof,
+                    site=calibration.site,
+                    by_gravity=float(change[i]),
                 )
 
 
@@ -88,14 +101,21 @@ def verdict_of(
 def rows_in_frame(
     registry: Registry, record: Record, rows: Sequence[ParameterRow], frame: str
 ) -> Sequence[ParameterRow]:
-    """The parameters of a record, and of its launches, in a frame."""
-    if record.frame == frame:
-        return rows
+    """The parameters of a record, and of its launches, in a frame, with the degrees of freedom that its file has."""
+    found = list(all_parameter_rows(_in_frame(registry, record, frame)))
+    if record.frame != frame:
+        return found
+    degrees = {(row.launch, row.name): row.dof for row in found}
+    return [replace(row, dof=degrees.get((row.launch, row.name))) for row in rows]
+
+
+def _in_frame(registry: Registry, record: Record, frame: str) -> Calibration:
+    """The calibration of a record in a frame."""
     from tumble.calibration.calibration_file import calibration_of
 
     calibration = calibration_of(file_of(registry, record.number), f"record {record.number}")
     try:
-        return list(all_parameter_rows(calibration.in_frame(frame)))
+        return calibration.in_frame(frame)
     except InputError as error:
         raise InputError(
             f"record {record.number}: is in the frame {record.frame!r} and cannot be compared in the frame {frame!r}: "

@@ -15,8 +15,11 @@ are together what their degrees of freedom ν expect (p parameters a_s, b); zero
 its variance follow by weighted least squares, and U = t(ν) u(b) with Student's t for 95.45 %, the probability of ±2u of
 a normal distribution.
 
-The u_i contain the uncertainty of gravity, which is the same every time and hence no part of a drift or of a change:
-both are stated larger than they need be for scale factors of accelerometers.
+The u_i are without the uncertainty of gravity where all calibrations used the same stated gravity: its error is the
+same every time and hence no part of a drift. It is no part of a change between two that share it either. A change has
+the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`); it is `beyond
+chance` where chance alone makes one of all parameters of the device change so much less often than in CHANCE of all
+cases.
 
 Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
 """
@@ -25,21 +28,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from itertools import pairwise
 
 import numpy as np
 from scipy import special
 
-from tumble.calibration.coverage import COVERAGE
+from tumble.calibration.coverage import expanded_of, shared_gravity, welch_satterthwaite
 from tumble.estimation.estimate import scatter_of
 from tumble.registry.series import Series, SeriesPoint
 from tumble.units import Array
 
 YEAR = timedelta(days=365.25)
-COVERED = float(special.ndtr(COVERAGE))
-"""One-sided probability of ±COVERAGE standard deviations."""
+COVERED = float(special.ndtr(2.0))
+"""One-sided probability of two standard deviations of a normal distribution."""
+CHANCE = 1e-3
+"""A device has changed where chance does so less often."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,13 +63,27 @@ class Drift:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
-    """What changed between two records: value and U (k = 2), SI, and E_n = value/U. Not by `adjustment`: in use."""
+    """What changed between two records: value with u, its degrees of freedom (None: known) and U, SI, and E_n =
+    value/U. Not by `adjustment`: in use."""
 
     earlier: int
     later: int
     adjustment: bool
     value: float
-    expanded: float | None
+    u: float | None
+    dof: float | None
+
+    @property
+    def expanded(self) -> float | None:
+        """U, SI; None without uncertainties."""
+        return None if self.u is None else expanded_of(self.u, self.dof)
+
+    @property
+    def probability(self) -> float | None:
+        """How often chance alone makes a change as large; None without uncertainties."""
+        if not self.u:
+            return None
+        return 2.0 * float(special.stdtr(math.inf if self.dof is None else self.dof, -abs(self.value) / self.u))
 
     @property
     def e_n(self) -> float | None:
@@ -117,16 +136,38 @@ def years(points: Sequence[SeriesPoint]) -> Array:
     return np.array([(p.performed - points[0].performed) / YEAR for p in points], dtype=float)
 
 
+def beyond_chance(trends: Sequence[Trend]) -> list[Trend]:
+    """Those of all trends of a device whose last change is more than chance makes (module docstring)."""
+    found = []
+    for trend in trends:
+        change = trend.last_change
+        probability = None if change is None else change.probability
+        if probability is not None and probability * len(trends) < CHANCE:
+            found.append(trend)
+    return found
+
+
 def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
     for earlier, later in pairwise(points):
         known = earlier.u is not None and later.u is not None
+        shared = shared_gravity(earlier.site, later.site)
+        parts = [_apart(p, shared=shared) for p in (earlier, later)]
+        parts.append(((later.by_gravity - earlier.by_gravity) ** 2 if shared else 0.0, None))
         yield Change(
             earlier=earlier.number,
             later=later.number,
             adjustment=later.state == "as-left",
             value=later.value - earlier.value,
-            expanded=COVERAGE * math.hypot(earlier.u or 0.0, later.u or 0.0) if known else None,
+            u=math.sqrt(sum(variance for variance, _ in parts)) if known else None,
+            dof=welch_satterthwaite(parts) if known else None,
         )
+
+
+def _apart(point: SeriesPoint, *, shared: bool) -> tuple[float, float | None]:
+    """Variance of a point, without the uncertainty of gravity where that is shared, and its degrees of freedom."""
+    whole = (point.u or 0.0) ** 2
+    own = max(whole - point.by_gravity**2, 0.0) if shared else whole
+    return own, None if point.dof is None or whole == 0.0 else point.dof * (own / whole) ** 2
 
 
 # -------------------- drift --------------------
@@ -145,6 +186,8 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
     """τ and the drift, as far as the points say anything about them (module docstring)."""
     if not points or not all(_certain(p) for p in points):
         return None, None
+    if all(shared_gravity(points[0].site, p.site) for p in points):
+        points = [_without_gravity(p) for p in points]
     X = _design(points)
     y = np.array([p.value for p in points])
     degrees = len(points) - X.shape[1] + sum(max(len(p.launches) - 1, 0) for p in points)
@@ -165,6 +208,17 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
         level=float(line.values[stretches - 1]),
         since=float(years(points).mean()),
     )
+
+
+def _without_gravity(point: SeriesPoint) -> SeriesPoint:
+    """A point with uncertainties without that of gravity, where they have it."""
+    g = abs(point.by_gravity)
+
+    def without(u: float | None) -> float | None:
+        return math.sqrt(u**2 - g**2) if u is not None and u > g else u
+
+    launches = tuple((value, without(u)) for value, u in point.launches)
+    return replace(point, u=without(point.u), launches=launches)
 
 
 def _certain(point: SeriesPoint) -> bool:

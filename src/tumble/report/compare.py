@@ -29,7 +29,7 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: s
         _side_by_side(titles, alike),
         Figure(
             svg=figures.comparison(name, titles, alike),
-            caption="Difference of every parameter from the mean of the calibrations, with U (k = 2).",
+            caption="Difference of every parameter from the mean of the calibrations, with U.",
         ),
     ]
     return Section(title=title, blocks=tuple(blocks))
@@ -67,6 +67,6 @@ def _side_by_side(titles: Sequence[str], calibrations: Sequence[Calibration]) ->
         columns=columns,
         rows=tuple(rows),
         text=(0, len(columns) - 1),
-        caption="Value ± U (k = 2).",
+        caption="Value ± U.",
         dense=len(titles) > 2,
     )

@@ -3,12 +3,11 @@ rests on. One document for every kind of output."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import covered, shortfalls
+from tumble.calibration.coverage import remarks
 from tumble.calibration.further import predicted
 from tumble.errors import InputError
 from tumble.registry.limits import Limits, Verdict
@@ -157,13 +156,13 @@ def _result(calibration: Calibration) -> Section:
         blocks.append(result.parameter_table(calibration))
         blocks.append(
             Text(
-                text=f"U is the expanded uncertainty with k = 2, which covers {100.0 * covered(math.inf):.1f} % "
-                "where u is known, less where it was estimated from few residuals. "
+                text="U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by "
+                "Student's t, where it was estimated from few residuals. "
                 '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.',
                 tone="small",
             )
         )
-        if found := shortfalls(calibration):
+        if found := remarks(calibration):
             blocks.append(Items(items=found))
     if calibration.prediction is not None:
         blocks.append(Text(text=f"Known to (standard uncertainty): {predicted(calibration.prediction)}."))

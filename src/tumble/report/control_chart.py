@@ -55,11 +55,11 @@ th:first-child, td:first-child {{ text-align: left }}
 <h1>{title}</h1>
 <p>{about}</p>
 {chart}
-<table><tr><th>parameter</th><th>latest</th><th>U (k = 2)</th><th>lowest</th><th>highest</th><th>run to run</th>
+<table><tr><th>parameter</th><th>latest</th><th>U</th><th>lowest</th><th>highest</th><th>run to run</th>
 <th>drift a year</th><th>U (95 %)</th><th>change</th><th>E<sub>n</sub></th><th>unit</th></tr>
 {rows}
 </table>
-<p>Points: value with U (k = 2); ▼ as found, ▲ as left after an adjustment, ● without one. Dashed: drift, by weighted
+<p>Points: value with U (95.45 %); ▼ as found, ▲ as left after an adjustment, ● without one. Dashed: drift, by weighted
 least squares with the instability from run to run, since the last adjustment. Red: limits of the periodic check; grey:
 their guard band of the latest U. {rule}. Change: the latest as found against the last as left; |E<sub>n</sub>| above 1
 is a change of the device.</p>

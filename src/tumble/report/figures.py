@@ -260,7 +260,7 @@ def _compared(
     means = [np.mean([own[name].value for own in found if name in own]) for name in members]
     for i, (title, own) in enumerate(zip(titles, found, strict=True)):
         values = [own[n].value - mean if n in own else np.nan for n, mean in zip(members, means, strict=True)]
-        expanded = [2.0 * (own[name].u or 0.0) if name in own else 0.0 for name in members]
+        expanded = [own[name].k * (own[name].u or 0.0) if name in own else 0.0 for name in members]
         beside = place + 0.5 * (i + 1) / (len(titles) + 1) - 0.25
         style: dict[str, Any] = {"fmt": "o", "markersize": 3, "linewidth": 0.9, "capsize": 1.5}
         label = drawable(title)

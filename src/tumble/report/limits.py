@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import shortfalls
+from tumble.calibration.coverage import remarks
 from tumble.registry.limits import RULE, LimitJudgement, Limits, Verdict, judge
 from tumble.registry.records import OCCASIONS, parameter_rows
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text
@@ -35,7 +35,7 @@ def section(calibration: Calibration, limits: Limits | None) -> Section:
         return Section(title="Limits and verdict", blocks=(Text(text=said),))
     rule = f"{RULE[0].upper()}{RULE[1:]}. Limits hold in the frame “{limits.frame}”."
     blocks: list[Block] = [Text(text=rule)]
-    if found := shortfalls(calibration):
+    if found := remarks(calibration):
         blocks.append(Items(items=found))
     units = shown_units(calibration.parameters)
     for verdict in verdicts(calibration, limits):
@@ -44,7 +44,7 @@ def section(calibration: Calibration, limits: Limits | None) -> Section:
         reasons = "; ".join(verdict.reasons())
         said = f"{check}: {verdict.result}" + (f" ({reasons})" if reasons else "")
         rows = tuple(_row(judgement, units) for judgement in verdict.judgements)
-        columns = ("parameter", "low", "value", "U (k = 2)", "high", "unit", "verdict")
+        columns = ("parameter", "low", "value", "U", "high", "unit", "verdict")
         blocks += [Text(text=said + ".", tone=tone), ReportTable(columns=columns, rows=rows, text=(0, 5, 6))]
     return Section(title="Limits and verdict", blocks=tuple(blocks))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tumble.calibration.coverage import COVERAGE
+from tumble.calibration.coverage import expanded
 from tumble.calibration.results import Parameter
 from tumble.units import rounded
 
@@ -31,8 +31,16 @@ def raised(exponent: int) -> str:
 
 
 def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
+<<<<<<< HEAD
+    """Value and U of a parameter in a unit of this size, to the second significant digit of U."""
+    if parameter.u is None:
+        return significant(parameter.value / size, 6), NONE
+    value, U = rounded(parameter.value / size, parameter.k * parameter.u / size)
+    return minus(value), U
+=======
     """Value and U (k = 2) of a parameter in a unit of this size, to the second significant digit of U."""
     return _with(parameter, COVERAGE, size)
+>>>>>>> main
 
 
 def with_standard(parameter: Parameter, size: float) -> tuple[str, str]:
@@ -52,4 +60,4 @@ def as_value(number: float | None, parameter: Parameter, size: float) -> str:
     """Another number of a parameter, to the digits of its U."""
     if number is None:
         return NONE
-    return minus(rounded(number / size, COVERAGE * (parameter.u or 0.0) / size)[0])
+    return minus(rounded(number / size, (expanded(parameter) or 0.0) / size)[0])

@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from tumble.calibration.coverage import COVERAGE
+from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
 from tumble.registry.due import Due
 from tumble.registry.limits import RULE, LimitJudgement, Verdict
@@ -84,7 +84,7 @@ def record_report(
 
 def _verdict_table(rows: Sequence[ParameterRow], judged: Mapping[str, LimitJudgement]) -> Table:
     table = _table("parameter")
-    for heading in ("value", "U (k=2)", *(("lowest", "highest") if judged else ())):
+    for heading in ("value", "U", *(("lowest", "highest") if judged else ())):
         table.add_column(heading, justify="right", no_wrap=True)
     for heading in ("unit", *(("verdict",) if judged else ())):
         table.add_column(heading)
@@ -161,7 +161,7 @@ def trend_report(found: Monitored) -> RenderableType:
     trends, limits, verdicts = found.trends, found.limits, found.latest_verdicts()
     launches = any(trend.run_to_run is not None for trend in trends)
     table = _table("parameter", "history")
-    headings = ["latest", "U (k=2)", *(["lowest", "highest"] if limits else []), *(["run to run"] if launches else [])]
+    headings = ["latest", "U", *(["lowest", "highest"] if limits else []), *(["run to run"] if launches else [])]
     for heading in (*headings, "drift/year", "U (95 %)", "change", "E_n"):
         table.add_column(heading, justify="right", no_wrap=True)
     for heading in ("unit", *(["verdict"] if limits else [])):
@@ -191,7 +191,7 @@ def history_report(found: Monitored) -> RenderableType:
     limits = found.limits.get(name)
     size, unit = _units((name, trend.series.unit, p.value) for p in points)[name]
     table = _table("record", "performed", "state")
-    for heading in ("value", "U (k=2)", "launches", "change", "E_n"):
+    for heading in ("value", "U", "launches", "change", "E_n"):
         table.add_column(heading, justify="right", no_wrap=True)
     for heading in ("unit", "", *(["verdict"] if limits else [])):
         table.add_column(heading)
@@ -299,8 +299,8 @@ def _units(values: Iterable[tuple[str, str, float]]) -> Mapping[str, tuple[float
 
 
 def expanded_of(result: SeriesPoint | ParameterRow) -> float | None:
-    """U (k = 2), SI."""
-    return None if result.u is None else COVERAGE * result.u
+    """U, SI."""
+    return None if result.u is None else expanded_uncertainty(result.u, result.dof)
 
 
 def with_expanded(value: float, expanded: float | None, size: float) -> list[str]:

@@ -1,0 +1,137 @@
+"""How often U covers the truth, and how often a device that is exactly at its limit passes.
+
+Each trial draws a device (MEMS grade, positions by hand), simulates its sessions and calibrates them by the joint
+method with the linear model. Rests scatter by a bias that is drawn anew at every rest, `scatter` times the usual one of
+the grade. In several launches biases change from power-on to power-on by much more than a session's noise, the other
+parameters do not; the error of gravity is common to them. All 21 parameters are judged, each against an upper limit
+that lies exactly at its true value: the guard band promises that at most 2.275 % pass.
+
+    python studies/coverage_of_limits.py [--short]
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from math import inf, sqrt
+
+import numpy as np
+
+from tumble.calibration.coverage import by_gravity, degrees_of_mean, expanded
+from tumble.calibration.results import Parameter
+from tumble.estimation.methods.joint import joint
+from tumble.planning.setup import Setup
+from tumble.registry.limits import judge_value
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import Scenario, scenario_of
+from tumble.units import Array
+
+RUN_TO_RUN = {"accel": 0.02, "gyro": 2e-3}
+"""Change of biases from power-on to power-on, m/s² and rad/s."""
+GRAVITY_U = 1e-3
+"""m/s²: about what the session itself knows of a scale factor."""
+
+CORRELATED = 4.0
+"""Values of one device are not independent: so many count as one."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Case:
+    """So many launches of so many rests, whose scatter is so many times the usual one."""
+
+    launches: int
+    rests: int
+    scatter: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome:
+    """Parts of all judged values: within U of the truth, and passed at a limit that is the truth."""
+
+    covered: float
+    passed: float
+    values: int
+
+
+CASES = (
+    *(Case(launches=n, rests=18, scatter=3.0) for n in (1, 2, 3, 5)),
+    *(Case(launches=1, rests=n, scatter=10.0) for n in (9, 12, 18, 26)),
+)
+
+
+def run(case: Case, trials: int, *, seed: int = 0) -> Outcome:
+    """The outcome of a case over so many devices."""
+    setup = Setup.of(grade="mems", positions=case.rests, gravity_u=GRAVITY_U)
+    noise = replace(
+        setup.noise,
+        accel_instability=case.scatter * setup.noise.accel_instability,
+        gyro_instability=case.scatter * setup.noise.gyro_instability,
+    )
+    setup = replace(setup, noise=noise)
+    covered, passed = [], []
+    for trial in range(trials):
+        rng = np.random.default_rng([seed, case.launches, case.rests, trial])
+        scenario = scenario_of(setup, rng)
+        for parameter in _mean(scenario, case.launches, rng):
+            U, truth = expanded(parameter) or inf, scenario.truth[parameter.name]
+            covered.append(abs(parameter.value - truth) <= U)
+            at_limit = judge_value(parameter.value, parameter.u, -inf, truth, parameter.dof)
+            passed.append(at_limit == "pass")
+    return Outcome(covered=float(np.mean(covered)), passed=float(np.mean(passed)), values=len(covered))
+
+
+def _mean(scenario: Scenario, launches: int, rng: np.random.Generator) -> list[Parameter]:
+    """The parameters of the mean of launches."""
+    off = scenario.site.gravity_u * rng.standard_normal()
+    runs = [_session(scenario, off, launches, rng) for _ in range(launches)]
+    if launches == 1:
+        return runs[0][0]
+    out = []
+    for i, first in enumerate(runs[0][0]):
+        common = float(np.mean([change[i] for _, change in runs]))
+        own = [(max((run[i].u or 0.0) ** 2 - common**2, 0.0), run[i].dof) for run, _ in runs]
+        values = np.array([run[i].value for run, _ in runs])
+        u, dof = degrees_of_mean(own, float(values.std(ddof=1)), common)
+        out.append(replace(first, value=float(values.mean()), u=u, dof=dof))
+    return out
+
+
+def _session(scenario: Scenario, off: float, launches: int, rng: np.random.Generator) -> tuple[list[Parameter], Array]:
+    """The parameters of a launch where gravity was measured with the error `off`, and what u(g) changes in them."""
+    changed = dict(scenario.truth)
+    if launches > 1:
+        for name in changed:
+            kind, what, _ = name.split(".")
+            changed[name] += RUN_TO_RUN[kind] * rng.standard_normal() if what == "bias" else 0.0
+    launch = replace(scenario, truth=changed, site=replace(scenario.site, gravity_u=0.0))
+    made = simulate_observations(launch, rng)
+    site = replace(scenario.site, gravity=scenario.site.gravity + off)
+    found = joint(replace(made, usual={}, site=site))
+    assert found.degrees is not None
+    parameters = [
+        Parameter(name=name, value=float(value), u=float(u), unit=unit, dof=None if dof > 1e5 else float(dof))
+        for name, value, u, unit, dof in zip(
+            found.names, found.values, found.u, found.units, found.degrees, strict=True
+        )
+    ]
+    return parameters, by_gravity(parameters, found.covariance, site)
+
+
+def main(trials: int) -> int:
+    """Print a line for each case, and the answer; 1 where the limits do not protect."""
+    print("launches  rests  scatter   covered   passed at the limit")
+    protected = True
+    for case in CASES:
+        found = run(case, trials)
+        print(
+            f"{case.launches:8d} {case.rests:6d} {case.scatter:8.0f} {100.0 * found.covered:8.2f} % "
+            f"{100.0 * found.passed:8.2f} %"
+        )
+        chance = 5.0 * sqrt(0.025 / found.values * CORRELATED)
+        protected = protected and found.passed < 0.025 + chance
+    print(f"Does a device at its limit pass in 2.5 % at most? {'Yes, within chance' if protected else 'No'}")
+    return 0 if protected else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(6 if "--short" in sys.argv else 100))
