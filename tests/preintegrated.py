@@ -23,7 +23,7 @@ def preintegrate(
         axes=nominal[0],
         to_body=nominal[1],
         matrix=transform,
-        bias=-np.linalg.solve(transform, offset),
+        bias=np.asarray(-np.linalg.solve(transform, offset)),
         terms=np.zeros((3, 3)),
     )
     accel = replace(gyro, matrix=np.eye(3), bias=np.zeros(3))

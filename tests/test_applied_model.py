@@ -54,7 +54,7 @@ def larger(
             GroupFinding(name=g.name, kept=True, prior=g.usual["mems"], widened=1.0, learned=(0.99,) * 3)
             for g in instrument.further
         ),
-        axes={"accel": nominal[0], "gyro": nominal[1]},
+        axes={kind: tuple(map(tuple, axes.tolist())) for kind, axes in zip(("accel", "gyro"), nominal, strict=True)},
         reference_temperature=20.0,
     )
     return found, instrument, values

@@ -9,12 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from matplotlib.figure import Figure
 from rich.console import Console, RenderableType
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.further import decided_by_priors, group_lines, predicted, verdicts
 from tumble.calibration.launches import Run, difference_percent, mean_of_launches
+from tumble.calibration.results import Parameter
 from tumble.cli import main
+from tumble.estimation.estimate import GroupFinding, Outcome
+from tumble.estimation.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
 from tumble.simulation.session import simulate_session
@@ -26,6 +31,7 @@ from tumble.terminal.calibration import (
     method_table,
 )
 from tumble.terminal.text import shown_units
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 
@@ -134,3 +140,124 @@ def test_several_methods_are_compared_and_the_first_is_written(folders: list[Pat
     assert "scalar  sequential  difference" in done.stdout
     once = CliRunner().invoke(main, [*arguments[:-4], "--out", str(tmp_path / "one.json")])
     assert "difference" not in once.stdout
+
+
+# -------------------- beyond the linear model --------------------
+
+MICRO_G = 1e-6 * G_STANDARD
+QUADRATIC = MICRO_G / G_STANDARD**2
+
+
+def parameter(name: str, value: float, u: float, unit: str, **more: float) -> Parameter:
+    return Parameter(name=name, value=value, u=u, unit=unit, **more)
+
+
+@pytest.fixture
+def full(by_method: dict[str, Calibration]) -> Calibration:
+    """A calibration with three further groups: one learned in part with a widened prior, one well, one not at all."""
+    whole = by_method["scalar"]
+    further = (
+        parameter("accel.quadratic.x", 42 * QUADRATIC, 9 * QUADRATIC, "s^2/m", prior=90 * QUADRATIC, learned=0.99),
+        parameter("accel.quadratic.y", -61 * QUADRATIC, 88 * QUADRATIC, "s^2/m", prior=90 * QUADRATIC, learned=0.04),
+        parameter("accel.delay", 2e-3, 5e-5, "s", prior=5e-3, learned=0.9999, dof=6.0),
+        parameter("gyro.bias.x.drift", 3 * DEGREE_PER_HOUR / 3600, 1e-9, "rad/s/s", prior=1e-8, learned=0.5),
+    )
+    groups = (
+        GroupFinding(name="accel.quadratic", kept=True, prior=90 * QUADRATIC, widened=3.0, learned=(0.99, 0.04)),
+        GroupFinding(name="accel.delay", kept=True, prior=5e-3, widened=1.0, learned=(0.9999,)),
+        GroupFinding(name="gyro.bias.drift", kept=True, prior=1e-8, widened=1.0, learned=(0.5,)),
+        GroupFinding(name="gyro.asymmetry", kept=False, prior=1e-5, widened=1.0, learned=(0.0, 0.0, 0.0)),
+    )
+    biases = tuple(replace(p, u=10 * MICRO_G) if p.name.startswith("accel.bias") else p for p in whole.parameters)
+    prediction = Prediction(force_u=1.7 * MICRO_G, rate_u=0.4 * DEGREE_PER_HOUR, at_rate=23.0 * DEGREE)
+    return replace(
+        whole,
+        parameters=biases + further,
+        covariance=None,
+        launches=(),
+        iterations=(),
+        groups=groups,
+        prediction=prediction,
+    )
+
+
+def lines_of(report: RenderableType, width: int = 100) -> list[str]:
+    out = io.StringIO()
+    Console(file=out, width=width).print(report)
+    return out.getvalue().splitlines()
+
+
+def test_a_line_for_each_further_group(full: Calibration) -> None:
+    said = {line.split()[0]: line.split() for line in lines_of(calibration_report(full)) if line.strip()}
+    assert said["accel.quadratic"][1:] == ["61", "88", "µg/g²", "4–99", "%", "prior", "widened", "3×"]
+    assert said["accel.delay"][1:] == ["2.000", "0.050", "ms", "100", "%"]
+    assert said["gyro.bias.drift"][1:3] == ["3.00", "0.74"]
+    assert said["gyro.bias.drift"][3] == "°/h/h"
+    assert said["gyro.asymmetry"][1:] == ["not", "determined"]
+    assert not {p.name for p in full.parameters[21:]} - {"accel.delay"} & set(said)
+    assert [line.name for line in group_lines(full)] == [group.name for group in full.groups]
+
+
+def test_all_of_them_with_all(full: Calibration) -> None:
+    lines = [line.split() for line in lines_of(calibration_report(full, every=True)) if line.strip()]
+    said = {line[0]: line for line in reversed(lines)}  # the delay is a parameter, then a group
+    assert {p.name for p in full.parameters} < set(said)
+    assert said["accel.quadratic.x"][1:3] == ["42.0", "9.0"]
+    factor, expanded = map(float, said["accel.delay"][3:5])
+    assert factor == pytest.approx(full["accel.delay"].k, abs=0.006)
+    assert expanded == pytest.approx(factor * 0.05, abs=0.006)
+
+
+def test_the_tables_fit_a_terminal_of_100_columns(full: Calibration) -> None:
+    truth = {p.name: p.value for p in full.parameters}
+    for every in (False, True):
+        report = calibration_report(full, truth, every=every)
+        rows = [line.rstrip() for line in lines_of(report) if line.split()[:1] and line.split()[0] in truth]
+        shown = [line for line in rows if line.endswith("+0.00")]
+        assert len(shown) == (25 if every else 21)
+        assert len(rows) == len(shown) + 1  # and the group accel.delay
+    assert any("truth: 25 parameters" in line for line in lines_of(report))
+
+
+def test_what_corrected_readings_are_known_to_is_said(full: Calibration) -> None:
+    said = "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.4 °/h"
+    assert said in lines_of(calibration_report(full))
+    assert full.prediction is not None
+    assert predicted(replace(full.prediction, rate_u=None, at_rate=None)) == said.partition(";")[0]
+
+
+def test_a_prior_that_decides_u_is_named_with_the_rests_that_would_settle_it(full: Calibration) -> None:
+    decided = decided_by_priors(full)
+    assert decided is not None
+    assert "quadratic nonlinearity" in decided
+    assert "5.9 times" in decided
+    assert "oblique" in decided
+    assert full.prediction is not None
+    assert decided_by_priors(replace(full, prediction=replace(full.prediction, force_u=6 * MICRO_G))) is None
+    learned = tuple(replace(group, learned=(0.9, 0.9)) for group in full.groups)
+    assert decided_by_priors(replace(full, groups=learned)) is None
+
+
+def test_verdicts_of_accelerometers_and_gyros_stand_apart_where_they_differ(full: Calibration) -> None:
+    remark = "gyro turns: the residuals are 4 times the noise; hysteresis fits best"
+    scattered = replace(full, outcome=Outcome(remarks=(remark,), of_gyro=(remark,)))
+    assert verdicts(full) == ("accepted",)
+    assert verdicts(replace(full, outcome=Outcome(reasons=("too few rests",)))) == ("not accepted",)
+    lines = lines_of(calibration_report(scattered))
+    assert lines[-3:] == ["accelerometers: accepted", "gyros: accepted with scatter", "accepted with scatter"]
+    assert f"remark: {remark}" in lines
+
+
+def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> None:
+    lines = {line.split()[0]: line.split() for line in full.table().splitlines()[1:]}
+    assert lines["parameter"][-4:] == ["k", "dof", "prior", "learned"]
+    assert lines["accel.delay"][-5:] == [f"{full['accel.delay'].k:.2f}", "6", "5", "100", "%"]
+    assert "<th>learned</th>" in full._repr_html_()
+    frame = full.to_polars()
+    assert frame["learned"].to_list()[-4:] == [0.99, 0.04, 0.9999, 0.5]
+    assert frame["k"].to_list() == [p.k for p in full.parameters]
+    axes = Figure().add_subplot()
+    full.plot(axes)
+    assert axes.get_title().endswith("25 parameters, accepted")
+    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
+    assert sum(len(np.asarray(line.get_xdata())) for line in hollow) == 1

@@ -181,7 +181,9 @@ def test_the_rotation_changes_with_the_accelerometer_parameters_as_said() -> Non
     readings = block.model(values).predict(9.8 * direction)
 
     def aligned(at: Array) -> CaseAlignment:
-        seen = verticals_of(block.model(at), block.jacobian(at), readings, np.zeros((6, 3, 3)), np.eye(9))
+        force, jacobian = block.model(at).apply(readings), block.jacobian(at)
+        change = np.einsum("pkm,ik->ipm", jacobian[:, :3], force) + jacobian[:, 3]
+        seen = verticals_of(block.model(at), force, change, np.zeros((6, 3, 3)), np.eye(9))
         return align_case(seen, normals, rests=np.arange(6), attitudes=attitudes)
 
     base = aligned(values)

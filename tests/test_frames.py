@@ -307,7 +307,9 @@ def test_a_calibration_is_written_and_read_in_every_frame(
     frame: Frame, folder: Path, plain: Calibration, tmp_path: Path
 ) -> None:
     out = tmp_path / "c.json"
-    result = CliRunner().invoke(main, ["calibrate", str(folder), "--terms", "linear", "--frame", frame, "--out", str(out)])
+    result = CliRunner().invoke(
+        main, ["calibrate", str(folder), "--terms", "linear", "--frame", frame, "--out", str(out)]
+    )
     assert result.exit_code == 0, result.output
     found = read_calibration(out)
     assert found.frame == frame

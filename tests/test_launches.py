@@ -13,10 +13,12 @@ from click.testing import CliRunner
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
 from tumble.calibration.launches import Run, mean_of_launches
+from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
+from tumble.sensors.parameters import group_name
 from tumble.simulation.session import simulate_session
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
@@ -88,3 +90,51 @@ def test_the_command_writes_every_launch_and_needs_out(folders: list[Path], tmp_
     assert back.gyro is not None
     assert back.parameters[0].run_to_run is not None
     assert "run to run" in done.stdout
+
+
+def test_a_prior_does_not_average_and_a_group_that_one_launch_lacks_is_left_out(folders: list[Path]) -> None:
+    runs = [Run(session=(s := read_session(f)), calibration=calibrate(s)) for f in folders]
+    mean = mean_of_launches(runs)
+    fixed = [p for p in mean.parameters if p.prior is not None and "drift" not in p.name]
+    for p in fixed:
+        assert p.u is not None
+        assert p.prior is not None
+        least = min(run.calibration[p.name].u or 0.0 for run in runs)
+        assert least / np.sqrt(len(runs)) * 0.999 < p.u
+        assert p.learned == pytest.approx(max(0.0, 1.0 - (p.u / p.prior) ** 2))
+    group = group_name(fixed[0].name)
+    kept = [i for i, p in enumerate(runs[0].calibration.parameters) if group_name(p.name) != group]
+    whole = runs[0].calibration
+    assert whole.covariance is not None
+    without = replace(
+        whole,
+        parameters=tuple(whole.parameters[i] for i in kept),
+        covariance=whole.covariance[np.ix_(kept, kept)],
+    )
+    lacking = mean_of_launches([replace(runs[0], calibration=without), *runs[1:]])
+    assert group not in {group_name(p.name) for p in lacking.parameters}
+    assert [finding.kept for finding in lacking.groups if finding.name == group] == [False]
+    assert any("left out of the mean" in note and group in note for note in lacking.notes)
+    assert lacking.prediction is not None
+    assert whole.prediction is not None
+    assert lacking.prediction.force_u < 3.0 * whole.prediction.force_u
+
+
+def test_launches_at_other_temperatures_meet_at_their_mean(runs: list[Run]) -> None:
+    def at(run: Run, celsius: float) -> Run:
+        more = Parameter(name="accel.bias.x.t1", value=1e-3, u=1e-5, unit="m/s^2/K", prior=1e-2, learned=0.99)
+        linear = run.calibration.parameters[:21]
+        assert run.calibration.covariance is not None
+        covariance = np.zeros((22, 22))
+        covariance[:21, :21], covariance[21, 21] = run.calibration.covariance[:21, :21], 1e-10
+        made = replace(
+            run.calibration, parameters=(*linear, more), covariance=covariance, reference_temperature=celsius
+        )
+        return replace(run, calibration=made)
+
+    warm = mean_of_launches([at(runs[0], 10.0), at(runs[1], 30.0)])
+    assert warm.reference_temperature == 20.0
+    biases = [run.calibration["accel.bias.x"].value for run in runs[:2]]
+    assert warm["accel.bias.x"].value == pytest.approx(np.mean(biases))
+    spread = np.std([biases[0] + 1e-2, biases[1] - 1e-2], ddof=1)
+    assert warm["accel.bias.x"].run_to_run == pytest.approx(spread)

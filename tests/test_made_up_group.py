@@ -3,12 +3,14 @@ accelerometer times the square of the force along body X."""
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
@@ -23,6 +25,7 @@ from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.simulation.session import read_truth, simulate_session
+from tumble.terminal.calibration import calibration_report
 from tumble.units import Array
 
 NAME = "accel.of_x"
@@ -91,6 +94,31 @@ def test_it_is_in_the_bound() -> None:
     finding = next(one for one in found.further if one.name == NAME)
     assert min(finding.learned) > 0.9
     assert found.rms(NAME) < 0.2 * SIZE
+
+
+def test_it_is_in_file_table_and_report(tmp_path: Path) -> None:
+    """A session of samples, calibrated; the file, the terminal and the report."""
+    setup = Setup.of(programme="cube-26", terms="full", grade="mems", rest=5.0, sample_rate=50.0)
+    found = calibrate(simulate_session(tmp_path / "session", setup, seed=6))
+    file = tmp_path / "calibration.json"
+    found.write(file)
+    content = json.loads(file.read_text(encoding="utf-8"))
+    assert set(NAMES) < {p["name"] for p in content["parameters"]}
+    finding = next(group for group in content["groups"] if group["name"] == NAME)
+    assert finding["kept"]
+    assert finding["prior"] == SIZE
+    assert set(content["accel"]["of_x"]) == set("xyz")
+    assert read_calibration(file)[NAMES[1]].prior == pytest.approx(SIZE * finding["prior_widened"])
+    for every in (False, True):
+        out = io.StringIO()
+        Console(file=out, width=100).print(calibration_report(read_calibration(file), every=every))
+        said = out.getvalue()
+        assert NAME in said
+        assert all((name in said) == every for name in NAMES)
+    write_report([file], tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "accelerometers by the square of the force along X" in page
+    assert all(f">{name}</td>" in page for name in NAMES)
 
 
 def test_it_has_its_entry() -> None:

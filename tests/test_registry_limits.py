@@ -271,3 +271,15 @@ def test_what_is_due_counts_from_the_last_record_in_force(tmp_path: Path) -> Non
         assert replace(correction, reason="other") != correction
         added(registry, correction, log="A-00072026-01-10", values={"accel.bias.x": 1.0})
         assert str(due(registry)[0].day) == "2026-08-10"
+
+
+def test_limits_of_a_further_group_are_in_its_units_and_a_bias_limit_is_not_for_its_slope() -> None:
+    found = limits(
+        'format = 1\n[incoming]\n"accel.quadratic" = "20 ug/g^2"\n"accel.bias" = "5 mg"\n"accel.bias.t1" = "0.1 mg/K"',
+        None,
+    )
+    high = 20e-6 / G_STANDARD
+    assert found.of("accel.quadratic.x", "incoming") == pytest.approx((-high, high))
+    assert found.of("accel.bias.x", "incoming") == pytest.approx((-5 * MG, 5 * MG))
+    assert found.of("accel.bias.x.t1", "incoming") == pytest.approx((-0.1 * MG, 0.1 * MG))
+    assert found.of("accel.bias.x.drift", "incoming") is None

@@ -44,6 +44,7 @@ from tumble.report.pdf import pdf as to_pdf
 from tumble.report.result import described
 from tumble.report.write import write_report
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import FURTHER
 from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
@@ -56,7 +57,7 @@ SIZES = {
     "mrad": 1e-3,
     "°/h": DEGREE_PER_HOUR,
     "°/s": DEGREE,
-}
+} | {name: size for group in FURTHER for size, name in group.shown}
 SCRIPT = "<script>alert(1)</script>"
 MARKUP = '#panic("x") $x^2$ *b* _i_ `c` \\ ]#[ {{ 7*7 }} {% raise %} --> & <img src=x>'
 
@@ -472,6 +473,65 @@ def test_the_pdf_is_for_the_archive(pdf: Path, content: Any) -> None:
     assert b"/JavaScript" not in pdf.read_bytes()
 
 
+# -------------------- beyond the linear model --------------------
+
+
+def with_groups(content: Any) -> None:
+    """Two groups beyond the linear model, one of them by name unknown to the table, and remarks of the gyros."""
+    size = len(content["parameters"])
+    own = {"value": -3e-5, "u": 1e-5, "unit": "s^2/m", "prior": 5e-5, "learned": 0.96, "dof": 5.0}
+    content["parameters"].append({"name": "accel.quadratic.x", **own})
+    covariance = np.zeros((size + 1, size + 1))
+    covariance[:size, :size] = content["covariance"]
+    covariance[size, size] = 1e-10
+    content["covariance"] = covariance.tolist()
+    content["groups"] = [
+        {"name": "accel.quadratic", "kept": True, "prior": 5e-5, "prior_widened": 2.5, "learned": [0.96]},
+        {"name": SCRIPT, "kept": False, "prior": 1e-3, "prior_widened": 1.0, "learned": [0.0]},
+    ]
+    content["prediction"] = {"force_u": 1.7e-5, "rate_u": 2e-6, "at_rate": 0.4}
+    fine: dict[str, list[str]] = {"reasons": [], "remarks": []}
+    said = {"verdict": "accepted with scatter", "reasons": [], "remarks": [MARKUP]}
+    content["outcome"] = {"accepted": True, **said, "unobservable": [], "accel": fine, "gyro": said}
+
+
+@pytest.fixture(scope="session")
+def with_groups_file(content: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return changed(content, tmp_path_factory.mktemp("groups"), with_groups)
+
+
+def test_groups_have_a_section_with_their_priors(with_groups_file: Path) -> None:
+    out = with_groups_file.with_suffix(".html")
+    assert write_report([with_groups_file], out) == []
+    page = Page.of(out)
+    assert [heading.partition(" ")[2] for heading in page.headings][:2] == ["Result", "Beyond the linear model"]
+    assert len(page.table("parameter", "value", "U (k = 2)", "unit")) == 21
+    known, unknown = page.table("group", "largest", "learned")
+    assert known["what it is"] == "quadratic nonlinearity of the accelerometers, K₂"
+    assert known["unit"] == "µg/g²"
+    assert number(known["largest"]) == pytest.approx(3e-5 * G_STANDARD * 1e6, abs=5.0)
+    assert known["learned"] == "96 %"
+    assert known[""] == "prior widened 2.5×"
+    assert (unknown["group"], unknown[""]) == (SCRIPT, "not determined")
+    (row,) = page.table("parameter", "u", "k for 95 %", "prior", "learned")
+    assert row["parameter"] == "accel.quadratic.x"
+    assert number(row["k for 95 %"]) == pytest.approx(2.65, abs=0.02)
+    assert "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.41 °/h" in page.whole
+
+
+def test_scatter_has_its_own_colour_and_its_causes(with_groups_file: Path) -> None:
+    for name in ("scatter.html", "scatter.pdf"):
+        write_report([with_groups_file], with_groups_file.parent / name)
+    page = Page.of(with_groups_file.parent / "scatter.html")
+    assert ("p", {"class": "verdict doubt"}) in page.elements
+    assert not LOADING & {tag for tag, _ in page.elements}
+    for said in (page.whole, pdf_text(with_groups_file.parent / "scatter.pdf")):
+        assert "Accepted with scatter" in said
+        assert "Accelerometers: accepted; gyros: accepted with scatter." in said
+        assert MARKUP in said
+        assert SCRIPT in said
+
+
 # -------------------- nothing from a file acts --------------------
 
 
@@ -617,8 +677,9 @@ def test_launches_stand_beside_each_other(session: Path, tmp_path: Path) -> None
     rows = page.table("parameter", "one", "two", "run to run")
     for row, p, q in zip(rows, content["launches"][0]["parameters"], content["launches"][1]["parameters"], strict=True):
         size = SIZES[row["unit"]]
-        assert number(row["one"]) == pytest.approx(p["value"] / size, abs=0.5001 * last_digit(row["one"]))
-        assert number(row["two"]) == pytest.approx(q["value"] / size, abs=0.5001 * last_digit(row["two"]))
+        for text, own in ((row["one"], p), (row["two"], q)):  # to the second digit of U
+            last = max(last_digit(text), 10.0 ** (np.floor(np.log10(2.0102 * own["u"] / size)) - 1.0))
+            assert number(text) == pytest.approx(own["value"] / size, abs=0.5001 * last)
     for launch in content["launches"]:
         assert launch["log_sha256"] in page.whole
         assert any(f"Residuals: {launch['session']}" in heading for heading in page.headings)

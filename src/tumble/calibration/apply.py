@@ -338,7 +338,7 @@ class _Reader:
     def _times(self, table: pl.DataFrame) -> Array:
         self.rows += table.height
         if self.session.log.time is None or self.session.log.regular:
-            return self.interval * np.arange(self.rows - table.height, self.rows)
+            return self.interval * np.arange(self.rows - table.height, self.rows, dtype=float)
         with rows_of_numbers(self.path):
             return times_of(table[self.session.log.time], self.session.log)
 

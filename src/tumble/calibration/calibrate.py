@@ -342,7 +342,10 @@ def _result(
     frame: Frame,
     provenance: Mapping[str, str],
 ) -> Calibration:
-    session, outcome = observed.session, verdict(estimate, observations)
+    session, outcome = (
+        observed.session,
+        verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed),
+    )
     rests, turns = _rest_results(estimate, observations), _turn_results(estimate, observations)
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
     learned = _learned(estimate)

@@ -31,7 +31,9 @@ from tumble.estimation.estimate import Estimate
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis
+from tumble.sensors.compensation import specific_force
 from tumble.sensors.frames import Alignment, Frame, carried_further, convert
+from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array, IntArray
 
@@ -80,15 +82,13 @@ class Relation:
     degrees: int
 
 
-def verticals_of(model: SensorModel, jacobian: Array, readings: Array, covariance: Array, known: Array) -> Verticals:
-    """Verticals from readings at rest (N, n) with covariance (N, n, n), the sensor model, its Jacobian (n, 4, m) with
-    respect to parameters, and their covariance (m, m)."""
+def verticals_of(model: SensorModel, force: Array, change: Array, covariance: Array, known: Array) -> Verticals:
+    """Verticals from specific forces at rest (N, 3), the sensor model, the derivative (N, n, m) of the readings with
+    respect to parameters, and the covariances of the readings (N, n, n) and of the parameters (m, m)."""
     inverse = model.inverse()
-    force = model.apply(readings)
     length = np.linalg.norm(force, axis=1)
     direction = force / length[:, None]
     across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) @ inverse / length[:, None, None]
-    change = np.einsum("pkm,ik->ipm", jacobian[:, :3], force) + jacobian[:, 3]
     return Verticals(
         direction=direction,
         covariance=across @ covariance @ np.swapaxes(across, 1, 2),
@@ -306,10 +306,19 @@ def _degrees_in(estimate: Estimate, linear: int, framed: int) -> Array | None:
 
 
 def _verticals_of_rests(estimate: Estimate, observations: Observations) -> Verticals:
+    """The verticals, by the whole model. Parameters are those of the accelerometers that the frame is made of; what the
+    others leave open counts as noise of each rest."""
     block, rests = observations.accel_block, observations.rests
-    count = len(block.names)
-    jacobian, known = block.jacobian(estimate.values[:count]), estimate.covariance[:count, :count]
-    return verticals_of(estimate.accel, jacobian, rests.accel, rests.accel_covariance, known)
+    instrument = estimate.instrument or Instrument(accel=block, gyro=None)
+    count, own = len(instrument.names), len(block.names)
+    values, known = estimate.values[:count], estimate.covariance[:count, :count]
+    force = specific_force(instrument, values, rests.accel)
+    change = np.einsum(
+        "npb,pbm->npm", functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
+    )
+    further = change[:, :, own:] @ known[own:, own:] @ np.swapaxes(change[:, :, own:], 1, 2)
+    noise = rests.accel_covariance + further
+    return verticals_of(estimate.accel, force, change[:, :, :own], noise, known[:own, :own])
 
 
 # -------------------- two blocks --------------------

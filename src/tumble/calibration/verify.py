@@ -36,7 +36,9 @@ from tumble.estimation.estimate import Fit, sigmas
 from tumble.files import FilePath
 from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, frame_of, triad_axes
+from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import LINEAR, group_name, sensor_kind
 from tumble.units import Array, engineering
 
 CHANCE = 0.01
@@ -197,7 +199,7 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
     by_parameters = _length_by_parameters(calibration, positions, seen)
     known = np.einsum("im,mk,ik->i", by_parameters, seen.parameter_covariance, by_parameters)
-    difference = positions.gravity - np.linalg.norm(calibration.accel.apply(positions.readings), axis=1)
+    difference = positions.gravity - np.linalg.norm(calibration.compensator.force(positions.readings), axis=1)
     if own:
         known = np.maximum(known - positions.gravity_u**2, 0.0)
         return _left_out(positions, difference, variance, known, fit)
@@ -247,25 +249,47 @@ def verticals(calibration: Calibration, positions: Positions) -> Verticals:
             f"calibration of {calibration.serial!r}: expected an accepted one of accelerometers, found "
             f"{'; '.join(calibration.outcome.reasons) or 'none of accelerometers'}"
         )
-    convention = Convention(frame=frame_of(calibration.frame), block=positions.block)
-    names = tuple(p.name for p in calibration.parameters if p.name.startswith(positions.block.kind))
-    if names != convention.names:
+    block = positions.block
+    names = _accelerometer_names(calibration, block)
+    force = calibration.compensator.force(positions.readings)
+    change = _change(calibration, block, force)
+    index = [i for i, p in enumerate(calibration.parameters) if p.name in names]
+    known = np.zeros((len(index), len(index)))
+    if calibration.covariance is not None:
+        known = calibration.covariance[np.ix_(index, index)]
+    return verticals_of(calibration.accel, force, change, positions.covariance, known)
+
+
+def _accelerometer_names(calibration: Calibration, block: Block) -> tuple[str, ...]:
+    """The parameters that a reading of the accelerometers at rest depends on, in their order. Raises InputError where
+    the linear ones are not those of the block."""
+    assert calibration.accel is not None
+    convention = Convention(frame=frame_of(calibration.frame), block=block)
+    linear = {group.name for group in LINEAR}
+    found = [p.name for p in calibration.parameters if sensor_kind(p.name) == block.kind]
+    if tuple(name for name in found if group_name(name) in linear) != convention.names:
         raise InputError(
             f"calibration of {calibration.serial!r}: expected readings of its {len(calibration.accel.bias)} "
-            f"accelerometers, found {positions.block.size} with other axes; verify with recordings of the same device"
+            f"accelerometers, found {block.size} with other axes; verify with recordings of the same device"
         )
-    count = len(names)
-    known = np.zeros((count, count)) if calibration.covariance is None else calibration.covariance[:count, :count]
-    jacobian = convention.jacobian(np.array([p.value for p in calibration.parameters[:count]]))
-    return verticals_of(calibration.accel, jacobian, positions.readings, positions.covariance, known)
+    further = Instrument.of(block, None, {group_name(name) for name in found}, variables=())
+    return convention.names + further.names[further.linear_count :]
+
+
+def _change(calibration: Calibration, block: Block, force: Array) -> Array:
+    """Derivative (N, n, m) of the readings with the parameters of `_accelerometer_names`, in specific forces (N, 3)."""
+    convention = Convention(frame=frame_of(calibration.frame), block=block)
+    linear = convention.jacobian(np.array([calibration[name].value for name in convention.names]))
+    own = np.einsum("pkm,ik->ipm", linear[:, :3], force) + linear[:, 3]
+    found = {group_name(p.name) for p in calibration.parameters}
+    instrument = Instrument.of(block, None, found, variables=())
+    derivative = instrument.derivative(block, np.zeros(len(instrument.names)))[:, :, instrument.linear_count :]
+    further = np.einsum("npb,pbm->npm", functions(block, force, np.zeros_like(force)), derivative)
+    return np.concatenate([own, further], axis=2)
 
 
 def _length_by_parameters(calibration: Calibration, positions: Positions, seen: Verticals) -> Array:
     """Derivative (N, m) of |true| with the parameters of the accelerometers."""
     assert calibration.accel is not None
-    count = seen.parameter_covariance.shape[0]
-    convention = Convention(frame=frame_of(calibration.frame), block=positions.block)
-    jacobian = convention.jacobian(np.array([p.value for p in calibration.parameters[:count]]))
-    force = calibration.accel.apply(positions.readings)
-    change = np.einsum("pkm,ik->ipm", jacobian[:, :3], force) + jacobian[:, 3]
+    change = _change(calibration, positions.block, calibration.compensator.force(positions.readings))
     return np.asarray(-np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change))

@@ -61,8 +61,8 @@ IMPOSSIBLE = 1e10
 MILLIGAL = 1e-5  # m/s²
 GRAVITY_DOUBTED = 300.0 * MILLIGAL
 GRAVITY_REFUSED = 1100.0 * MILLIGAL
-"""Anomalies of gravity on Earth reach 300 mGal on land in a few places; nowhere 1,000. The limit lets the value through that
-imu_tk takes for its recording in Padova, 1,091 mGal too much, which published results rest on: it is remarked upon."""
+"""Anomalies of gravity on Earth reach 300 mGal on land in a few places; nowhere 1,000. The limit lets the value through
+that imu_tk takes for its recording, 1,091 mGal more than normal gravity, which published results rest on."""
 
 CHANCE = 1e-9
 """Probability below which a row of equal samples is no accident."""

@@ -75,6 +75,8 @@ class Site:
     gravity: float
     gravity_u: float
     field: float | None = None
+    gravity_confirmed: bool = False
+    """That gravity is meant, however far it is from normal gravity."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -387,6 +389,7 @@ def _site(site: SiteTable) -> Site:
         gravity=gravity,
         gravity_u=u if site.gravity_u is None else site.gravity_u,
         field=site.field,
+        gravity_confirmed=site.gravity_confirmed,
     )
 
 

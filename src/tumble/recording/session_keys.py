@@ -80,6 +80,7 @@ class SiteTable(SessionTable):
         default=None, ge=9.7, le=9.9, description="a number from 9.7 to 9.9 (m/s^2, on Earth)"
     )
     gravity_u: float | None = Field(default=None, ge=0, le=0.1, description="a number from 0 to 0.1 (m/s^2)")
+    gravity_confirmed: bool = Field(default=False, description="true or false")
     field: float | None = Field(default=None, gt=0, description="a positive number, in the unit of [log.magnetometer]")
 
     @model_validator(mode="after")

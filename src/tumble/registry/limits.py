@@ -24,10 +24,9 @@ from typing import Any, Literal
 
 from tumble.calibration.coverage import COVERAGE
 from tumble.errors import InputError
-from tumble.planning.budget import UNITS
 from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
 from tumble.sensors.frames import FRAMES
-from tumble.units import quantity
+from tumble.sensors.parameters import ParameterGroup, group_name, group_of, quantity_of
 
 FORMAT = 1
 
@@ -69,7 +68,7 @@ class Limits:
     def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
         """The lowest and the highest value (SI) of a parameter; None where it has no limit."""
         own = self.checks.get(occasion, {})
-        keys = [key for key in own if name == key or name.startswith(f"{key}.")]
+        keys = [key for key in own if _is_of(name, key)]
         if not keys:
             return None
         limit = own[max(keys, key=len)]
@@ -116,6 +115,12 @@ class Verdict:
         return [f"{what}: {', '.join(j.name for j in found)}" for what, found in groups.items() if found]
 
 
+def _is_of(name: str, key: str) -> bool:
+    """Whether a key of the limits, a parameter or kind, is meant for a parameter. Changes have limits of their own."""
+    own = group_name(name)
+    return name == key or own == key or (name.startswith(f"{key}.") and own == group_name(key))
+
+
 def judge(
     limits: Limits, occasion: Occasion, parameters: Iterable[ParameterRow], unobservable: Iterable[str] = ()
 ) -> Verdict | None:
@@ -129,14 +134,14 @@ def judge(
     judged = [_judged(row, found) for row in rows if (found := limits.of(row.name, occasion)) is not None]
     named = [*(row.name for row in rows), *unobservable]
     missing = [name for name in unobservable if limits.of(name, occasion) is not None]
-    missing += [key for key in own if not any(name == key or name.startswith(f"{key}.") for name in named)]
+    missing += [key for key in own if not any(_is_of(name, key) for name in named)]
     judged += [_not_determined(name, limits.of(name, occasion) or (-math.inf, math.inf)) for name in missing]
     return Verdict(occasion=occasion, judgements=tuple(judged))
 
 
 def _not_determined(name: str, limits: tuple[float, float]) -> LimitJudgement:
     low, high = limits
-    unit = UNITS[".".join(name.split(".")[:2])]
+    unit = group_of(name).unit
     return LimitJudgement(name=name, unit=unit, value=None, expanded=None, low=low, high=high, result="undecided")
 
 
@@ -232,9 +237,11 @@ def _check(content: Any, occasion: str, name: str) -> Mapping[str, Limit]:
 
 
 def _limit(key: str, value: Any, where: str) -> Limit:
-    kind = ".".join(key.split(".")[:2])
-    if kind not in UNITS:
-        raise InputError(f'{where}: expected a quoted name such as "accel.bias" or "gyro.axis.xy", found another')
+    try:
+        kind = group_of(key)
+    except KeyError:
+        said = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found another'
+        raise InputError(f"{where}: {said}") from None
     if isinstance(value, str):
         size = _size(value, kind, where)
         return Limit(low=-size, high=size, relative=False)
@@ -250,16 +257,16 @@ def _limit(key: str, value: Any, where: str) -> Limit:
     raise InputError(f"{where}: expected {_FORMS}, found {value!r}")
 
 
-def _number(value: Any, kind: str, where: str) -> float:
+def _number(value: Any, kind: ParameterGroup, where: str) -> float:
     if not isinstance(value, str):
         raise InputError(f"{where}: expected {_FORMS}, found {value!r}")
     try:
-        return quantity(value, UNITS[kind])
+        return quantity_of(kind, value)
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
 
 
-def _size(value: Any, kind: str, where: str) -> float:
+def _size(value: Any, kind: ParameterGroup, where: str) -> float:
     size = _number(value, kind, where)
     if size <= 0.0:
         raise InputError(f"{where}: expected more than 0, found {value!r}")
@@ -296,7 +303,7 @@ def _check_relative(limits: Limits, name: str) -> None:
     """That there is a systematic value for every limit that is about one."""
     for occasion, own in limits.checks.items():
         for key, limit in own.items():
-            known = any(p == key or p.startswith(f"{key}.") for p in limits.systematic)
+            known = any(_is_of(p, key) for p in limits.systematic)
             if limit.relative and not known:
                 raise InputError(
                     f"{name}: {occasion}: {key}: expected a systematic value to deviate from, found none; name a "

@@ -32,18 +32,20 @@ def raised(exponent: int) -> str:
 
 def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
     """Value and U (k = 2) of a parameter in a unit of this size, to the second significant digit of U."""
-    if parameter.u is None:
-        return significant(parameter.value / size, 6), NONE
-    value, expanded = rounded(parameter.value / size, COVERAGE * parameter.u / size)
-    return minus(value), expanded
+    return _with(parameter, COVERAGE, size)
 
 
 def with_standard(parameter: Parameter, size: float) -> tuple[str, str]:
     """Value and u of a parameter in a unit of this size, to the second significant digit of u."""
+    return _with(parameter, 1.0, size)
+
+
+def _with(parameter: Parameter, factor: float, size: float) -> tuple[str, str]:
+    """Value and `factor` u, to the second significant digit of the latter; never a negative zero."""
     if parameter.u is None:
         return significant(parameter.value / size, 6), NONE
-    value, u = rounded(parameter.value / size, parameter.u / size)
-    return minus(value), u
+    value, u = rounded(parameter.value / size, factor * parameter.u / size)
+    return minus(value if float(value) else value.lstrip("-")), u
 
 
 def as_value(number: float | None, parameter: Parameter, size: float) -> str:

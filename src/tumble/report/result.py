@@ -118,7 +118,7 @@ def _group_table(lines: Sequence[GroupLine]) -> ReportTable:
     rows = []
     for line in lines:
         value, u = (NONE, NONE) if line.largest is None else with_standard(line.largest, line.size)
-        prior = NONE if line.prior is None else significant(line.prior / line.size, 2)
+        prior = NONE if line.prior is None else significant(line.prior / line.size, 4)
         rows.append((line.name, line.words, value.lstrip("−"), u, prior, line.shown, line.learned_percent, line.remark))
     columns = ("group", "what it is", "largest", "u", "prior", "unit", "learned", "")
     return ReportTable(columns=columns, rows=tuple(rows), text=(0, 1, 5, 7), dense=True)
@@ -129,7 +129,7 @@ def _further_table(parameters: Sequence[Parameter]) -> ReportTable:
     rows = []
     for p in parameters:
         size, unit = units[p.name]
-        prior = NONE if p.prior is None else significant(p.prior / size, 2)
+        prior = NONE if p.prior is None else significant(p.prior / size, 4)
         learned = NONE if p.learned is None else f"{100.0 * p.learned:.0f} %"
         rows.append((p.name, *with_standard(p, size), fixed(p.k, 2), unit, prior, learned))
     return ReportTable(
@@ -137,7 +137,7 @@ def _further_table(parameters: Sequence[Parameter]) -> ReportTable:
         rows=tuple(rows),
         text=(0, 4),
         caption="u is the standard uncertainty, k u the half width of the interval of 95 %, prior a standard "
-        "deviation.",
+        "deviation, as widened.",
         dense=True,
     )
 
@@ -305,9 +305,7 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
             text="U is the expanded uncertainty: the standard uncertainty times the coverage factor k = 2, which for a "
             "normal distribution covers about 95 %, and less where u was estimated from few residuals. It contains the "
             "noise at rest and in turns, the scatter between rests that the residuals show, and the stated uncertainty "
-            "of gravity; of several launches also their instability. It does not contain what one recording cannot "
-            "show: changes with temperature and age, nonlinearity that is the same in every rest, and an error of "
-            "gravity larger than stated."
+            "of gravity; of several launches also their instability. " + _not_contained(calibration)
         ),
         Figure(
             svg=figures.correlations(name, names, r),
@@ -322,6 +320,20 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
 
+def _not_contained(calibration: Calibration) -> str:
+    """What U has nothing of."""
+    if further_parameters(calibration.parameters):
+        return (
+            "It contains what the groups beyond the linear model leave open within their priors. It does not contain "
+            "the change from one power-on to the next and with age, effects that no group describes, and an error of "
+            "gravity larger than stated."
+        )
+    return (
+        "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that is "
+        "the same in every rest, and an error of gravity larger than stated."
+    )
+
+
 def covariance(calibration: Calibration) -> Section | None:
     """The whole covariance matrix, a table for each pair of kinds of sensor."""
     if calibration.covariance is None:
@@ -332,7 +344,7 @@ def covariance(calibration: Calibration) -> Section | None:
     if len(linear) < len(names):
         said += f" Of the linear model; that of all {len(names)} parameters is in the calibration file."
     kinds = list(dict.fromkeys(sensor_kind(name) for name in linear))
-    members = {kind: [names.index(name) for name in linear if sensor_kind(name) == kind] for kind in kinds}
+    members = {kind: [names.index(name) for name in linear if name.startswith(f"{kind}.")] for kind in kinds}
     blocks: list[Block] = [Text(text=said)]
     for n, first in enumerate(kinds):
         for second in kinds[: n + 1]:

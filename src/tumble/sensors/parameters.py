@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.sensors.model import Block, SensorKind
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering, quantity
 
 FUNCTIONS = 15
 """How many functions β there are."""
@@ -371,12 +371,33 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
         raise ValueError(
             f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_drift, gyro_drift"
         )
-    number = re.match(r"\s*(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
-    unit = text[number.end() :].strip() if number else ""
-    units = {_plain(shown): size for size, shown in group.shown} | {group.unit: 1.0}
-    if number is None or _plain(unit) not in units or float(number.group()) <= 0.0:
-        raise ValueError(f"{key}: expected a positive number and one of {', '.join(units)}, found {text!r}")
-    return group.name, float(number.group()) * units[_plain(unit)]
+    found = _quantity(group, text)
+    if found is None or found <= 0.0:
+        units = ", ".join(_typed_units(group))
+        raise ValueError(f"{key}: expected a positive number and one of {units}, found {text!r}")
+    return group.name, found
+
+
+def quantity_of(group: ParameterGroup, text: str) -> float:
+    """The SI value of a text such as "-3 ug/g^2" for a parameter of a group. Raises ValueError, one line."""
+    if group.linear:
+        return quantity(text, group.unit)
+    found = _quantity(group, text)
+    if found is None:
+        raise ValueError(f"expected a number and one of {', '.join(_typed_units(group))}, found {text!r}")
+    return found
+
+
+def _quantity(group: ParameterGroup, text: str) -> float | None:
+    number = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
+    unit = _plain(text[number.end() :].strip()) if number else ""
+    units = _typed_units(group)
+    return float(number.group()) * units[unit] if number is not None and unit in units else None
+
+
+def _typed_units(group: ParameterGroup) -> dict[str, float]:
+    """What the units are worth that values of a group are given in, SI."""
+    return {_plain(shown): size for size, shown in group.shown} | {group.unit: 1.0}
 
 
 def _plain(unit: str) -> str:

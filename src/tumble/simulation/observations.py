@@ -127,7 +127,9 @@ class _NoisyBlock:
         (K, S, 3), or (K, S, n, 3) where those at each sensor are others, and rates (K, S, 3) of the body."""
         K, S = rate.shape[:2]
         flat = force.reshape(K * S, *force.shape[2:]), rate.reshape(K * S, 3)
-        return np.asarray(self._read(*flat, np.repeat(when, S)).reshape(K, S, self.block.size) + self.bias[first][:, None])
+        return np.asarray(
+            self._read(*flat, np.repeat(when, S)).reshape(K, S, self.block.size) + self.bias[first][:, None]
+        )
 
     def _read(self, force: Array, rate: Array, when: Array) -> Array:
         """Readings (N, n) at times (N,), s, from the middle of the session."""
