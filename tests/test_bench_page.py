@@ -169,6 +169,19 @@ def test_a_token_can_be_given_by_the_environment(monkeypatch: pytest.MonkeyPatch
     assert lasting_token() == lasting_token()
 
 
+def test_what_is_missing_without_the_extra_is_said(tmp_path: Path) -> None:
+    code = (
+        "import sys\n"
+        "sys.modules['uvicorn'] = None\n"
+        "from tumble.cli import main\n"
+        f"main(['bench', {str(tmp_path / 'launch')!r}, '--listen', 'simulator:nine'])\n"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert found.returncode == 2
+    assert "pip install 'tumble[bench]'" in found.stderr
+    assert "Traceback" not in found.stderr
+
+
 # -------------------- in a browser --------------------
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.bench.follow import BRIDGED, Samples
+from tumble.bench.follow import BRIDGED, SoundSamples
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.joint import joint
 from tumble.recording.gaps import Gap
@@ -70,7 +70,7 @@ class Chain:
         block = [session.accel_block, session.gyro_block]
         self._to_body = [np.linalg.pinv(b.axes).T if b is not None else np.empty((0, 3)) for b in block]
 
-    def feed(self, samples: Samples) -> tuple[Array, Array | None]:
+    def feed(self, samples: SoundSamples) -> tuple[Array, Array | None]:
         """Add samples; what the accelerometers (m, n) and gyros (m, n) read, in SI."""
         log, dt = self.session.log, samples.dt
         n = len(log.accel.columns)

@@ -24,7 +24,7 @@ BIAS_LIMIT = 0.15
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Limits:
+class StillLimits:
     """What decides whether a block is calm: scatter of the specific force, m/s², and distance of the rate from its
     `level` (3,) at rest, rad/s; the level is None while no rest is known."""
 
@@ -79,7 +79,7 @@ def scatter_now(blocks: Blocks) -> float:
     return float(np.sqrt(blocks.force[-10:].var(axis=0).sum()))
 
 
-def calm_since(blocks: Blocks, limits: Limits, most: int = 100_000) -> int | None:
+def calm_since(blocks: Blocks, limits: StillLimits, most: int = 100_000) -> int | None:
     """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together."""
     last = len(blocks)
     if last < CALM_BLOCKS or not _calm(blocks, last - CALM_BLOCKS, limits):
@@ -90,7 +90,7 @@ def calm_since(blocks: Blocks, limits: Limits, most: int = 100_000) -> int | Non
     return first
 
 
-def _calm(blocks: Blocks, first: int, limits: Limits) -> bool:
+def _calm(blocks: Blocks, first: int, limits: StillLimits) -> bool:
     window = slice(first, first + CALM_BLOCKS)
     if np.sqrt(blocks.force[window].var(axis=0).sum()) > limits.scatter:
         return False

@@ -60,7 +60,7 @@ def _nothing(_: bytes) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Samples:
+class SoundSamples:
     """Sound samples: end times and intervals, s, and the numbers of the log without its time; `lost` before each."""
 
     time: Array
@@ -86,7 +86,7 @@ class Clock:
     start: float = 0.0
     _head: list[Array] | None = None
 
-    def samples(self, rows: Array) -> Samples | None:
+    def samples(self, rows: Array) -> SoundSamples | None:
         """The samples of the next rows; None while the interval is not known."""
         if self.interval is None:
             self._head = [*(self._head or []), rows]
@@ -116,10 +116,10 @@ class Clock:
         self.interval = float(regular if self.spec.regular else np.median(np.diff(time)))
         self.start = float(time[0])
 
-    def _steps(self, time: Array, values: Array, interval: float) -> Samples:
+    def _steps(self, time: Array, values: Array, interval: float) -> SoundSamples:
         first = time[:1] - interval if self.last is None else np.array([self.last])
         dt = np.diff(np.concatenate([first, time])) if len(time) else np.empty(0)
         lost = np.where(dt > 1.5 * interval, np.round(dt / interval) - 1.0, 0.0)
         if len(time):
             self.last = float(time[-1])
-        return Samples(time=time, dt=np.where(lost > BRIDGED, interval, dt), values=values, lost=lost)
+        return SoundSamples(time=time, dt=np.where(lost > BRIDGED, interval, dt), values=values, lost=lost)

@@ -11,7 +11,7 @@ from tumble.bench.follow import growing_file
 from tumble.bench.lines import Lines
 from tumble.bench.order import Order
 from tumble.bench.recorder import Recorder
-from tumble.bench.sources import Ended, Source
+from tumble.bench.sources import Ended, LineSource
 from tumble.recording.session import Session
 
 READ_SECONDS = 0.05
@@ -37,7 +37,7 @@ class Received:
 class Intake:
     """Records a source into the log of a session until it is stopped."""
 
-    def __init__(self, source: Source, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, source: LineSource, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
         log = session.log
         columns = log.columns
         self.path = growing_file(log)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tumble.bench import folder as folders
-from tumble.bench.sources import MOTIONCAL_LOG, Source, in_si, source_of
+from tumble.bench.sources import MOTIONCAL_LOG, LineSource, in_si, source_of
 from tumble.bench.station import Station
 from tumble.errors import InputError
 from tumble.programme.positions import programme as built_in
@@ -63,5 +63,5 @@ class _Once:
     def __init__(self, listen: str) -> None:
         self._listen = listen.removesuffix(":motioncal")
 
-    def __call__(self) -> Source:
+    def __call__(self) -> LineSource:
         return source_of(self._listen)

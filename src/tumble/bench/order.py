@@ -35,8 +35,8 @@ class Order:
     repeated: int = 0
     restarted: bool = False
     _interval: float | None = None
-    _waiting: list[tuple[float, str]] = field(default_factory=list)
-    _since: float = 0.0
+    _waiting: list[tuple[float, str, float]] = field(default_factory=list)
+    """Times, rows, and when they came."""
     _passed: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
 
     def feed(self, rows: list[Row]) -> list[str]:
@@ -53,7 +53,7 @@ class Order:
     @property
     def waiting(self) -> list[str]:
         """The rows that wait, in order."""
-        return [text for _, text in sorted(self._waiting)]
+        return [text for _, text, _ in sorted(self._waiting)]
 
     def end(self) -> list[str]:
         """The rows that wait, when nothing comes any more."""
@@ -66,7 +66,7 @@ class Order:
             return True
         if self.last is not None and self._interval is None and row.time <= self.last:
             return False
-        if row.time in self._passed or any(row.time == waiting for waiting, _ in self._waiting):
+        if row.time in self._passed or any(row.time == waiting for waiting, _, _ in self._waiting):
             self.repeated += 1
             return False
         if self.last is not None and row.time < self.last:
@@ -77,18 +77,16 @@ class Order:
         return True
 
     def _take(self, at: float, text: str, out: list[str]) -> None:
-        if not self._waiting:
-            self._since = self.now()
         if not self.unordered or not self._leaves_room(at):
             self._pass(at, text, out)
             self._contiguous(out)
             return
-        heapq.heappush(self._waiting, (at, text))
+        heapq.heappush(self._waiting, (at, text, self.now()))
         self._contiguous(out)
 
     def _contiguous(self, out: list[str]) -> None:
         while self._waiting and not self._leaves_room(self._waiting[0][0]):
-            self._pass(*heapq.heappop(self._waiting), out)
+            self._pass(*heapq.heappop(self._waiting)[:2], out)
 
     def _leaves_room(self, at: float) -> bool:
         """Whether a row may be missing before this time."""
@@ -104,8 +102,8 @@ class Order:
 
     def _release(self, out: list[str]) -> None:
         """Let pass what has waited long enough."""
-        while self._waiting and (self.now() - self._since > WAIT_SECONDS or len(self._waiting) > MOST_WAITING):
-            self._pass(*heapq.heappop(self._waiting), out)
+        while self._waiting and (self.now() - self._waiting[0][2] > WAIT_SECONDS or len(self._waiting) > MOST_WAITING):
+            self._pass(*heapq.heappop(self._waiting)[:2], out)
             self._contiguous(out)
 
 

@@ -33,7 +33,7 @@ class Ended(Exception):  # noqa: N818
     """Nothing comes from this source any more."""
 
 
-class Source(Protocol):
+class LineSource(Protocol):
     """Something that sends lines."""
 
     name: str
@@ -304,7 +304,7 @@ class Replay:
         self._file.close()
 
 
-def source_of(text: str) -> Source:
+def source_of(text: str) -> LineSource:
     """The source that is meant by what stands after --listen. Raises InputError, one line, for anything else."""
     kind, _, rest = text.partition(":")
     if kind == "stdin" and not rest:

@@ -25,8 +25,8 @@ from tumble.bench.chain import Blocks, Chain, Known
 from tumble.bench.course import (
     WRONG_WAY,
     Fault,
-    Limits,
     Rest,
+    StillLimits,
     against,
     calm_since,
     grouped,
@@ -40,7 +40,7 @@ from tumble.bench.course import (
 )
 from tumble.bench.follow import BRIDGED, Clock, Follower
 from tumble.bench.intake import Intake
-from tumble.bench.sources import Source
+from tumble.bench.sources import LineSource
 from tumble.bench.watch import Watch
 from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, rest_wishes, wishes
 from tumble.errors import TumbleError
@@ -86,9 +86,14 @@ class Station:
     """A bench: `listen` makes the source of what is recorded, None where another program writes the log."""
 
     def __init__(
-        self, folder: Path, listen: Callable[[], Source] | None, *, wanted: tuple[str, ...] = (), grade: str = "mems"
+        self,
+        folder: Path,
+        listen: Callable[[], LineSource] | None,
+        *,
+        wanted: tuple[str, ...] = (),
+        grade: str = "mems",
     ) -> None:
-        self.folder, self._listen, self._texts, self._grade = folder, listen, wanted, grade
+        self.folder, self._listen, self._grade = folder, listen, grade
         self.wanted = wishes(wanted, grade)
         self.rest_wanted = rest_wishes(self.wanted, grade)
         self._changed = threading.Condition()
@@ -112,7 +117,7 @@ class Station:
         self._reduction: Reduction | None = None
         self._watches: list[Watch] = []
         self._spans: tuple[RestSpan, ...] = ()
-        self._limits: Limits | None = None
+        self._limits: StillLimits | None = None
         self._faults: list[Fault] = []
         self._answered: set[tuple[str, int]] = set()
         self._open: Exclusion | None = None
@@ -232,12 +237,12 @@ class Station:
         self._spans = (*kept, *found.rests)
         self._limits = self._limits_of(found, blocks)
 
-    def _limits_of(self, found: Segmentation, blocks: Blocks) -> Limits:
+    def _limits_of(self, found: Segmentation, blocks: Blocks) -> StillLimits:
         level = None
         if blocks.rate is not None and self._spans:
             last = self._spans[-1]
             level = blocks.rate[last.first : last.last].mean(axis=0)
-        return Limits(scatter=found.scatter_limit, rate=found.rate_limit, level=level)
+        return StillLimits(scatter=found.scatter_limit, rate=found.rate_limit, level=level)
 
     # -------------------- rests and positions --------------------
 

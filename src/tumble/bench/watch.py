@@ -15,7 +15,7 @@ _LEAST_RUN = 20
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Seen:
+class ChannelFault:
     """What was seen of a column: "clipped" or "stuck", from `start` to `stop`, s."""
 
     what: str
@@ -37,13 +37,13 @@ class Watch:
         self._count = 0
         self._said: dict[tuple[str, str], float] = {}
 
-    def look(self, time: Array, values: Array) -> list[Seen]:
+    def look(self, time: Array, values: Array) -> list[ChannelFault]:
         """What is seen in the next samples (m, n) in SI; of each column a fault once in ten seconds."""
         if not len(time):
             return []
         return [*self._clipped(time, values), *self._stuck(time, values)]
 
-    def _clipped(self, time: Array, values: Array) -> list[Seen]:
+    def _clipped(self, time: Array, values: Array) -> list[ChannelFault]:
         if self.full_scale is None:
             return []
         over = np.abs(values) >= FULL * self.full_scale
@@ -53,7 +53,7 @@ class Watch:
             for seen in self._new("clipped", int(p), float(time[over[:, p]][0]), float(time[over[:, p]][-1]))
         ]
 
-    def _stuck(self, time: Array, values: Array) -> list[Seen]:
+    def _stuck(self, time: Array, values: Array) -> list[ChannelFault]:
         before = values[:1] * np.nan if self._last is None else self._last[None]
         equal = values == np.concatenate([before, values[:-1]])
         self._last = values[-1].copy()
@@ -71,9 +71,9 @@ class Watch:
                 out += self._new("stuck", p, float(self._since[p]), float(time[-1]))
         return out
 
-    def _new(self, what: str, p: int, start: float, stop: float) -> list[Seen]:
+    def _new(self, what: str, p: int, start: float, stop: float) -> list[ChannelFault]:
         key = what, self.columns[p]
         if start < self._said.get(key, -np.inf) + 10.0:
             return []
         self._said[key] = start
-        return [Seen(what=what, column=self.columns[p], start=start, stop=stop)]
+        return [ChannelFault(what=what, column=self.columns[p], start=start, stop=stop)]

@@ -65,8 +65,7 @@ function figures() {
       ["", rest.nothing_more ? "longer gives nothing" : ""],
     ]);
   } else if (state.screen === "turn") {
-    const angle = turn.angle === null ? "" : ` of ${turn.angle > 0 ? "+" : "−"}${Math.abs(turn.angle).toFixed(0)}°`;
-    say(of("big"), turn.done === null ? "" : `${turn.done.toFixed(0)}°${angle}`);
+    say(of("big"), turn.done === null ? "" : `${turn.done.toFixed(0)}°`.replace("-", "−"));
     const scale = turn.full_scale === null ? "" : ` of ${number(turn.full_scale)} °/s`;
     details(of("details"), [
       ["move", state.position ? state.position.move : "any"],
