@@ -31,16 +31,8 @@ def raised(exponent: int) -> str:
 
 
 def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
-<<<<<<< HEAD
     """Value and U of a parameter in a unit of this size, to the second significant digit of U."""
-    if parameter.u is None:
-        return significant(parameter.value / size, 6), NONE
-    value, U = rounded(parameter.value / size, parameter.k * parameter.u / size)
-    return minus(value), U
-=======
-    """Value and U (k = 2) of a parameter in a unit of this size, to the second significant digit of U."""
-    return _with(parameter, COVERAGE, size)
->>>>>>> main
+    return _with(parameter, parameter.k, size)
 
 
 def with_standard(parameter: Parameter, size: float) -> tuple[str, str]:
