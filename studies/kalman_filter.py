@@ -40,9 +40,9 @@ from tumble.estimation.methods.staged.method import staged
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
-from tumble.reduction import kernels as _kernels
 from tumble.reduction.blocks import Reducer
 from tumble.reduction.matching import Match
+from tumble.reduction.moments import BlockCompensation, Compensation, Pieces, moments_of
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import find_rests
 from tumble.rotation import rotation_matrix, skew
@@ -87,7 +87,18 @@ class Filter:
         inverse = np.linalg.inv(model.matrix)
         each = np.full(len(readings), dt)
         one, last = np.array([1]), np.array([len(readings)])
-        C, M, B = (a[0] for a in _kernels.preintegrate(readings * dt, each, one, last, inverse, -inverse @ model.bias))
+        accel = self.scenario.accel
+        compensation = Compensation(
+            gyro=BlockCompensation.of(block.axes, model),
+            accel=BlockCompensation.of(accel.axes, accel.nominal()),
+            g_sensitivity=np.zeros((3, 3)),
+            delay=0.0,
+        )
+        still = np.zeros_like(readings)
+        found = moments_of(
+            Pieces(rates=readings, forces=still, intervals=each, turn=one - 1, start=one, stop=last), compensation
+        )
+        C, M, B = found.C[0], found.Phi[0, ..., 1:4], found.Phi[0, ..., 0]
         by_reading = np.einsum("ap,pqm->aqm", inverse, block.jacobian(self.gyro))
         turned = np.einsum("ipq,pqm->im", M, by_reading[:, :3]) + B @ by_reading[:, 3]
         F = np.eye(24)

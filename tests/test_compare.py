@@ -187,7 +187,7 @@ def of_common_gravity(moved: float) -> tuple[Calibration, Calibration]:
     one = calibration()
     scales = [p.name.startswith("accel.scale") for p in one.parameters]
     change = np.where(scales, -(1.0 + np.array([p.value for p in one.parameters])) * 20e-6, 0.0)
-    own = np.where(scales, 1.2e-6, [p.u for p in one.parameters])
+    own = np.where(scales, 1.2e-6, np.array([p.u for p in one.parameters], dtype=float))
     covariance = np.diag(own**2) + np.outer(change, change)
     u = np.sqrt(np.diag(covariance)).tolist()
     parameters = tuple(replace(p, u=each) for p, each in zip(one.parameters, u, strict=True))

@@ -24,7 +24,7 @@ _LINEAR = frozenset(group.name for group in LINEAR)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Turned:
+class _TurnedFurther:
     """Parameters in the new frame: those of the linear model, and the derivative (r, r) of the `rest` after them with
     the same before, which also takes their values there."""
 
@@ -42,7 +42,7 @@ def reframed(calibration: Calibration, frame: Frame) -> Calibration:
     if calibration.gyro is not None:
         gyro = Block(kind="gyro", axes=triad_axes(calibration.gyro.matrix))
 
-    def turned(of: Calibration | Launch) -> _Turned:
+    def turned(of: Calibration | Launch) -> _TurnedFurther:
         return _turned((accel, gyro), (frame_of(calibration.frame), frame), of.parameters, of.covariance)
 
     mean, launches = turned(calibration), [turned(launch) for launch in calibration.launches]
@@ -66,7 +66,7 @@ def _turned(
     frames: tuple[Frame, Frame],
     parameters: tuple[Parameter, ...],
     covariance: Array | None,
-) -> _Turned:
+) -> _TurnedFurther:
     own = len([p for p in parameters if group_name(p.name) in _LINEAR])
     rest = parameters[own:]
     framed = convert(
@@ -93,7 +93,7 @@ def _turned(
         replace(p, value=float(value), u=each, deviation=None, learned=_learned(p, each), dof=dof)
         for p, value, each, dof in zip(rest, values, u[len(linear) :], _degrees(carry, rest), strict=True)
     )
-    return _Turned(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
+    return _TurnedFurther(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
 
 
 def _degrees(jacobian: Array, before: tuple[Parameter, ...]) -> list[float | None]:
@@ -119,7 +119,7 @@ def _carry(blocks: tuple[Block, Block | None], names: list[str], Q: Array) -> Ar
     return out
 
 
-def _with_spread(mean: _Turned, launches: list[_Turned]) -> tuple[Parameter, ...]:
+def _with_spread(mean: _TurnedFurther, launches: list[_TurnedFurther]) -> tuple[Parameter, ...]:
     """The parameters of the mean with the standard deviation from launch to launch."""
     if not launches:
         return mean.parameters
@@ -129,7 +129,7 @@ def _with_spread(mean: _Turned, launches: list[_Turned]) -> tuple[Parameter, ...
     )
 
 
-def _increments(calibration: Calibration, mean: _Turned, step: Mapping[str, float]) -> dict[str, float]:
+def _increments(calibration: Calibration, mean: _TurnedFurther, step: Mapping[str, float]) -> dict[str, float]:
     """The increments of an iteration in the new frame."""
     before = np.array([step.get(p.name, 0.0) for p in calibration.parameters])
     own = len(before) - len(mean.carry)

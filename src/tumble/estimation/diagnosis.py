@@ -435,12 +435,14 @@ def _described(transform: Array) -> str:
 def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
     """Whether an estimate may be used, and its accelerometers and gyros each for itself."""
     both, of_accel, of_gyro = list(estimate.reasons), list[str](), list[str]()
+    first: tuple[str, ...] = ()
     missing = tuple(name for name in estimate.unobservable if name in _linear(estimate))
     unknown = {name.split(".")[0] for name in missing}
     if missing and not both:
         lists = {frozenset({"accel"}): of_accel, frozenset({"gyro"}): of_gyro}
         said = f"not observable in this session: {', '.join(missing)}; {_most_helpful(estimate, observations)}"
         lists.get(frozenset(unknown), both).append(said)
+        first = (said,)
     elif not missing and not both and (weak := _weak_combinations(estimate, observations)):
         both.append(f"poorly observable in this session: {'; '.join(weak)}; {_remedy(estimate, observations)}")
     if not missing and not estimate.converged:
@@ -460,7 +462,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
             said_of[concerns].append(reason)
         remarks = judged.remarks
     return Outcome(
-        reasons=(*both, *of_accel, *of_gyro),
+        reasons=first + tuple(reason for reason in (*both, *of_accel, *of_gyro) if reason not in first),
         remarks=tuple(remark for _, remark in remarks),
         unobservable=missing,
         of_accel=(*of_accel, *(remark for concerns, remark in remarks if concerns == "accel")),
