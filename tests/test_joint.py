@@ -395,15 +395,14 @@ def test_sessions_with_truth_are_within_their_uncertainties(data: Path, name: st
 
 @pytest.mark.data
 def test_xsens_is_accepted_and_agrees_with_the_staged_estimate(data: Path) -> None:
-    """With g-sensitivity, which is most of its scatter; the staged estimate has that in its uncertainties."""
-    found, first = (calibrate(data / "xsens-mti", method=name) for name in ("joint", "staged"))
-    assert found.outcome.accepted
+    """Of the linear model, as the staged estimate is; with g-sensitivity, most of its scatter, gyro biases are others."""
+    assert calibrate(data / "xsens-mti", method="joint").outcome.accepted
+    found = calibrate(data / "xsens-mti", method="joint", terms="linear")
+    first = calibrate(data / "xsens-mti", method="staged")
     assert len(first.parameters) == 21
     for p in first.parameters:
         assert p.u is not None
-        u = found[p.name].u
-        assert u is not None
-        assert abs(p.value - found[p.name].value) < 2.0 * np.hypot(p.u, u)
+        assert abs(p.value - found[p.name].value) < 2.0 * p.u
     assert len(found.iterations) <= 8
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
@@ -29,6 +30,7 @@ from matplotlib.figure import Figure
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.results import coverage_factor
 from tumble.cli import main
 from tumble.errors import MissingExtraError
 from tumble.planning.setup import Setup
@@ -244,12 +246,14 @@ def test_a_report_has_all_its_sections_in_the_order_in_which_it_is_read(page: Pa
 
 
 def test_values_and_u_are_those_of_the_file_to_two_digits_of_u(page: Page, content: Any) -> None:
-    rows = page.table("parameter", "value", "U (k = 2)", "unit")
+    rows = page.table("parameter", "value", "U (95 %)", "unit")
     assert [row["parameter"] for row in rows] == [p["name"] for p in content["parameters"]]
     for row, p in zip(rows, content["parameters"], strict=True):
-        size, value, expanded = SIZES[row["unit"]], row["value"], row["U (k = 2)"]
+        size, value, expanded = SIZES[row["unit"]], row["value"], row["U (95 %)"]
         assert number(value) == pytest.approx(p["value"] / size, abs=0.5001 * last_digit(value)), p["name"]
-        assert number(expanded) == pytest.approx(2.0 * p["u"] / size, abs=0.5001 * last_digit(expanded))
+        assert number(expanded) == pytest.approx(
+            coverage_factor(p.get("dof", math.inf)) * p["u"] / size, abs=0.5001 * last_digit(expanded)
+        )
         assert len(expanded.replace(".", "").lstrip("0")) == 2
         assert last_digit(value) == last_digit(expanded)
 
@@ -505,7 +509,7 @@ def test_groups_have_a_section_with_their_priors(with_groups_file: Path) -> None
     assert write_report([with_groups_file], out) == []
     page = Page.of(out)
     assert [heading.partition(" ")[2] for heading in page.headings][:2] == ["Result", "Beyond the linear model"]
-    assert len(page.table("parameter", "value", "U (k = 2)", "unit")) == 21
+    assert len(page.table("parameter", "value", "U (95 %)", "unit")) == 21
     known, unknown = page.table("group", "largest", "learned")
     assert known["what it is"] == "quadratic nonlinearity of the accelerometers, K₂"
     assert known["unit"] == "µg/g²"
@@ -513,9 +517,9 @@ def test_groups_have_a_section_with_their_priors(with_groups_file: Path) -> None
     assert known["learned"] == "96 %"
     assert known[""] == "prior widened 2.5×"
     assert (unknown["group"], unknown[""]) == (SCRIPT, "not determined")
-    (row,) = page.table("parameter", "u", "k for 95 %", "prior", "learned")
+    (row,) = page.table("parameter", "u", "k", "prior", "learned")
     assert row["parameter"] == "accel.quadratic.x"
-    assert number(row["k for 95 %"]) == pytest.approx(2.65, abs=0.02)
+    assert number(row["k"]) == pytest.approx(2.65, abs=0.02)
     assert "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.41 °/h" in page.whole
 
 
@@ -734,7 +738,7 @@ def test_methods_on_one_log_are_compared(file: Path, other_method: Path, tmp_pat
             p = calibration[row["parameter"]]
             assert p.u is not None
             assert number(value) == pytest.approx(p.value / size, abs=0.5001 * last_digit(value))
-            assert number(expanded) == pytest.approx(2.0 * p.u / size, rel=0.051)
+            assert number(expanded) == pytest.approx(p.k * p.u / size, rel=0.051)
     assert "Methods compared" in page.whole
     assert page.headings.count("1 Result") == 2
     named = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
@@ -748,7 +752,9 @@ def test_calibrations_in_other_frames_are_compared_in_that_of_the_first(file: Pa
     assert table.columns == ("parameter", "one", "other", "range", "unit")
     assert [row[0] for row in table.rows] == [p.name for p in first.parameters]
     for row in table.rows:
-        assert row[1] == row[2]
+        (value, expanded), (turned, turned_expanded) = (cell.split(" ± ") for cell in row[1:3])
+        assert value == turned
+        assert number(expanded) == pytest.approx(number(turned_expanded), rel=0.1)  # k passes through another frame
         assert number(row[3]) == 0.0
 
 
@@ -782,14 +788,14 @@ def test_parameters_are_judged_by_limits(file: Path, content: Any, tmp_path: Pat
     assert result.exit_code == 1
     assert "outside its limits: accel.bias.y; within the guard band: accel.bias.z" in result.stderr
     page = Page.of(tmp_path / "report.html")
-    rows = page.table("parameter", "low", "value", "U (k = 2)", "high", "verdict")
+    rows = page.table("parameter", "low", "value", "U", "high", "verdict")
     assert [(row["parameter"], row["verdict"]) for row in rows] == [
         ("accel.bias.x", "pass"),
         ("accel.bias.y", "fail"),
         ("accel.bias.z", "undecided"),
     ]
     assert "accepted, incoming: fail, periodic: pass" in page.whole
-    assert "Decision rule: pass where the value is inside the limits by at least U (k = 2)" in page.whole
+    assert "Decision rule: pass where the value is inside the limits by at least U (95.45 %)" in page.whole
 
 
 def test_limits_that_are_met_are_accepted(tmp_path: Path) -> None:

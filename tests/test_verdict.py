@@ -114,11 +114,11 @@ def test_outcomes_come_back_from_their_content() -> None:
 
 def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
     estimate, observations = estimated("none")
-    wrong = replace(observations, site=replace(observations.site, gravity=observations.site.gravity + 0.0101))
+    wrong = replace(observations, site=replace(observations.site, gravity=observations.site.gravity + 0.0111))
     refused = verdict(estimate, wrong)
     assert not refused.accel.accepted
     assert refused.gyro.accepted
-    assert "+1010 mGal" in refused.reasons[0]
+    assert "+1110 mGal" in refused.reasons[0]
     assert verdict(estimate, wrong, gravity_confirmed=True).accepted
     doubtful = replace(observations.site, gravity=observations.site.gravity + 0.0031)
     assert "more than 300" in str(gravity_said(doubtful))

@@ -27,7 +27,7 @@ _ZERO_CELSIUS = 273.15
 _LEAST_BLOCKS = 30
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Blocks:
     """The blocks so far, in the body: their `edges` (K + 1,), s; specific force (K, 3), m/s²; angular rate (K, 3),
     rad/s, and temperature (K,), K, where there are any."""

@@ -23,7 +23,7 @@ WRONG_WAY = 30.0 * DEGREE
 BIAS_LIMIT = 0.15
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class StillLimits:
     """What decides whether a block is calm: scatter of the specific force, m/s², and distance of the rate from its
     `level` (3,) at rest, rad/s; the level is None while no rest is known."""
@@ -33,7 +33,7 @@ class StillLimits:
     level: Array | None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rest:
     """A rest: its blocks, its times, s, the mean specific force (3,) and rate (3,)."""
 

@@ -59,7 +59,7 @@ def _nothing(_: bytes) -> None:
     """What is no row is counted by whoever records it."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SoundSamples:
     """Sound samples: end times and intervals, s, and the numbers of the log without its time; `lost` before each."""
 
@@ -74,7 +74,7 @@ BRIDGED = 25
 _HEAD = 100
 
 
-@dataclass(kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True, eq=False)
 class Clock:
     """Makes samples of rows: in the order of their times, with the interval of each. `interval` is None until there
     are enough rows to know it."""

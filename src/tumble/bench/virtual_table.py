@@ -30,7 +30,7 @@ FULL_SCALE = 300.0 * DEGREE
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.array([0.0, 0.0, 1.0])}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Move:
     """A rotation `vector` (3,) in the geographic frame, rad, from attitude `start` at sample `first` on."""
 

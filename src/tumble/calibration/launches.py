@@ -79,16 +79,7 @@ def calibrate_launches(
 
 
 def _outcome(runs: Sequence[Run]) -> Outcome:
-    """What is said of the sessions, each sentence with the name of its own.
-
-    >>> import tumble
-    >>> request = tumble.Setup.of(grade="mems", positions=12)
-    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
-    >>> sessions = [tumble.read_session(folder) for folder in folders]
-    >>> runs = [tumble.Run(session=each, calibration=tumble.calibrate(each)) for each in sessions]
-    >>> tumble.mean_of_launches(runs)["accel.bias.x"].run_to_run > 0.0
-    True
-    """
+    """What is said of the sessions, each sentence with the name of its own."""
 
     def said(what: Callable[[Outcome], tuple[str, ...]]) -> tuple[str, ...]:
         return tuple(f"{_name(run)}: {each}" for run in runs for each in what(run.calibration.outcome))
@@ -104,7 +95,16 @@ def _outcome(runs: Sequence[Run]) -> Outcome:
 
 def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     """One calibration from several sessions of one device by the same method: means with uncertainties, standard
-    deviations from launch to launch, mean increments of each iteration, and every launch."""
+    deviations from launch to launch, mean increments of each iteration, and every launch.
+
+    >>> import tumble
+    >>> request = tumble.Setup.of(grade="mems", positions=12)
+    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
+    >>> sessions = [tumble.read_session(folder) for folder in folders]
+    >>> runs = [tumble.Run(session=each, calibration=tumble.calibrate(each)) for each in sessions]
+    >>> tumble.mean_of_launches(runs)["accel.bias.x"].run_to_run > 0.0
+    True
+    """
     first = runs[0].calibration
     _check_alike(runs)
     common = [p.name for p in first.parameters if all(p.name in _named(run) for run in runs)]

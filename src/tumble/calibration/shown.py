@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
     from tumble.calibration.results import Parameter
 
-_HEADINGS = ("parameter", "value", "u", "U (k = 2)", "unit")
+_HEADINGS = ("parameter", "value", "u", "U (95 %)", "unit")
 _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
 _GROUPS = {"accel": "#1f4e79", "gyro": "#c0561a", "mag": "#3d7d52"}
 

@@ -33,7 +33,7 @@ MOST_UNCERTAIN = 1.5
 Span = tuple[int, int]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OffLevel:
     """A quiet and steady stretch, blocks first … last − 1 of the file at `place` in the log, in which the gyros read a
     `rate` (3,), rad/s, off their level at rest."""
@@ -44,7 +44,7 @@ class OffLevel:
     rate: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GSensitivity:
     """G (3, 3), rad/s per m/s², and by file the stretches whose level follows it."""
 

@@ -34,7 +34,7 @@ ENOUGH_NOISE = 0.5
 _TERMS = np.arange(1, 40)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rounding:
     """Resolution of n channels and what it does to their means, in the unit of the readings: the step (n,), 0 where the
     values are on no grid, the noise (n,) of a sample before rounding, the standard uncertainty (n,) of the mean of a

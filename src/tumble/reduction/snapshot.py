@@ -28,7 +28,7 @@ FIRST_SECONDS = 1.0
 """A file shows nothing before: the windows of the segmentation are as long."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OpenRest:
     """The stretch of quiet blocks at the end of a log: its `span`, whether it is long enough to be a rest already, mean
     readings (n,) in SI with their standard uncertainty, scatter of the blocks and drift from start to stop, and the
@@ -52,7 +52,7 @@ class OpenRest:
         return self.span.stop - self.span.start
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OpenTurn:
     """The movement since the end of the last rest of a file: `start`, s, and, with gyros, the rotation vector (3,),
     rad, from the body then to the body now, from the blocks, right to about a degree."""

@@ -227,7 +227,7 @@ def _per_rest(axes: Axes, values: Array, unit: str, per: str, sensors: Sequence[
 
 
 def comparison(name: str, titles: Sequence[str], calibrations: Sequence[Calibration]) -> str:
-    """Parameters of the linear model of several calibrations with U (k = 2), each as a difference from their mean, one
+    """Parameters of the linear model of several calibrations with U (95 %), each as a difference from their mean, one
     panel a kind."""
     kinds: dict[str, list[str]] = {}
     for p in linear_parameters(calibrations[0].parameters):

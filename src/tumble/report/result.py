@@ -74,14 +74,14 @@ def described(name: str) -> str:
 
 
 def parameter_table(calibration: Calibration) -> ReportTable:
-    """Parameters of the linear model with U (k = 2); where there are such, coverage factors other than 2, deviations
+    """Parameters of the linear model with U (95 %); where there are such, coverage factors other than 2, deviations
     from the systematic values and from launch to launch."""
     parameters = linear_parameters(calibration.parameters)
     units = shown_units(parameters)
     launches, factors = bool(calibration.launches), other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
-    columns = ["parameter", "", "mean" if launches else "value", "U (k = 2)", "unit"]
-    columns += ["k for 95 %"] if factors else []
+    columns = ["parameter", "", "mean" if launches else "value", "U (95 %)", "unit"]
+    columns += ["k"] if factors else []
     columns += (["run to run"] if launches else []) + (["from nominal"] if passport else [])
     rows = []
     for p in parameters:
@@ -133,7 +133,7 @@ def _further_table(parameters: Sequence[Parameter]) -> ReportTable:
         learned = NONE if p.learned is None else f"{100.0 * p.learned:.0f} %"
         rows.append((p.name, *with_standard(p, size), fixed(p.k, 2), unit, prior, learned))
     return ReportTable(
-        columns=("parameter", "value", "u", "k for 95 %", "unit", "prior", "learned"),
+        columns=("parameter", "value", "u", "k", "unit", "prior", "learned"),
         rows=tuple(rows),
         text=(0, 4),
         caption="u is the standard uncertainty, k u the half width of the interval of 95 %, prior a standard "
@@ -302,8 +302,8 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
     rows = tuple((names[p[i]], names[q[i]], fixed(float(r[p[i], q[i]]), 3)) for i in order)
     blocks: list[Block] = [
         Text(
-            text="U is the expanded uncertainty: the standard uncertainty times the coverage factor k = 2, which for a "
-            "normal distribution covers about 95 %, and less where u was estimated from few residuals. It contains the "
+            text="U is the expanded uncertainty, which covers 95.45 %: the standard uncertainty times the coverage factor "
+            "k, 2 where u is known, and more where it was estimated from few residuals. It contains the "
             "noise at rest and in turns, the scatter between rests that the residuals show, and the stated uncertainty "
             "of gravity; of several launches also their instability. " + _not_contained(calibration)
         ),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from tumble.recording.formats.message import Sensors
 from tumble.recording.formats.native_words import in_english
 
-ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "magnetometer", "time"
+ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 
 _KINDS: Mapping[str, re.Pattern[str]] = {
     ACCEL: re.compile(r"^(?!.*(angular|gravity|free|user)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)\d*$"),
