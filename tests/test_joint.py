@@ -395,7 +395,7 @@ def test_sessions_with_truth_are_within_their_uncertainties(data: Path, name: st
 
 @pytest.mark.data
 def test_xsens_is_accepted_and_agrees_with_the_staged_estimate(data: Path) -> None:
-    """Of the linear model, as the staged estimate is; with g-sensitivity, most of its scatter, gyro biases are others."""
+    """Of the linear model, as the staged estimate is; with g-sensitivity, gyro biases are others."""
     assert calibrate(data / "xsens-mti", method="joint").outcome.accepted
     found = calibrate(data / "xsens-mti", method="joint", terms="linear")
     first = calibrate(data / "xsens-mti", method="staged")

@@ -302,8 +302,8 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
     rows = tuple((names[p[i]], names[q[i]], fixed(float(r[p[i], q[i]]), 3)) for i in order)
     blocks: list[Block] = [
         Text(
-            text="U is the expanded uncertainty, which covers 95.45 %: the standard uncertainty times the coverage factor "
-            "k, 2 where u is known, and more where it was estimated from few residuals. It contains the "
+            text="U is the expanded uncertainty, which covers 95.45 %: the standard uncertainty times the coverage "
+            "factor k, 2 where u is known, and more where it was estimated from few residuals. It contains the "
             "noise at rest and in turns, the scatter between rests that the residuals show, and the stated uncertainty "
             "of gravity; of several launches also their instability. " + _not_contained(calibration)
         ),
