@@ -195,7 +195,7 @@ def change(path: str, value: object) -> Callable[[dict[str, Any]], None]:
         (change("parameters/0/value", float("inf")), "expected a calibration file of tumble, found Infinity in place"),
         (change("parameters/0/u", -1.0), "accel.bias.x: expected a finite value and a u of 0 or more, found 0.0 and"),
         (change("parameters/1/name", "accel.bias.x"), "expected every name once, found 'accel.bias.x' twice"),
-        (change("parameters/1/name", "accel\x1b[31m"), "parameters: expected 1 to 200 printable characters"),
+        (change("parameters/1/name", "accel\x1b[31m"), "parameters[2].name: expected 1 to 200 printable characters"),
         (change("device/serial", ""), "device.serial: expected 1 to 200 printable characters, found ''"),
         (change("device/serial", "A\0B"), "device.serial: expected 1 to 200 printable characters"),
         (change("device/serial", "A" * 201), "device.serial: expected 1 to 200 printable characters"),

@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from tumble import __version__, commands
+from tumble.documents import one_line
 from tumble.errors import TumbleError
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
@@ -25,7 +26,7 @@ class _Refused(click.ClickException):
     exit_code = 2
 
     def show(self, file: Any = None) -> None:
-        click.echo(f"tumble: {' '.join(self.message.split())}", file=file, err=True)
+        click.echo(f"tumble: {one_line(self.message)}", file=file, err=True)
 
 
 @contextmanager

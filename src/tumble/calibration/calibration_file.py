@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from tumble.calibration.calibration_keys import check_calibration
 from tumble.calibration.correction import true_force, true_rate
 from tumble.calibration.coverage import with_degrees
 from tumble.calibration.reframed import reframed
@@ -35,10 +36,10 @@ from tumble.calibration.results import (
     readings_from,
     rest_from,
     site_from,
-    text_from,
     turn_from,
 )
 from tumble.calibration.shown import draw, headline, html, pandas_frame, polars_frame, text_table
+from tumble.documents import json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
@@ -360,7 +361,7 @@ def calibration_from(given: Calibration | FilePath) -> Calibration:
 def text_of(path: Path) -> str:
     """The text of a calibration file, not yet looked at."""
     try:
-        return path.read_text(encoding="utf-8")
+        return text_of_document(path)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:  # not UTF-8
@@ -370,41 +371,34 @@ def text_of(path: Path) -> str:
 def calibration_of(text: str, name: str) -> Calibration:
     """The calibration of the text of a file; in messages the file is called `name`."""
     try:
-        content = json.loads(text, parse_constant=_not_a_number)
-        if content["format"] != FORMAT:
-            raise CalibrationError(f"{name}: expected format {FORMAT}, found {content['format']!r}")
-        return _from_content(content)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        content = json_of(text)
+    except ValueError as error:
         raise _no_calibration(name, error) from error
+    if isinstance(content, dict) and content.get("format", FORMAT) != FORMAT:
+        raise CalibrationError(f"{name}: expected format {FORMAT}, found {shown(content['format'])}")
+    check_calibration(content, name)
+    return _from_content(content)
 
 
-def _no_calibration(name: str, error: Exception) -> CalibrationError:
-    said = f"no key {error}" if isinstance(error, KeyError) else str(error)
-    return CalibrationError(f"{name}: expected a calibration file of tumble, found {said}")
-
-
-def _not_a_number(name: str) -> float:
-    raise ValueError(f"{name} in place of a number")
+def _no_calibration(name: str, error: ValueError) -> CalibrationError:
+    return CalibrationError(f"{name}: expected a calibration file of tumble, found {error}")
 
 
 def _from_content(content: Mapping[str, Any]) -> Calibration:
-    """A calibration from what the contract promises of a file; further keys may be there or not."""
+    """A calibration from the content of a file that was checked."""
 
     def model(part: Mapping[str, Any] | None) -> SensorModel | None:
         if part is None:
             return None
-        matrix, bias = np.array(part["matrix"], float), np.array(part["bias"], float)
-        if matrix.shape != (len(bias), 3) or bias.ndim != 1:
-            raise ValueError(f"a matrix of shape {matrix.shape} with a bias of shape {bias.shape}")
-        return SensorModel(matrix=matrix, bias=bias)
+        return SensorModel(matrix=np.array(part["matrix"], float), bias=np.array(part["bias"], float))
 
     outcome = content["outcome"]
     parameters = with_degrees(map(parameter_from, content["parameters"]), fits_from(content))
     return Calibration(
-        serial=text_from(content["device"]["serial"]),
-        model=optional(text_from, content["device"]["model"]),
-        method=text_from(content["method"]),
-        frame=text_from(content["frame"]),
+        serial=content["device"]["serial"],
+        model=content["device"]["model"],
+        method=content["method"],
+        frame=content["frame"],
         parameters=parameters,
         covariance=covariance_from(content["covariance"], len(parameters)),
         accel=model(content["accel"]),
@@ -415,22 +409,20 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         prediction=optional(_prediction_from, content.get("prediction")),
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
-        iterations=tuple(
-            {text_from(p["name"]): float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]
-        ),
+        iterations=tuple({p["name"]: float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]),
         rests=tuple(map(rest_from, content["rests"])),
         turns=tuple(map(turn_from, content.get("turns", ()))),
         fits=fits_from(content),
         site=site_from(content),
-        programme=optional(text_from, content.get("programme")),
+        programme=content.get("programme"),
         readings={kind: readings_from(each) for kind, each in content.get("readings", {}).items()},
-        notes=tuple(map(text_from, content.get("notes", ()))),
+        notes=tuple(content.get("notes", ())),
         launches=tuple(
             Launch(
-                session=text_from(launch["session"]),
+                session=launch["session"],
                 parameters=with_degrees(map(parameter_from, launch["parameters"]), fits_from(launch)),
                 covariance=covariance_from(launch["covariance"], len(launch["parameters"])),
-                log_sha256=text_from(launch.get("log_sha256", "")),
+                log_sha256=launch.get("log_sha256", ""),
                 site=site_from(launch),
                 rests=tuple(map(rest_from, launch.get("rests", ()))),
                 turns=tuple(map(turn_from, launch.get("turns", ()))),
@@ -438,7 +430,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
             )
             for launch in content.get("launches", ())
         ),
-        provenance={text_from(key): text_from(value) for key, value in content["provenance"].items()},
+        provenance=dict(content["provenance"]),
     )
 
 
@@ -447,14 +439,14 @@ def _outcome_from(content: Mapping[str, Any]) -> Outcome:
     if "verdict" in content:
         return Outcome.from_content(content)
     return Outcome(
-        reasons=tuple(map(text_from, content["reasons"])),
-        unobservable=tuple(map(text_from, content.get("unobservable", ()))),
+        reasons=tuple(content["reasons"]),
+        unobservable=tuple(content.get("unobservable", ())),
     )
 
 
 def _group_from(content: Mapping[str, Any]) -> GroupFinding:
     return GroupFinding(
-        name=text_from(content["name"]),
+        name=content["name"],
         kept=bool(content["kept"]),
         prior=float(content["prior"]),
         widened=float(content["prior_widened"]),

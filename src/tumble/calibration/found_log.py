@@ -35,6 +35,7 @@ LONGEST = 2_000_000
 _SEEN_BYTES = 1 << 18
 _SAMPLE_ROWS = 200
 _FEWEST_ROWS = 50
+_LARGEST = 1e30  # no sensor reads more
 _JUMP = 0.2
 _LABEL = re.compile(
     r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
@@ -65,7 +66,8 @@ class FoundLog:
         found, count = [np.empty((0, len(columns)))], 0
         for source in self.sources():
             for table, _ in source.tables(columns, clock):
-                found.append(table.select(columns).to_numpy()[: rows - count])
+                read = table.select(columns).to_numpy()[: rows - count]
+                found.append(np.where(np.abs(read) < _LARGEST, read, np.nan))
                 count += len(found[-1])
                 if count >= rows:
                     return np.concatenate(found)

@@ -141,13 +141,6 @@ def fits_content(fits: Mapping[str, Fit]) -> dict[str, Any]:
     }
 
 
-def text_from(value: Any) -> str:
-    """A text. Raises TypeError for anything else."""
-    if not isinstance(value, str):
-        raise TypeError(f"{value!r} in place of a text")
-    return value
-
-
 def optional(read: Callable[[Any], _Value], value: Any) -> _Value | None:
     """What is read from a value, or None where that is null."""
     return None if value is None else read(value)
@@ -156,10 +149,10 @@ def optional(read: Callable[[Any], _Value], value: Any) -> _Value | None:
 def parameter_from(content: Mapping[str, Any]) -> Parameter:
     """A parameter of the file."""
     return Parameter(
-        name=text_from(content["name"]),
+        name=content["name"],
         value=float(content["value"]),
         u=optional(float, content.get("u")),
-        unit=text_from(content["unit"]),
+        unit=content["unit"],
         deviation=optional(float, content.get("deviation")),
         run_to_run=optional(float, content.get("run_to_run")),
         dof=optional(float, content.get("dof")),
@@ -176,7 +169,7 @@ def rest_from(content: Mapping[str, Any]) -> RestResult:
         stop=float(content["stop"]),
         residual=float(content["residual"]),
         sigmas=float(content.get("sigmas", 0.0)),
-        attitude=optional(text_from, content.get("attitude")),
+        attitude=content.get("attitude"),
         accel=optional(_at_rest, content.get("accel")),
         gyro=optional(_at_rest, content.get("gyro")),
         temperature=optional(float, content.get("temperature")),
@@ -206,7 +199,7 @@ def fits_from(content: Mapping[str, Any]) -> dict[str, Fit]:
             chi_square=float(f["chi_square"]),
             degrees=float(f["degrees"]),
             scatter=float(f["scatter"]),
-            scatter_unit=text_from(f["unit"]),
+            scatter_unit=f["unit"],
         )
         for name, f in content.get("fits", {}).items()
     }
@@ -229,8 +222,8 @@ def site_from(content: Mapping[str, Any]) -> Site | None:
 def readings_from(content: Mapping[str, Any]) -> Readings:
     """What the readings of sensors are, from the file."""
     return Readings(
-        columns=tuple(map(text_from, content["columns"])),
-        unit=text_from(content["unit"]),
+        columns=tuple(content["columns"]),
+        unit=content["unit"],
         increments=bool(content["increments"]),
         scale=tuple(map(float, content["scale"])),
         offset=tuple(map(float, content["offset"])),

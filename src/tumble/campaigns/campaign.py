@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -32,6 +31,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from tumble.calibration.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_rows
+from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError
 from tumble.planning.bounds import instrument_of
 from tumble.planning.setup import Terms
@@ -127,13 +127,11 @@ def _statics_schema() -> dict[str, Any]:
 def read_campaign(path: Path) -> Campaign:
     """The campaign of a file. Raises InputError, one line, with up to three faults."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = toml_of(text_of_document(path), str(path))
     except OSError as error:
         raise InputError(f"{path}: expected a readable campaign file, found: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: expected TOML, found an error in its syntax: {error}") from None
     try:
         return campaign_of(content)
     except InputError as error:

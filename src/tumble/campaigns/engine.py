@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from tumble import __version__
+from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import whole_file
 
@@ -196,7 +197,7 @@ def _begun(job: Job, folder: Path) -> bool:
 
 def _check_same(job: Job, manifest: Path) -> None:
     try:
-        content = json.loads(manifest.read_text(encoding="utf-8"))
+        content = json_of(text_of_document(manifest))
         same = content["sha256"] == job.sha256
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error

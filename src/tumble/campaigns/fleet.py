@@ -23,6 +23,7 @@ import polars as pl
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
+from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
 from tumble.recording.session import SESSION_FILE, read_session
 
@@ -136,7 +137,7 @@ def _from(manifest: str, session: str) -> str:
 def _text(manifest: str) -> str:
     try:
         if not _is_url(manifest):
-            return Path(manifest).read_text(encoding="utf-8-sig")
+            return text_of_document(Path(manifest))
         system, path = _file_system(manifest)
         return str(system.cat_file(path).decode("utf-8-sig"))
     except UnicodeDecodeError as error:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
 from tumble.errors import InputError
 
 
@@ -29,8 +29,8 @@ def apply(calibration: Path, session: Path, out: Path, force: bool, verify: bool
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
     apply_to_session(calibration, session, out)
-    click.echo(f"written to {out}", err=True)
+    say(f"written to {out}")
     for sentence in applied(calibration, session):
-        click.echo(sentence, err=True)
+        say(sentence)
     if verify:
         print_report(residual_table(rest_residuals(calibration, session)))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble import usual_setup
+from tumble.documents import plain
 
 if TYPE_CHECKING:
     from tumble.planning.setup import Setup
@@ -54,6 +55,11 @@ def with_progress(log: Log) -> Iterator[Chunk]:
         for chunk in log.chunks():
             bar.update(task, advance=len(chunk.time), visible=time.monotonic() - started > 1.0)
             yield chunk
+
+
+def say(line: str) -> None:
+    """A line to standard error: what was written where, notes, reasons; as it can be shown."""
+    click.echo(plain(line), err=True)
 
 
 def number(name: str, default: float, says: str) -> Callable[[_Command], _Command]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tumble import usual_setup
-from tumble.commands.arguments import EXISTING_FOLDER
+from tumble.commands.arguments import EXISTING_FOLDER, say
 from tumble.errors import InputError
 
 GRADES = ["navigation", "tactical", "mems", "consumer"]
@@ -71,4 +71,4 @@ def bench(
     station = station_of(
         session, listen, serial=serial_number, site=site, programme=programme, wanted=wanted, grade=grade
     )
-    serve(station, host=host, port=port, browser=browser, say=lambda text: click.echo(text, err=True))
+    serve(station, host=host, port=port, browser=browser, say=lambda text: say(text))

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import BUDGETED_METHODS, setup_of, setup_options
+from tumble.commands.arguments import BUDGETED_METHODS, say, setup_of, setup_options
 
 
 @click.command()
@@ -24,4 +24,4 @@ def budget(methods: tuple[str, ...], iterations: int, **options: Any) -> None:
     expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]
     print_report(budget_report(expected, None if options["noiseless"] else bound(setup)))
     for remark in expected.remarks:
-        click.echo(f"note: {remark}", err=True)
+        say(f"note: {remark}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, METHOD_NAMES, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, METHOD_NAMES, say, with_progress
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -77,10 +77,10 @@ def calibrate(
     target = out or Path(described[0].name) / "calibration.json"
     result.write(target, force=force)
     print_report(calibration_report(result, known, others, every=every))
-    click.echo(f"written to {target}", err=True)
+    say(f"written to {target}")
     for other in others:
         for reason in other.outcome.reasons:
-            click.echo(f"{other.method}: not accepted: {reason}", err=True)
+            say(f"{other.method}: not accepted: {reason}")
     for reason in result.outcome.reasons:
-        click.echo(f"not accepted: {reason}", err=True)
+        say(f"not accepted: {reason}")
     sys.exit(0 if result.outcome.accepted else 1)

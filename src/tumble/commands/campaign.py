@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, cluster_options, task_progress
+from tumble.commands.arguments import FILE, cluster_options, say, task_progress
 from tumble.errors import TumbleError
 
 
@@ -32,5 +32,5 @@ def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None,
         plot(result.lines, out / "rms.svg")
         written.append("rms.svg")
     except TumbleError as error:
-        click.echo(f"not drawn: {error}", err=True)
-    click.echo(f"written to {out}: {', '.join(written)}", err=True)
+        say(f"not drawn: {error}")
+    say(f"written to {out}: {', '.join(written)}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE
+from tumble.commands.arguments import FILE, say
 
 
 @click.command()
@@ -25,7 +25,7 @@ def compare(first: Path, second: Path) -> None:
     found = compare_calibrations(first, second)
     print_report(comparison_report(found))
     for remark in found.remarks:
-        click.echo(f"note: {remark}", err=True)
+        say(f"note: {remark}")
     if found.missing:
-        click.echo(f"note: only one of them has {', '.join(found.missing)}", err=True)
+        say(f"note: only one of them has {', '.join(found.missing)}")
     sys.exit(0 if found.agree else 1)

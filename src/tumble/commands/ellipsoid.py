@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import FILE
+from tumble.commands.arguments import FILE, say
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -81,9 +81,9 @@ def ellipsoid(
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
     print_report(result_report(result))
-    click.echo(f"written to {target}", err=True)
+    say(f"written to {target}")
     for reason in result.calibration.outcome.reasons:
-        click.echo(f"not accepted: {reason}", err=True)
+        say(f"not accepted: {reason}")
     sys.exit(0 if result.calibration.outcome.accepted else 1)
 
 

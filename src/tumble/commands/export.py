@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
 from tumble.errors import InputError
 
 FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "c", "mat", "csv", "dcc"]
@@ -34,6 +34,6 @@ def export(calibration: Path, to: str, out: Path, noise: Path | None, certificat
     exported = export_calibration(calibration, to, noise=noise, certificate=certificate)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)
-    click.echo(f"written to {out}", err=True)
+    say(f"written to {out}")
     for loss in exported.losses:
-        click.echo(f"note: {loss}", err=True)
+        say(f"note: {loss}")

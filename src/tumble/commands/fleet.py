@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import METHOD_NAMES, cluster_options, task_progress
+from tumble.commands.arguments import METHOD_NAMES, cluster_options, say, task_progress
 
 SHOWN = 20
 
@@ -34,8 +34,8 @@ def fleet(sessions: str, method: str, serial: bool, cluster: str | None, workers
     said = [f"not accepted: {session}: {why}" for session, why in ended.refused.items()]
     said += [f"failed: {session}: {why}" for session, why in ended.failed.items()]
     for line in said[:SHOWN]:
-        click.echo(line, err=True)
+        say(line)
     if len(said) > SHOWN:
-        click.echo(f"and {len(said) - SHOWN} more, in the columns reasons and error of the rows", err=True)
-    click.echo(f"written to {result.rows}", err=True)
+        say(f"and {len(said) - SHOWN} more, in the columns reasons and error of the rows")
+    say(f"written to {result.rows}")
     sys.exit(1 if said else 0)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, say, with_progress
 
 
 @click.command()
@@ -20,4 +20,4 @@ def inspect(session: Path) -> None:
     observed = inspect_session(session, progress=with_progress)
     print_report(inspection_report(observed))
     for fault in observed.faults:
-        click.echo(f"fault: {fault}", err=True)
+        say(f"fault: {fault}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, say, with_progress
 
 
 @click.command()
@@ -40,10 +40,8 @@ def new(
     given = Given(serial=serial, latitude=latitude, rate=rate, programme=programme, message=message)
     draft, faults = new_session(folder, [*log, *more], given, progress=with_progress)
     for sentence in draft.said:
-        click.echo(sentence, err=True)
+        say(sentence)
     for fault in faults:
-        click.echo(f"look at this: {fault}", err=True)
+        say(f"look at this: {fault}")
     missing = [what for what, value in (("the serial number", serial), ("the place", latitude)) if value is None]
-    click.echo(
-        f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""), err=True
-    )
+    say(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""))

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
 
 
 @click.command()
@@ -47,5 +47,5 @@ def noise(
     found = noise(recording, layout)
     if plot is not None:
         draw(found.panels, plot)
-        click.echo(f"written to {plot}", err=True)
+        say(f"written to {plot}")
     print_report(noise_report(found.source, found.panels))

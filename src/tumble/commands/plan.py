@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import setup_of, setup_options
+from tumble.commands.arguments import say, setup_of, setup_options
 
 
 @click.command()
@@ -49,5 +49,5 @@ def plan(
     print_report(plan_report(found, aim))
     reasons = short_of(found.bound, aim, found.setup)
     for reason in reasons:
-        click.echo(reason, err=True)
+        say(reason)
     sys.exit(1 if reasons else 0)

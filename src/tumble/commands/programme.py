@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE
+from tumble.commands.arguments import FILE, say
 from tumble.errors import InputError
 from tumble.usual_setup import ON_TABLE
 
@@ -31,5 +31,5 @@ def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: f
     table = sheet_table(listed, rest=rest, rate=rate * DEGREE)
     if out is not None:
         write_sheet(out, listed, rest=rest, rate=rate * DEGREE)
-        click.echo(f"written to {out}", err=True)
+        say(f"written to {out}")
     print_report(table)

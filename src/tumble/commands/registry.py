@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import FILE
+from tumble.commands.arguments import FILE, say
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.registry.records import ParameterRow, Record
 
+_NUMBER = click.IntRange(min=1, max=2**62)
 _DAY = click.DateTime(["%Y-%m-%d"])
 
 
@@ -51,7 +52,7 @@ def registry() -> None:
     "--state", type=click.Choice(["as-found", "as-left"]), help="Before or after an adjustment, if there is one."
 )
 @click.option("--date", "day", type=_DAY, help="When it was performed; default: when the file was made.")
-@click.option("--supersedes", metavar="NUMBER", type=int, help="The record that this one corrects.")
+@click.option("--supersedes", metavar="NUMBER", type=_NUMBER, help="The record that this one corrects.")
 @click.option("--reason", help="Why it is corrected.")
 @_place
 def add(
@@ -81,7 +82,7 @@ def add(
         added = add_to(opened, submission)
         number = added.record.number
         said = "added as" if added.new else "the same calibration is there already:"
-        click.echo(f"{said} record {number} in {opened.name}", err=True)
+        say(f"{said} record {number} in {opened.name}")
         passed = _print_record(opened, added.record, parameters_of(opened, [number])[number])
     sys.exit(0 if passed else 1)
 
@@ -100,7 +101,7 @@ def _print_record(opened: Any, record: Record, rows: list[ParameterRow]) -> bool
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
-        click.echo(f"not accepted: {reason}", err=True)
+        say(f"not accepted: {reason}")
     return False
 
 
@@ -147,7 +148,7 @@ def _verdicts(opened: Any, found: list[Record]) -> dict[int, str]:
 
 
 @registry.command()
-@click.argument("number", type=int)
+@click.argument("number", type=_NUMBER)
 @click.option("-o", "--out", type=FILE, help="Write the calibration file of the record, as it was added.")
 @_place
 def show(number: int, out: Path | None, place: str | None) -> None:
@@ -163,7 +164,7 @@ def show(number: int, out: Path | None, place: str | None) -> None:
                 raise InputError(f"{out}: expected a new file for the calibration, found one that exists")
             with whole_file(out) as temporary:
                 temporary.write_text(file_of(opened, number), encoding="utf-8")
-            click.echo(f"written to {out}", err=True)
+            say(f"written to {out}")
         passed = _print_record(opened, found, parameters_of(opened, [number])[number])
     sys.exit(0 if passed else 1)
 
@@ -189,11 +190,11 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
         found = monitored(opened, serial, parameter)
     if out is not None:
         write_chart(out, found)
-        click.echo(f"written to {out}", err=True)
+        say(f"written to {out}")
     print_report(trend_report(found) if parameter is None else history_report(found))
     changed = beyond_chance(found.trends)
     if changed:
-        click.echo(f"changed: {', '.join(own.series.name for own in changed)}", err=True)
+        say(f"changed: {', '.join(own.series.name for own in changed)}")
     sys.exit(1 if changed else 0)
 
 
@@ -216,7 +217,7 @@ def limits(model: str | None, file: Path | None, place: str | None) -> None:
         if model is not None and given is not None:
             own, new = set_limits(opened, model, *given)
             said = "in force for" if new else "were in force already for"
-            click.echo(f"limits {own.number} {said} {own.model} in {opened.name}", err=True)
+            say(f"limits {own.number} {said} {own.model} in {opened.name}")
             return
         in_force = limits_in_force(opened)
         if model is None:
@@ -243,7 +244,7 @@ def due(day: datetime | None, place: str | None) -> None:
     print_report(due_table(found, today))
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
     if overdue:
-        click.echo(f"overdue: {', '.join(overdue)}", err=True)
+        say(f"overdue: {', '.join(overdue)}")
     sys.exit(1 if overdue else 0)
 
 
@@ -265,8 +266,9 @@ def export(place: str | None) -> None:
 def import_(file: Path, place: str | None) -> None:
     """Add what FILE, an export, holds and the registry does not: all of it or, after an error, nothing."""
     from tumble.registry.connect import open_registry
-    from tumble.registry.exchange import import_file
+    from tumble.registry.exchange import check_export, import_file
 
+    check_export(file)
     with open_registry(place, create=True) as opened:
         done = import_file(opened, file)
-        click.echo(f"{done.added} calibrations added to {opened.name}, {done.known} were there already", err=True)
+        say(f"{done.added} calibrations added to {opened.name}, {done.known} were there already")

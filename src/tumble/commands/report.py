@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE
+from tumble.commands.arguments import FILE, say
 
 
 @click.command()
@@ -19,7 +19,7 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None) -> No
     from tumble.report.write import write_report
 
     reasons = write_report(calibrations, out, limits=limits)
-    click.echo(f"written to {out}", err=True)
+    say(f"written to {out}")
     for reason in reasons:
-        click.echo(f"not accepted: {reason}", err=True)
+        say(f"not accepted: {reason}")
     sys.exit(1 if reasons else 0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE
+from tumble.commands.arguments import FILE, say
 
 
 @click.command()
@@ -22,11 +22,11 @@ def selftest(out: Path | None, by: str | None) -> None:
 
     if out is not None and out.exists():
         raise InputError(f"{out}: expected a new file for the record, found one that exists; records are kept")
-    record = run_selftest(by=by, progress=lambda name: click.echo(f"running: {name}", err=True))
+    record = run_selftest(by=by, progress=lambda name: say(f"running: {name}"))
     print_report(record_table(record))
     click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
     click.echo("passed" if record.passed else "FAILED")
     if out is not None:
         record.write(out)
-        click.echo(f"written to {out}", err=True)
+        say(f"written to {out}")
     sys.exit(0 if record.passed else 1)

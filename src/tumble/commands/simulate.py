@@ -8,7 +8,7 @@ from typing import Literal
 import click
 
 from tumble import usual_setup
-from tumble.commands.arguments import EXISTING_FOLDER, TERMS
+from tumble.commands.arguments import EXISTING_FOLDER, TERMS, say
 from tumble.usual_setup import BY_HAND, ON_TABLE
 
 
@@ -85,4 +85,4 @@ def simulate(
     )
     shaken = vibration_of(vibration) if vibration else NO_VIBRATION
     written = simulate_session(folder, setup, seed=seed, launch=launch, vibration=shaken, log_format=log_format)
-    click.echo(f"written to {written}", err=True)
+    say(f"written to {written}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
 
 
 @click.command()
@@ -26,5 +26,5 @@ def verify(calibration: Path, readings: Path) -> None:
     verification = verify_calibration(calibration, readings)
     print_report(verification_report(verification))
     for reason in verification.reasons:
-        click.echo(f"not accepted: {reason}", err=True)
+        say(f"not accepted: {reason}")
     sys.exit(1 if verification.reasons else 0)

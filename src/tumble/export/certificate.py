@@ -23,7 +23,6 @@ role = "head of the laboratory"
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from datetime import date
 from pathlib import Path
@@ -31,6 +30,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError
 
 _Text = Field(pattern=r"^\S+(\s+\S+)*$")
@@ -82,12 +82,12 @@ class Certificate(_CertificateTable):
 def read_certificate(path: Path) -> Certificate:
     """The administrative part of a certificate from its TOML file. Raises InputError, one line with the first fault."""
     try:
-        content: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+        content: Mapping[str, Any] = toml_of(text_of_document(path), str(path))
         return Certificate.model_validate(content)
     except OSError as error:
         raise InputError(f"{path}: expected a TOML file with the data of the certificate: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: expected TOML, found an error in its syntax: {error}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         key = ".".join(map(str, fault["loc"])) or "certificate"

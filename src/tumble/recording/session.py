@@ -8,7 +8,6 @@ docs/session-file.md; `session_keys` checks them.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 import tomli_w
 from pydantic import ValidationError
 
+from tumble.documents import text_of_document, toml_of
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath, whole_file
@@ -309,16 +309,12 @@ def _parsed(path: Path) -> dict[str, Any]:
     if path.name != SESSION_FILE:
         raise SessionError(f"{path}: expected a session folder or its {SESSION_FILE}, found another file")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return toml_of(text_of_document(path), str(path), SessionError)
     except FileNotFoundError:
         found = "none" if path.parent.is_dir() else "no such folder"
         raise SessionError(f"{path}: expected a session folder with a {SESSION_FILE}, found {found}") from None
     except UnicodeDecodeError as error:
         raise SessionError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise SessionError(f"{path}: expected TOML, found an error in its syntax: {error}") from None
-    except (ValueError, RecursionError):  # a number of thousands of digits, hundreds of brackets
-        raise SessionError(f"{path}: expected TOML, found a number or a nesting without measure") from None
     except OSError as error:
         raise SessionError(f"{path}: expected a readable file, found: {error.strerror}") from None
 

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from tumble.documents import shown
 from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
 from tumble.recording.dialect import DELIMITERS, Dialect
@@ -25,6 +26,9 @@ from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TIME_UNITS, Ar
 
 CLOCK = "iso8601"
 """The time unit of dates with times and times of day."""
+
+LONGEST_NAME = 200
+"""Characters of a serial number and of a type."""
 
 _TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4}
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
@@ -66,7 +70,10 @@ class DeviceTable(SessionTable):
         return found
 
     @model_validator(mode="after")
-    def _check_prior(self) -> Self:
+    def _check(self) -> Self:
+        for key, text in (("serial", self.serial), ("model", self.model)):
+            if text is not None and not (text.strip() and text.isprintable() and len(text) <= LONGEST_NAME):
+                raise ValueError(f"{key}: expected 1 to {LONGEST_NAME} printable characters, found {shown(text)}")
         self.priors()
         return self
 

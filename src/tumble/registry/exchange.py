@@ -11,13 +11,15 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 
 from sqlalchemy import select
 
+from tumble.documents import json_of, shown
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.registry.connect import Registry
+from tumble.registry.connect import Registry, open_registry
 from tumble.registry.limits import parse_limits
 from tumble.registry.records import OCCASIONS, STATES, Particulars, submission, utc
 from tumble.registry.schema import CALIBRATION
@@ -80,6 +82,16 @@ def import_file(registry: Registry, file: FilePath) -> Imported:
         raise InputError(f"{path}: expected UTF-8 text, found {error.reason}") from error
 
 
+def check_export(file: FilePath) -> None:
+    """Check that an export can be added, without a registry of the user's: so an import that is refused makes none.
+    Raises InputError as `import_file`."""
+    with (
+        TemporaryDirectory(prefix="tumble-") as folder,
+        open_registry(Path(folder) / "registry.sqlite", create=True) as registry,
+    ):
+        import_file(registry, file)
+
+
 class _Import:
     """An import on its way: the numbers that limits and calibrations have here, by their SHA-256."""
 
@@ -97,11 +109,12 @@ class _Import:
             where = f"{self.path}: line {number}"
             content = _parsed(line, where)
             kind = content.get("kind")
-            if kind not in self.counts:
-                raise InputError(f"{where}: kind: expected limits or calibration, found {kind!r}")
+            if kind not in tuple(self.counts):
+                raise InputError(f"{where}: kind: expected limits or calibration, found {shown(kind)}")
+            _check_texts(content, kind, where)
             try:
                 (self._limits if kind == "limits" else self._calibration)(content, where)
-            except (KeyError, TypeError, AttributeError) as error:
+            except KeyError as error:
                 raise InputError(f"{where}: expected a line of an export, found one without {error}") from error
             self.counts[kind] += 1
         if self.counts != expected:
@@ -128,7 +141,7 @@ class _Import:
     def _calibration(self, content: Mapping[str, Any], where: str) -> None:
         for key, allowed in (("occasion", OCCASIONS), ("state", STATES)):
             if content[key] not in cast(tuple[str, ...], allowed):
-                raise InputError(f"{where}: {key}: expected one of {', '.join(allowed)}, found {content[key]!r}")
+                raise InputError(f"{where}: {key}: expected one of {', '.join(allowed)}, found {shown(content[key])}")
         particulars = Particulars(
             performed=utc(content["performed"], f"{where}: performed"),
             occasion=content["occasion"],
@@ -153,9 +166,32 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 def _parsed(line: str, where: str) -> dict[str, Any]:
     try:
-        content = json.loads(line)
+        content = json_of(line)
     except ValueError as error:
         raise InputError(f"{where}: expected a line of JSON, found an error in its syntax: {error}") from None
-    if not isinstance(content, dict):
+    if not isinstance(content, dict) or not all(map(_encodable, content.values())):
         raise InputError(f"{where}: expected a JSON object, found something else")
     return content
+
+
+_TEXTS = {
+    "limits": {"model": False, "file": False, "systematic": True, "added": False, "sha256": False},
+    "calibration": {
+        "file": False, "performed": False, "occasion": False, "state": False, "added": False,
+        "supersedes": True, "reason": True, "limits": True,
+    },
+}  # fmt: skip
+"""Keys of a line of each kind, all of them texts, and whether they may be null."""
+
+
+def _check_texts(content: Mapping[str, Any], kind: str, where: str) -> None:
+    for key, optional in _TEXTS[kind].items():
+        if key not in content:
+            raise InputError(f"{where}: expected a line of an export, found one without {key!r}")
+        if not isinstance(content[key], str) and not (optional and content[key] is None):
+            raise InputError(f"{where}: {key}: expected a text, found {shown(content[key])}")
+
+
+def _encodable(value: Any) -> bool:
+    """Whether a value is no text with half a character, which no database keeps."""
+    return not isinstance(value, str) or value == value.encode(errors="ignore").decode()

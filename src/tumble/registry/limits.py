@@ -16,13 +16,13 @@ Source: ISO 14253-1 and JCGM 106:2012, 8.3 (guard band w = U on either side of a
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from tumble.calibration.coverage import expanded_of
+from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError
 from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
 from tumble.sensors.frames import FRAMES
@@ -190,7 +190,7 @@ def read_limits(path: Path) -> tuple[str, str | None]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return text_of_document(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
@@ -218,10 +218,7 @@ def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
 
 
 def _content(text: str, name: str) -> dict[str, Any]:
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{name}: expected TOML, found an error in its syntax: {error}") from None
+    content = toml_of(text, name)
     if content.get("format") != FORMAT:
         raise InputError(f"{name}: format: expected {FORMAT}, found {content.get('format', 'none')!r}")
     for key in content:

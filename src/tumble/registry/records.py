@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from tumble.errors import InputError
+from tumble.recording.session_keys import LONGEST_NAME
 
 if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
@@ -26,8 +26,6 @@ State = Literal["as-found", "as-left", "unchanged"]
 OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 STATES: tuple[State, ...] = get_args(State)
 """Before an adjustment, after it, or without one: then the device leaves as it was found."""
-
-LONGEST_NAME = 200
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,8 +121,7 @@ def submission(text: str, name: str, particulars: Particulars) -> Submission:
     if not calibration.parameters:
         raise InputError(f"{name}: parameters: expected at least one, found none")
     parameters = tuple(all_parameter_rows(calibration))
-    _check_names(calibration, parameters, name)
-    _check_numbers(parameters, name)
+    _check_names(calibration, name)
     return Submission(
         name=name,
         sha256=content_sha256(text),
@@ -150,9 +147,9 @@ def utc(text: str, where: str) -> datetime:
     """A date or a time of day from ISO 8601; without an offset it is UTC."""
     try:
         found = datetime.fromisoformat(text)
-    except ValueError:
+        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+    except (ValueError, OverflowError):
         raise InputError(f"{where}: expected a date such as 2026-03-31, found {text!r}") from None
-    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 
 def all_parameter_rows(calibration: Calibration) -> Iterable[ParameterRow]:
@@ -185,28 +182,10 @@ def _performed(calibration: Calibration, particulars: Particulars, name: str) ->
     return performed
 
 
-def _check_names(calibration: Calibration, parameters: Iterable[ParameterRow], name: str) -> None:
-    """That names can be printed, kept by every database, and told from one another."""
-    texts = {"device.serial": [calibration.serial], "device.model": [calibration.model or "-"]}
-    texts |= {"method": [calibration.method], "frame": [calibration.frame]}
-    texts |= {"parameters": [text for row in parameters for text in (row.name, row.unit)]}
-    texts |= {"launches": [x.session or "-" for x in calibration.launches]}
-    for key, values in texts.items():
-        for value in values:
-            if not value.strip() or not value.isprintable() or len(value) > LONGEST_NAME:
-                raise InputError(
-                    f"{name}: {key}: expected 1 to {LONGEST_NAME} printable characters, found {value[:40]!r}"
-                )
-    for launch in range(1 + len(calibration.launches)):
-        names = [row.name for row in parameters if row.launch == launch]
-        for i, own in enumerate(names):
-            if own in names[:i]:
-                raise InputError(f"{name}: parameters: expected every name once, found {own!r} twice")
-
-
-def _check_numbers(parameters: Iterable[ParameterRow], name: str) -> None:
-    for row in parameters:
-        if not math.isfinite(row.value) or (row.u is not None and not 0.0 <= row.u < math.inf):
+def _check_names(calibration: Calibration, name: str) -> None:
+    """That names of sessions can be printed and kept by every database, as the others of a calibration file can."""
+    for value in (launch.session or "-" for launch in calibration.launches):
+        if not value.strip() or not value.isprintable() or len(value) > LONGEST_NAME:
             raise InputError(
-                f"{name}: {row.name}: expected a finite value and a u of 0 or more, found {row.value} and {row.u}"
+                f"{name}: launches: expected 1 to {LONGEST_NAME} printable characters, found {value[:40]!r}"
             )

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import FilePath, whole_file
 from tumble.planning.setup import Setup
@@ -88,10 +89,13 @@ def session_in_memory(scenario: Scenario, rng: np.random.Generator) -> Session:
     return session_of(content | {"log": log}, _columns_of(scenario, record(scenario, rng)))
 
 
+_LARGEST = 1e60
+
+
 def read_truth(path: Path) -> dict[str, float]:
     """True values by parameter name from a truth.json. Raises InputError for a file that is none."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json_of(text_of_document(path))
     except OSError as error:
         raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {error.strerror}") from error
     except ValueError as error:
@@ -102,7 +106,7 @@ def read_truth(path: Path) -> dict[str, float]:
 
 
 def _finite(value: object) -> bool:
-    return isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, float | int) and not isinstance(value, bool) and abs(value) < _LARGEST
 
 
 def _columns(block: Block) -> list[str]:

@@ -8,8 +8,10 @@ import sys
 from collections.abc import Sequence
 
 from rich.console import Console, RenderableType
+from rich.segment import Segment, Segments
 
 from tumble.calibration.results import Parameter
+from tumble.documents import plain
 from tumble.sensors.parameters import group_name, shown_in
 
 
@@ -34,4 +36,5 @@ def print_report(report: RenderableType) -> None:
     console = Console(highlight=False, soft_wrap=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=160)
-    console.print(report)
+    shown = (Segment(plain(s.text), s.style, s.control) for s in console.render(report))
+    console.print(Segments(shown), end="")

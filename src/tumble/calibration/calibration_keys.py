@@ -1,0 +1,314 @@
+"""The keys of a calibration file and what is expected of each: a file is checked against them once, and trusted after.
+
+Further keys may be there or not. A message names the key: "found 'much' in place of a number at parameters[3].value".
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from math import inf, isfinite
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from tumble.documents import is_plain, shown
+from tumble.errors import CalibrationError
+from tumble.recording.session_keys import LONGEST_NAME
+
+MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
+LONGEST_TEXT = 10_000
+LARGEST, LEAST = 1e60, 1e-60
+"""No number is larger, and no uncertainty that is not zero is smaller."""
+
+_LEAST_SINGULAR_VALUE = 1e-9
+
+
+def _is_name(text: str) -> str:
+    if not text.strip() or not text.isprintable() or len(text) > LONGEST_NAME:
+        raise ValueError(f"expected 1 to {LONGEST_NAME} printable characters, found {shown(text[:40])}")
+    return text
+
+
+def _is_plain(text: str) -> str:
+    if len(text) > LONGEST_TEXT or not is_plain(text):
+        raise ValueError(f"expected at most {LONGEST_TEXT} characters and no control characters, found {shown(text)}")
+    return text
+
+
+def _is_sized(number: float) -> float:
+    if not abs(number) <= LARGEST:
+        raise ValueError(f"expected a number of at most {LARGEST:g} in size, found {number:g}")
+    return number
+
+
+def _is_size(number: float) -> float:
+    if not (number == 0.0 or LEAST <= number <= LARGEST):
+        raise ValueError(f"expected zero or a number from {LEAST:g} to {LARGEST:g}, found {number:g}")
+    return number
+
+
+Name = Annotated[str, AfterValidator(_is_name)]
+Text = Annotated[str, AfterValidator(_is_plain)]
+Number = Annotated[float, AfterValidator(_is_sized)]
+Size = Annotated[float, AfterValidator(_is_size)]
+Count = Annotated[int, Field(ge=0, le=10**9)]
+Vector = Annotated[list[Number], Field(max_length=MOST_PARAMETERS)]
+Matrix = Annotated[list[Vector], Field(max_length=MOST_PARAMETERS)]
+
+
+class _Keys(BaseModel):
+    """A table of the file: further keys are ignored."""
+
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True)
+
+
+class _DeviceKeys(_Keys):
+    serial: Name
+    model: Name | None
+
+
+class _ParameterKeys(_Keys):
+    name: Name
+    value: float
+    u: float | None = None
+    unit: Name
+    deviation: Number | None = None
+    run_to_run: Size | None = None
+    dof: Size | None = None
+    prior: Size | None = None
+    learned: Number | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not isfinite(self.value) or not 0.0 <= (self.u or 0.0) < inf:
+            raise ValueError(
+                f"{self.name}: expected a finite value and a u of 0 or more, found {self.value} and {self.u}"
+            )
+        _is_sized(self.value)
+        _is_size(self.u or 0.0)
+        return self
+
+
+class _ModelKeys(_Keys):
+    matrix: Matrix
+    bias: Vector
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        shape = {len(row) for row in self.matrix}
+        if shape != {3} or len(self.matrix) != len(self.bias):
+            raise ValueError("expected a matrix of three columns, with a row for each bias, found another")
+        if np.linalg.svd(np.array(self.matrix), compute_uv=False)[-1] < _LEAST_SINGULAR_VALUE or len(self.bias) < 3:
+            raise ValueError("expected a matrix that can be inverted, found a singular one")
+        return self
+
+
+class _SensorOutcomeKeys(_Keys):
+    reasons: list[Text]
+    remarks: list[Text]
+
+
+class _OutcomeKeys(_Keys):
+    reasons: list[Text]
+    unobservable: list[Text] = []
+    remarks: list[Text] = []
+    verdict: Text | None = None
+    accel: _SensorOutcomeKeys | None = None
+    gyro: _SensorOutcomeKeys | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.verdict is not None and (self.accel is None or self.gyro is None):
+            raise ValueError("expected outcomes of accelerometers and of gyros beside the verdict, found none")
+        return self
+
+
+class _GroupKeys(_Keys):
+    name: Text
+    kept: bool
+    prior: Size
+    prior_widened: Size
+    learned: Vector
+
+
+class _PredictionKeys(_Keys):
+    force_u: Size
+    rate_u: Size | None
+    at_rate: Number | None
+
+
+class _TemperatureKeys(_Keys):
+    reference: Number | None = None
+
+
+class _IncrementKeys(_Keys):
+    name: Text
+    increment: Number
+
+
+class _IterationKeys(_Keys):
+    parameters: list[_IncrementKeys]
+
+
+class _AtRestKeys(_Keys):
+    mean: Vector
+    noise: Vector
+    drift: Vector
+
+
+class _RestKeys(_Keys):
+    file: Count = 0
+    start: Number
+    stop: Number
+    residual: Number
+    sigmas: Number = 0.0
+    attitude: Text | None = None
+    accel: _AtRestKeys | None = None
+    gyro: _AtRestKeys | None = None
+    temperature: Number | None = None
+
+
+class _TurnKeys(_Keys):
+    first: Count
+    last: Count
+    duration: Number
+    angle: Number | None
+    programmed: Number | None
+    sigmas: Number
+
+
+class _FitKeys(_Keys):
+    chi_square: Size
+    degrees: Number
+    scatter: Size
+    unit: Text
+
+
+class _SiteKeys(_Keys):
+    latitude: Number | None
+    height: Number
+    gravity: Annotated[float, Field(ge=1.0, le=100.0)]
+    gravity_u: Size
+    field: Number | None = None
+
+
+class _ReadingsKeys(_Keys):
+    columns: list[Text]
+    unit: Text
+    increments: bool
+    scale: Vector
+    offset: Vector
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not len(self.columns) == len(self.scale) == len(self.offset) or not all(self.scale):
+            raise ValueError("expected a scale, not zero, and an offset for every column, found others")
+        return self
+
+
+class _ResultKeys(_Keys):
+    """What a result and each of its launches have."""
+
+    parameters: list[_ParameterKeys] = Field(max_length=MOST_PARAMETERS)
+    covariance: Matrix | None
+    site: _SiteKeys | None = None
+    rests: list[_RestKeys] = Field(default=[], max_length=MOST_RESTS)
+    turns: list[_TurnKeys] = Field(default=[], max_length=MOST_RESTS)
+    fits: dict[Text, _FitKeys] = {}
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        rows = self.covariance or []
+        if rows and {len(rows), *map(len, rows)} != {len(self.parameters)}:
+            shape = f"({len(rows)}, {len(rows[0])}) for {len(self.parameters)} parameters"
+            raise PydanticCustomError("shape", "a covariance of shape {shape}", {"shape": shape})
+        for name, count in Counter(parameter.name for parameter in self.parameters).items():
+            if count > 1:
+                raise ValueError(f"parameters: expected every name once, found {name!r} twice")
+        return self
+
+
+class _LaunchKeys(_ResultKeys):
+    session: Text
+    log_sha256: Text = ""
+
+
+class _FormatKeys(_Keys):
+    """What is looked at first."""
+
+    format: Literal[1]
+
+
+class _CalibrationKeys(_ResultKeys, _FormatKeys):
+    """The whole file."""
+
+    device: _DeviceKeys
+    method: Name
+    frame: Name
+    accel: _ModelKeys | None
+    gyro: _ModelKeys | None
+    mag: _ModelKeys | None = None
+    outcome: _OutcomeKeys
+    groups: list[_GroupKeys] = Field(default=[], max_length=MOST_PARAMETERS)
+    prediction: _PredictionKeys | None = None
+    axes: dict[Text, list[Annotated[list[Number], Field(min_length=3, max_length=3)]]] = {}
+    temperature: _TemperatureKeys = _TemperatureKeys()
+    iterations: list[_IterationKeys]
+    programme: Text | None = None
+    readings: dict[Text, _ReadingsKeys] = {}
+    notes: list[Text] = []
+    launches: list[_LaunchKeys] = Field(default=[], max_length=MOST_LAUNCHES)
+    rests: list[_RestKeys] = Field(max_length=MOST_RESTS)
+    provenance: dict[Text, Text]
+
+
+def check_calibration(content: Any, name: str) -> None:
+    """Check the content of a calibration file, in messages `name`. Raises CalibrationError with the first fault."""
+    try:
+        _CalibrationKeys.model_validate(content)
+    except ValidationError as error:
+        raise CalibrationError(f"{name}: {_said(error.errors(include_url=False)[0], content)}") from None
+
+
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "greater_than_equal": "a number that is not negative",
+    "less_than_equal": "a smaller number",
+    "too_short": "a list of three",
+    "too_long": "a shorter list",
+    "literal_error": "1, the format of this file",
+}
+
+
+def _said(fault: Mapping[str, Any], content: Any) -> str:
+    """What is to be said of a fault, after the name of the file."""
+    place = _dotted(fault["loc"])
+    if fault["type"] == "value_error":
+        return f"{place}: {fault['ctx']['error']}".removeprefix(": ")
+    if fault["type"] == "missing":
+        above = _dotted(fault["loc"][:-1])
+        found = f"no key {str(fault['loc'][-1])!r}" + (f" in {above}" if above else "")
+    elif fault["type"] == "shape":
+        found = fault["msg"]
+    else:
+        value = content
+        for part in fault["loc"]:
+            value = part if part == "[key]" else value[part]
+        found = f"{shown(value)} in place of {_EXPECTED.get(fault['type'], 'what can be there')}"
+        found += f" at {place}" if place else ""
+    return f"expected a calibration file of tumble, found {found}"
+
+
+def _dotted(way: Any) -> str:
+    """A way to a key, as parameters[3].value; entries of lists are counted from 1."""
+    return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in way)[:80].lstrip(".")

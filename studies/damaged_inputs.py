@@ -1,0 +1,630 @@
+"""What becomes of a damaged input file: the fuzzer of the project.
+
+Every case damages one input file of a small set (session, logs, table of readings, calibration, truth, limits,
+campaign, manifest, certificate, export of a registry, MATLAB and HDF5 recordings), or gives an absurd value to an
+option, and runs one command in this process. Case n of a seed is always the same, whatever ran before. A case is a
+finding where
+
+* an exception comes through, or an exit status that is not 0, 1 or 2;
+* exit status 2 comes with anything else than one line on standard error, or leaves a file behind;
+* a control character, or one that changes the direction of writing, is printed;
+* a warning of Python or NumPy is raised;
+* it takes more than 20 s, or more than 1 GB of memory;
+* a log whose rows were damaged is accepted, with nothing said that was not said of the whole one, with a parameter more
+  than 3 u off.
+
+    python studies/damaged_inputs.py [--short] [--cases N] [--seed S] [--first N] [--verbose]
+
+`--first` starts at another case, for long runs in parts and to see one finding again with `--cases 1 --verbose`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import tomllib
+import traceback
+import unicodedata
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn
+
+import numpy as np
+import polars as pl
+import tomli_w
+from click.testing import CliRunner, Result
+from scipy.io import savemat
+
+from tumble.calibration.calibration_file import read_calibration
+from tumble.cli import main as tumble
+from tumble.errors import TumbleError
+from tumble.planning.setup import Setup
+from tumble.simulation.session import simulate_session
+
+SHORT, LONG = 250, 1_000_000
+LONGEST, MOST, BEGUN = 20.0, 1 << 30, 5.0
+"""How long and how large a command may be, and how long a campaign is looked at: s, bytes, s."""
+OFF = 3.0
+"""How many u an accepted result may be off."""
+SETUP = Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=20.0)
+
+Rng = np.random.Generator
+Change = Callable[[bytes, Rng], bytes]
+
+ABSURD_NUMBERS = (
+    b"0", b"-0", b"-1", b"1", b"2", b"1e308", b"-1e308", b"1e-320", b"nan", b"inf", b"-inf", b"1e999", b"3.5", b"1e15",
+    b"99999999999999999999", b"9223372036854775808", b"2147483648", b"1" * 400, b"1" * 5000, b"1.2.3", b"0x10",
+    b"1_000", b"", "²".encode(), b"true", b"[]", b"'1'", b'"1"', b"2026-13-45", b"9999-12-31", b"12:61:00",
+)  # fmt: skip
+ABSURD_TEXTS = (
+    b"", b"\0", b"\x1b[31m", b"\x1b]0;title\x07", "\u202e".encode(), "\u2028".encode(), b"\xff\xfe", b"\xed\xa0\x80",
+    b"\r", b"\n", b'"', b"'", b",", b";", b"[" * 1000, b"{" * 1000, b"[" * 100_000, b"a" * 5000, b"a" * 200_000,
+    b"../../../../etc/passwd", b"file:///etc/passwd", b"http://localhost:9/", b"%s%n", b"{}", b"null", b"NaN",
+    b"\\u0000", b"\\ud800", "é".encode("latin-1"), b"#", b"//", b"=", b"<!DOCTYPE x [<!ENTITY e 'e'>]>",
+    b"cos\nsystem\n(S'id'\ntR.",
+)  # fmt: skip
+VALUES: tuple[Any, ...] = (
+    None, True, False, 0, -1, 1, 2, 10**6, 10**18, 10**30, -(10**400), 0.0, -0.0, 1e308, -1e308, 1e-320, 0.5, "", "x",
+    "²", "\0", "\x1b[31m", "\u202e", "a\nb", "\ud800", "a" * 5000, [], [[]], [[[[[]]]]], {}, {"x": 1}, [0] * 1000,
+    ["x"], [None], "NaN", "1", "2026-01-01", "accel.bias.x", "9999-12-31T23:59:59+14:00",
+)  # fmt: skip
+
+
+# -------------------- damage --------------------
+
+
+def bytes_changed(text: bytes, rng: Rng) -> bytes:
+    """A few bytes changed, or a stretch of them cut out, repeated, or put elsewhere."""
+    data = bytearray(text)
+    for _ in range(int(rng.integers(1, 4))):
+        at = int(rng.integers(0, len(data) + 1))
+        length = int(min(len(data) - at, rng.integers(1, 1 + 2 ** rng.integers(0, 12))))
+        stretch = bytes(data[at : at + length])
+        kind = rng.integers(0, 6)
+        if kind == 0:
+            data[at : at + 1] = bytes([rng.integers(0, 256)])
+        elif kind == 1:
+            del data[at : at + length]
+        elif kind == 2:
+            data[at:at] = stretch
+        elif kind == 3:
+            del data[at:]
+        elif kind == 4:
+            data[at:at] = ABSURD_TEXTS[rng.integers(len(ABSURD_TEXTS))]
+        else:
+            to = int(rng.integers(0, len(data) + 1))
+            data[to:to] = stretch
+    return bytes(data)
+
+
+def words_changed(text: bytes, rng: Rng) -> bytes:
+    """One or two words or numbers changed for absurd ones, or for another of the file."""
+    for _ in range(int(rng.integers(1, 3))):
+        found = [m.span() for m in re.finditer(rb"[\w.+-]+", text[:20_000])]
+        if not found:
+            return text
+        a, b = found[rng.integers(len(found))]
+        c, d = found[rng.integers(len(found))]
+        choice = (ABSURD_NUMBERS, ABSURD_TEXTS, (text[c:d],))[rng.choice(3, p=(0.6, 0.25, 0.15))]
+        text = text[:a] + choice[rng.integers(len(choice))] + text[b:]
+    return text
+
+
+def lines_changed(text: bytes, rng: Rng) -> bytes:
+    """A stretch of lines cut out, repeated, turned round or put elsewhere."""
+    lines = text.splitlines(keepends=True)
+    if len(lines) < 3:
+        return text
+    at = int(rng.integers(0, len(lines)))
+    length = int(rng.integers(1, 2 + min(len(lines), 2 ** rng.integers(0, 8))))
+    stretch = lines[at : at + length]
+    kind = rng.integers(0, 4)
+    rest = lines[:at] + lines[at + length :]
+    if kind == 0:
+        return b"".join(rest)
+    if kind == 1:
+        return b"".join(lines[:at] + stretch * int(rng.integers(1, 4)) + lines[at:])
+    if kind == 2:
+        return b"".join(lines[:at] + stretch[::-1] + lines[at + length :])
+    to = int(rng.integers(0, len(rest) + 1))
+    return b"".join(rest[:to] + stretch + rest[to:])
+
+
+def _places(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    keys: list[Any] = list(content) if isinstance(content, dict) else list(range(min(len(content), 40)))
+    for key in keys:
+        yield (*path, key)
+        if isinstance(content[key], dict | list):
+            yield from _places(content[key], (*path, key))
+
+
+def tree_changed(content: Any, rng: Rng) -> Any:
+    """One or two values of a tree of tables and lists changed for others, taken away, repeated or renamed."""
+    for _ in range(int(rng.integers(1, 3))):
+        places = list(_places(content)) if isinstance(content, dict | list) else []
+        if not places:
+            return content
+        *way, key = places[rng.integers(len(places))]
+        part = content
+        for step in way:
+            part = part[step]
+        kind = rng.integers(0, 5)
+        if kind == 0:
+            del part[key]
+        elif kind == 1 and isinstance(part, list):
+            part.append(part[key])
+        elif kind == 2 and isinstance(part, dict):
+            part[str(VALUES[rng.integers(len(VALUES))])] = part.pop(key)
+        elif kind == 3 and isinstance(part[key], int | float) and not isinstance(part[key], bool):
+            part[key] = part[key] * 10.0 ** rng.integers(-9, 10) * (-1) ** rng.integers(0, 2)
+        else:
+            part[key] = json.loads(json.dumps(VALUES[rng.integers(len(VALUES))]))
+    return content
+
+
+def json_changed(text: bytes, rng: Rng) -> bytes:
+    """A JSON file, or one of its lines, with its tree changed."""
+    lines = text.splitlines() if text.count(b"\n}\n") == 0 and text.count(b"\n") > 1 and text[:2] != b"{\n" else [text]
+    at = int(rng.integers(len(lines)))
+    lines[at] = json.dumps(tree_changed(json.loads(lines[at]), rng)).encode()
+    return b"\n".join(lines) + b"\n"
+
+
+def toml_changed(text: bytes, rng: Rng) -> bytes:
+    """A TOML file with its tree changed, as far as TOML can say it."""
+    try:
+        return tomli_w.dumps(tree_changed(tomllib.loads(text.decode()), rng)).encode("utf-8", "surrogatepass")
+    except (TypeError, ValueError):
+        return words_changed(text, rng)
+
+
+ANY: tuple[Change, ...] = (bytes_changed, words_changed, lines_changed)
+TREE = {".json": json_changed, ".jsonl": json_changed, ".toml": toml_changed}
+
+
+# -------------------- inputs and commands --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Target:
+    """An input file, below the folder of inputs, and the commands that read it, in words; {} is that folder, {out} an
+    empty one. Of a `log` an accepted result is compared with that of the whole one."""
+
+    file: str
+    commands: tuple[str, ...]
+    weight: float = 1.0
+    log: bool = False
+
+
+EXPORTS = ("ros-imu-calib", "px4", "ardupilot", "imucal", "c", "mat", "csv")
+CERTIFY = "export {}/calibration.json --to dcc --certificate {}/certificate.toml -o {out}/e"
+TARGETS = (
+    Target(
+        file="csv/session.toml",
+        weight=3.0,
+        commands=(
+            "calibrate {}/csv --terms linear --out {out}/c.json",
+            "inspect {}/csv",
+            "inspect {}/csv",
+            "apply {}/calibration.json {}/csv -o {out}/a.csv",
+            "verify {}/calibration.json {}/csv",
+            "noise {}/csv",
+        ),
+    ),
+    Target(
+        file="csv/log.csv",
+        weight=3.0,
+        log=True,
+        commands=("calibrate {}/csv --terms linear --out {out}/c.json",),
+    ),
+    Target(
+        file="rate/log.csv",
+        weight=2.0,
+        log=True,
+        commands=("calibrate {}/rate --terms linear --out {out}/c.json",),
+    ),
+    Target(
+        file="csv/log.csv",
+        weight=2.0,
+        commands=(
+            "new {out}/new {}/csv/log.csv",
+            "inspect {}/csv",
+            "apply {}/calibration.json {}/csv -o {out}/a.parquet",
+            "noise {}/csv/log.csv --accel ax,ay,az --time t",
+        ),
+    ),
+    Target(file="messung.txt", weight=2.0, commands=("new {out}/new {}/messung.txt --latitude 50",)),
+    Target(file="parquet/log.parquet", commands=("inspect {}/parquet", "new {out}/new {}/parquet/log.parquet")),
+    Target(file="imu.mat", commands=("new {out}/new {}/imu.mat",)),
+    Target(file="imu.h5", commands=("new {out}/new {}/imu.h5",)),
+    Target(file="log.csv.gz", commands=("new {out}/new {}/log.csv.gz",)),
+    Target(file="log.csv.zst", commands=("new {out}/new {}/log.csv.zst",)),
+    Target(
+        file="calibration.json",
+        weight=5.0,
+        commands=(
+            "compare {}/calibration.json {}/other.json",
+            "verify {}/calibration.json {}/csv",
+            "verify {}/calibration.json {}/readings.csv",
+            "apply {}/calibration.json {}/csv -o {out}/a.csv",
+            *(f"export {{}}/calibration.json --to {to} -o {{out}}/e" for to in EXPORTS),
+            "export {}/calibration.json --to kalibr --noise {}/csv -o {out}/e",
+            CERTIFY,
+            "registry add {}/calibration.json --registry {out}/r.sqlite",
+            "calibrate {}/passport --terms linear --out {out}/c.json",
+        ),
+    ),
+    Target(file="calibration.json", weight=0.05, commands=("report {}/calibration.json -o {out}/r.html",)),
+    Target(
+        file="csv/truth.json",
+        commands=("calibrate {}/csv --terms linear --truth {}/csv/truth.json --out {out}/c.json",),
+    ),
+    Target(
+        file="limits.toml", weight=2.0, commands=("registry limits BCHE-501 {}/limits.toml --registry {out}/r.sqlite",)
+    ),
+    Target(file="certificate.toml", commands=(CERTIFY,)),
+    Target(file="campaign.toml", weight=0.5, commands=("campaign {}/campaign.toml --serial -o {out}/campaign",)),
+    Target(file="manifest.csv", weight=0.5, commands=("fleet {}/manifest.csv --serial -o {out}/fleet",)),
+    Target(file="manifest.txt", weight=0.5, commands=("fleet {}/manifest.txt --serial -o {out}/fleet",)),
+    Target(
+        file="readings.csv",
+        weight=2.0,
+        commands=(
+            "ellipsoid {}/readings.csv --unit m/s^2 --out {out}/c.json",
+            "verify {}/calibration.json {}/readings.csv",
+        ),
+    ),
+    Target(
+        file="registry.jsonl", weight=2.0, commands=("registry import {}/registry.jsonl --registry {out}/r.sqlite",)
+    ),
+)
+OPTIONS = (
+    "simulate {out}/s --positions 3 --rest _ --sample-rate 20",
+    "simulate {out}/s --positions 3 --rest 3 --sample-rate _ --rate 200",
+    "simulate {out}/s --positions _ --rest 3 --sample-rate 20 --rate _ --latitude _",
+    "simulate {out}/s --positions 3 --rest 3 --sample-rate 20 --table-error _ --mounting-error _ --vibration _@_",
+    "simulate {out}/s --positions 3 --rest 3 --sample-rate 20 --seed _ --launch _",
+    "plan --rest _ --rate _ --latitude _",
+    "plan --gravity _ --gravity-u _ --table-error _ --mounting-error _",
+    "budget --rest _ --rate _ --latitude _ --gravity _ --iterations _",
+    "require --relative _ --rest _",
+    "require --want accel.scale=_ppm",
+    "ellipsoid {}/readings.csv --scale _,_,_ --gravity _ --out {out}/c.json",
+    "ellipsoid {}/readings.csv --unit m/s^2 --position _=_,_,_ --serial _ --out {out}/c.json",
+    "noise {}/csv/log.csv --accel ax,ay,_ --rate-hz _",
+    "new {out}/new {}/csv/log.csv --latitude _ --rate _ --serial _",
+    "calibrate {}/csv --terms linear --iterations _ --out {out}/c.json",
+    "calibrate {}/csv --terms linear --method scalar --iterations _ --out {out}/c.json",
+    "programme --attitude _",
+    "registry show _ --registry {}/r.sqlite",
+    "registry due --on _ --registry {}/r.sqlite",
+    "registry trend _ _ --registry {}/r.sqlite",
+)
+LIMITS = """format = 1
+interval_months = 12
+[incoming]
+"accel.bias" = "10 mg"
+"accel.scale.x" = { min = "-5000 ppm", max = "5000 ppm" }
+[periodic]
+"gyro.bias" = "5 deg/s"
+"""
+CAMPAIGN = """seed = 1
+trials = 2
+[grid]
+method = ["joint"]
+grade = ["mems"]
+programme = ["rough-table"]
+rest = [10.0]
+"""
+CERTIFICATE = """number = "1"
+country = "DE"
+begin = 2026-03-01
+end = 2026-03-02
+[laboratory]
+name = "Laboratory"
+country = "DE"
+city = "Bonn"
+postcode = "53113"
+[customer]
+name = "Customer"
+city = "Bonn"
+country = "DE"
+[[person]]
+name = "A. Person"
+"""
+
+
+def _written(folder: Path) -> None:
+    """All inputs, below a folder."""
+    for name, launch, seed in (("csv", 1, 7), ("other", 2, 7), ("parquet", 1, 8)):
+        form = "parquet" if name == "parquet" else "csv"
+        simulate_session(folder / name, SETUP, seed=seed, launch=launch, log_format=form)
+    _invoked(f"calibrate {folder}/csv --terms linear --out {folder}/calibration.json")
+    _invoked(f"calibrate {folder}/other --terms linear --out {folder}/other.json")
+    _invoked(f"calibrate {folder}/csv --out {folder}/full.json")
+    log = pl.read_csv(folder / "csv/log.csv")
+    (folder / "rate").mkdir()
+    session = tomllib.loads((folder / "csv/session.toml").read_text(encoding="utf-8"))
+    without = {key: value for key, value in session["log"].items() if key != "time"} | {"rate_hz": 20.0}
+    (folder / "rate/session.toml").write_text(tomli_w.dumps(session | {"log": without}), encoding="utf-8")
+    log.drop("t").write_csv(folder / "rate/log.csv")
+    shutil.copytree(folder / "csv", folder / "passport")
+    passport = session | {"device": session["device"] | {"systematic": "../calibration.json"}}
+    (folder / "passport/session.toml").write_text(tomli_w.dumps(passport), encoding="utf-8")
+    rounded = log.with_columns(pl.all().round(5))
+    rounded.write_csv(folder / "messung.txt", separator=";", decimal_comma=True)
+    savemat(folder / "imu.mat", {"data": log.to_numpy()})
+    _written_h5(folder / "imu.h5", log)
+    for ending in ("gz", "zst"):
+        log.lazy().sink_csv(folder / f"log.csv.{ending}", compression={"gz": "gzip", "zst": "zstd"}[ending])
+    means = log.with_columns(k=(pl.col("t") // 5).cast(int)).group_by("k", maintain_order=True).mean()
+    means.select("ax", "ay", "az").write_csv(folder / "readings.csv")
+    for name, text in (("limits", LIMITS), ("campaign", CAMPAIGN), ("certificate", CERTIFICATE)):
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+    (folder / "manifest.csv").write_text("session,who\ncsv,a\nparquet,b\n", encoding="utf-8")
+    (folder / "manifest.txt").write_text("# a comment\ncsv\n", encoding="utf-8")
+    registry = f"--registry {folder}/r.sqlite"
+    _invoked(f"registry limits BCHE-501 {folder}/limits.toml {registry}")
+    for name in ("calibration", "other"):
+        _invoked(f"registry add {folder}/{name}.json {registry}")
+    (folder / "registry.jsonl").write_text(_invoked(f"registry export {registry}").stdout, encoding="utf-8")
+
+
+def _written_h5(path: Path, log: pl.DataFrame) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, columns in (("accel", ["ax", "ay", "az"]), ("gyro", ["gx", "gy", "gz"])):
+            file[name] = log.select(columns).to_numpy()
+        file["time"] = log["t"].to_numpy()
+
+
+# -------------------- one case --------------------
+
+
+def _invoked(words: str | list[str]) -> Result:
+    words = words.split() if isinstance(words, str) else words
+    return CliRunner(catch_exceptions=True).invoke(tumble, words, prog_name="tumble")
+
+
+class _TooLong(BaseException):
+    """A command runs longer than it may. Not an Exception: nothing may take it for one of its own."""
+
+
+def _stop(_signal: int, _frame: FrameType | None) -> NoReturn:
+    raise _TooLong
+
+
+@contextmanager
+def _stopped_after(seconds: float) -> Iterator[None]:
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+    signal.signal(signal.SIGALRM, _stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+class _Memory:
+    """The most memory that this process held since the object was made, as far as the system tells."""
+
+    def __init__(self) -> None:
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+    @property
+    def most(self) -> int:
+        try:
+            status = Path("/proc/self/status").read_text(encoding="ascii")
+            return int(re.findall(r"VmHWM:\s+(\d+)", status)[0]) * 1024
+        except (OSError, IndexError):
+            return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Finding:
+    """What was found in a case; `kind` is the same for all of one cause."""
+
+    case: int
+    kind: str
+    words: str
+    more: str
+
+
+class Inputs:
+    """The inputs, in a folder; one of them is damaged at a time, and put right again."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.out = folder / "in", folder / "out"
+        self.folder.mkdir()
+        _written(self.folder)
+        self.clean = {target.file: (self.folder / target.file).read_bytes() for target in TARGETS}
+        self.weights = np.array([*(t.weight for t in TARGETS), 2.0])
+        self.said = {log: self._calibrated(log) for log in ("csv", "rate")}
+
+    def _calibrated(self, log: str) -> tuple[Any, int]:
+        self._emptied()
+        result = _invoked(self._words(f"calibrate {{}}/{log} --terms linear --out {{out}}/c.json"))
+        return read_calibration(self.out / "c.json"), len(result.stderr.splitlines())
+
+    def _emptied(self) -> None:
+        shutil.rmtree(self.out, ignore_errors=True)
+        self.out.mkdir()
+
+    def _words(self, command: str) -> list[str]:
+        return [word.replace("{out}", str(self.out)).replace("{}", str(self.folder)) for word in command.split()]
+
+    def case(self, seed: int, number: int, verbose: bool = False) -> Finding | None:
+        """A case, and what was found in it."""
+        rng = np.random.default_rng([seed, number])
+        at = int(rng.choice(len(self.weights), p=self.weights / self.weights.sum()))
+        self._emptied()
+        if at == len(TARGETS):
+            return self._run(number, _options(self._words(OPTIONS[rng.integers(len(OPTIONS))]), rng), None, verbose)
+        target = TARGETS[at]
+        words = self._words(target.commands[rng.integers(len(target.commands))])
+        damaged = self._damaged(target, rng)
+        path = self.folder / target.file
+        if verbose:
+            print(path, damaged[:3000])
+        path.write_bytes(damaged)
+        try:
+            return self._run(number, words, target, verbose)
+        finally:
+            path.write_bytes(self.clean[target.file])
+
+    def _damaged(self, target: Target, rng: Rng) -> bytes:
+        text = self.clean[target.file]
+        if target.log and rng.random() < 0.7:
+            return lines_changed(text, rng)
+        tree = TREE.get(Path(target.file).suffix)
+        if tree is not None and rng.random() < 0.6:
+            return tree(text, rng)
+        return ANY[rng.integers(len(ANY))](text, rng)
+
+    def _run(self, number: int, words: list[str], target: Target | None, verbose: bool) -> Finding | None:
+        memory, started = _Memory(), time.monotonic()
+        finding, result, shown = "", None, ""
+        campaign = words[0] == "campaign"  # may be a large one, and is then only begun
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            try:
+                with _stopped_after(BEGUN if campaign else LONGEST):
+                    result = _invoked(words)
+            except _TooLong:
+                finding = "" if campaign else f"longer than {LONGEST:g} s: {words[0]} {target.file if target else ''}"
+                shown = traceback.format_exc()
+        taken = time.monotonic() - started
+        if result is not None:
+            shown = f"{result.stdout[-2000:]}\n--- {result.exit_code}\n{result.stderr[-2000:]}"
+            finding = self._fault(result, target).replace(str(self.folder.parent), "")
+            if result.exception is not None:
+                shown += "".join(traceback.format_exception(result.exception))
+        if not finding and taken > LONGEST:
+            finding = f"longer than {LONGEST:g} s: {words[0]}"
+        if not finding and memory.most > MOST:
+            finding = f"more than 1 GB: {words[0]} {target.file if target else ''}"
+        serious = [w for w in warned if not issubclass(w.category, ResourceWarning)]
+        if not finding and serious:
+            finding = (
+                f"{serious[0].category.__name__}: {serious[0].message} ({serious[0].filename}:{serious[0].lineno})"
+            )
+        if verbose:
+            print(" ".join(words), shown, finding, sep="\n")
+        if not finding:
+            return None
+        return Finding(case=number, kind=finding, words=" ".join(words), more=shown)
+
+    def _fault(self, result: Result, target: Target | None) -> str:
+        error = result.exception
+        if error is not None and not isinstance(error, SystemExit):
+            return f"{type(error).__name__} {_innermost(error)}: {str(error)[:80]}"
+        if result.exit_code not in (0, 1, 2):
+            return f"exit status {result.exit_code}"
+        strange = sorted({repr(c) for c in result.stdout + result.stderr if _strange(c)})
+        if strange:
+            return f"printed {' '.join(strange[:3])}"
+        if result.exit_code == 2:
+            return self._refusal(result)
+        return self._silent(result, target) if target is not None and target.log else ""
+
+    def _refusal(self, result: Result) -> str:
+        lines = result.stderr.splitlines()
+        if len(lines) != 1 or not lines[0].startswith("tumble: "):
+            return f"{len(lines)} lines where one is promised: {' | '.join(lines)[:150]}"
+        if len(lines[0]) > 1500:
+            return f"a line of {len(lines[0])} characters: {lines[0][:80]}"
+        left = sorted(str(path.relative_to(self.out)) for path in self.out.rglob("*"))
+        if left:
+            return f"left behind: {' '.join(left[:3])}"[:100]
+        python = re.search(r"'NoneType'|object (has no|is not)|__\w+__|got an unexpected|NoneType", lines[0])
+        return f"quotes Python: {lines[0][-150:]}" if python else ""
+
+    def _silent(self, result: Result, target: Target) -> str:
+        if result.exit_code != 0:
+            return ""
+        whole, said = self.said[target.file.split("/")[0]]
+        try:
+            found = read_calibration(self.out / "c.json")
+        except TumbleError as error:
+            return f"wrote a file that it does not read: {error}"
+        if len(result.stderr.splitlines()) > said or len(found.notes) > len(whole.notes):
+            return ""
+        off = {p.name: abs(p.value - whole[p.name].value) / p.u for p in found.parameters if p.u and whole[p.name].u}
+        name = max(off, key=lambda name: off[name])
+        return f"accepted without a word: {name}" if off[name] > OFF else ""
+
+
+def _options(words: list[str], rng: Rng) -> list[str]:
+    """Words with absurd values for some options, usual ones for the others."""
+
+    def value() -> str:
+        if rng.random() < 0.4:
+            return "3"
+        choice = (ABSURD_NUMBERS, ABSURD_TEXTS)[rng.choice(2, p=(0.8, 0.2))]
+        return choice[rng.integers(len(choice))][:2000].decode("utf-8", "replace").replace("\0", "")
+
+    return [re.sub("_", lambda _: value(), word) if re.search(r"(^|[=,@])_", word) else word for word in words]
+
+
+def _innermost(error: BaseException) -> str:
+    """The innermost line of the project in a traceback."""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if f"{Path('src') / 'tumble'}" in f.filename]
+    return f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "outside"
+
+
+def _strange(character: str) -> bool:
+    """Whether a character does something to a terminal, or to the direction of writing."""
+    return character not in "\n\t" and unicodedata.category(character) in ("Cc", "Cf", "Cs", "Zl", "Zp")
+
+
+# -------------------- the study --------------------
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--short", action="store_true")
+    parser.add_argument("--cases", type=int)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--verbose", action="store_true")
+    given = parser.parse_args()
+    cases = given.cases or (SHORT if given.short else LONG)
+    kinds: Counter[str] = Counter()
+    first: dict[str, Finding] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        inputs = Inputs(Path(folder))
+        started = time.monotonic()
+        for number in range(given.first, given.first + cases):
+            finding = inputs.case(given.seed, number, given.verbose)
+            if finding is not None:
+                kinds[finding.kind] += 1
+                if finding.kind not in first:
+                    first[finding.kind] = finding
+                    if not given.short:
+                        print(f"case {number}: {finding.kind}\n  {finding.words}", flush=True)
+    print(f"{cases} cases of seed {given.seed} from {given.first}, {time.monotonic() - started:.0f} s")
+    for kind, count in kinds.most_common():
+        print(f"  {count:6d}  {kind}  (case {first[kind].case})")
+    found = sum(kinds.values())
+    print(f"Does a damaged input end otherwise than it should? {f'Yes, {found} times' if found else 'No.'}")
+    sys.exit(1 if found else 0)
+
+
+if __name__ == "__main__":
+    main()
