@@ -500,9 +500,11 @@ class Inputs:
     def _run(self, number: int, words: list[str], target: Target | None, verbose: bool) -> Finding | None:
         memory, started = _Memory(), time.monotonic()
         finding, result, shown = "", None, ""
+        warned: list[tuple[Any, traceback.StackSummary]] = []
         campaign = words[0] == "campaign"  # may be a large one, and is then only begun
-        with warnings.catch_warnings(record=True) as warned:
+        with warnings.catch_warnings():
             warnings.simplefilter("always")
+            warnings.showwarning = lambda *said, **_: warned.append((said, traceback.extract_stack()))
             try:
                 with _stopped_after(BEGUN if campaign else LONGEST):
                     result = _invoked(words)
@@ -519,11 +521,9 @@ class Inputs:
             finding = f"longer than {LONGEST:g} s: {words[0]}"
         if not finding and memory.most > MOST:
             finding = f"more than 1 GB: {words[0]} {target.file if target else ''}"
-        serious = [w for w in warned if not issubclass(w.category, ResourceWarning)]
-        if not finding and serious:
-            finding = (
-                f"{serious[0].category.__name__}: {serious[0].message} ({serious[0].filename}:{serious[0].lineno})"
-            )
+        for said, stack in warned:
+            if not finding and not issubclass(said[1], ResourceWarning):
+                finding = f"{said[1].__name__} {_innermost(stack)}: {str(said[0])[:80]}"
         if verbose:
             print(" ".join(words), shown, finding, sep="\n")
         if not finding:
@@ -533,7 +533,7 @@ class Inputs:
     def _fault(self, result: Result, target: Target | None) -> str:
         error = result.exception
         if error is not None and not isinstance(error, SystemExit):
-            return f"{type(error).__name__} {_innermost(error)}: {str(error)[:80]}"
+            return f"{type(error).__name__} {_innermost(traceback.extract_tb(error.__traceback__))}: {str(error)[:80]}"
         if result.exit_code not in (0, 1, 2):
             return f"exit status {result.exit_code}"
         strange = sorted({repr(c) for c in result.stdout + result.stderr if _strange(c)})
@@ -582,9 +582,9 @@ def _options(words: list[str], rng: Rng) -> list[str]:
     return [re.sub("_", lambda _: value(), word) if re.search(r"(^|[=,@])_", word) else word for word in words]
 
 
-def _innermost(error: BaseException) -> str:
-    """The innermost line of the project in a traceback."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if f"{Path('src') / 'tumble'}" in f.filename]
+def _innermost(stack: traceback.StackSummary) -> str:
+    """The innermost line of the project."""
+    frames = [f for f in stack if f"{Path('src') / 'tumble'}" in f.filename]
     return f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "outside"
 
 

@@ -63,6 +63,26 @@ CASES: dict[str, Case] = {
     "names in a comment": Case(write=d.named(["# t", *d.NAMES[1:]], delimiter=" ", file="np.txt")),
     "a line of units": Case(write=d.named(d.NAMES, delimiter=";"), said=("semicolons",)),
     "no names": Case(write=d.without_names, said=("columns without names", "by their numbers (a guess)")),
+    "carriage returns": Case(write=d.carriage_returns, said=("carriage return: copied to log.csv", "semicolons")),
+    "key=value": Case(
+        write=d.printed("t={t} ax={a[0]:.7g} ay={a[1]:.7g} az={a[2]:.7g} gx={g[0]:.7g} gy={g[1]:.7g} gz={g[2]:.7g}"),
+        said=("names before the numbers (t, ax, ay, az, gx, gy, gz): copied to putty.csv",),
+    ),
+    "key: value, units": Case(
+        write=d.printed(
+            "[{t}] accX: {a[0]:.7g} m/s^2, accY: {a[1]:.7g} m/s^2, accZ: {a[2]:.7g} m/s^2, "
+            "gyroX: {g[0]:.7g} dps, gyroY: {g[1]:.7g} dps, gyroZ: {g[2]:.7g} dps",
+            gyro=DEG,
+        ),
+        said=("names before the numbers (time, accX",),
+        worth=(1.0, DEG),
+    ),
+    "key: three values": Case(
+        write=d.printed(
+            "t: {t}; acc: [{a[0]:.7g}, {a[1]:.7g}, {a[2]:.7g}]; gyro: [{g[0]:.7g}, {g[1]:.7g}, {g[2]:.7g}]"
+        ),
+        said=("names before the numbers (t, acc_x",),
+    ),
     "utf-16": Case(write=d.named(d.NAMES, encoding="utf-16", delimiter="\t"), said=("utf-16",)),
     "latin-1": Case(
         write=d.named(GERMAN, gyro=DEG, encoding="latin-1", delimiter=";"),
@@ -163,6 +183,8 @@ CASES: dict[str, Case] = {
     "micros": Case(write=d.named(["micros", *d.NAMES[1:]], time=1e6), said=("in us (by its name)",)),
     "no time, rate given": Case(write=d.blemished(list, time=False), words=("--rate", "50"), said=("50 as given",)),
     "no time, rate above": Case(write=d.rate_above, said=("rate_hz = 50, from the line",)),
+    "micros() that start anew": Case(write=d.counter_of(32, 1e-6, "micros"), said=("starts anew at 4294967296",)),
+    "millis() of 16 bits": Case(write=d.counter_of(16, 1e-3, "ms"), said=("starts anew at 65536",)),
     "matrix of MATLAB": Case(write=d.matrix, said=(GOOD,)),
     "matrices of MATLAB, no time": Case(
         write=d.matrix_without_time,

@@ -18,6 +18,7 @@ ANSWERS = {
     "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",
     "coverage_of_limits.py": "Does a device at its limit pass in 2.5 % at most? Yes",
     "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",
+    "damaged_inputs.py": "Does a damaged input end otherwise than it should? No.",
     "departures.py": "accepted without a word? Only what no turn of the session shows.",
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
     "joint_bound.py": "Does the joint estimate reach the bound? yes",

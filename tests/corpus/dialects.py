@@ -360,3 +360,36 @@ def rounded(log: pl.DataFrame, folder: Path) -> str:
     for row in rows[1:]:
         row[1:] = [f"{float(v):.2f}" for v in row[1:]]
     return written(folder / "log.csv", rows)
+
+
+def printed(pattern: str, *, time: float = 1e3, gyro: float = 1.0) -> Callable[[pl.DataFrame, Path], str]:
+    """A line of print() for each sample."""
+
+    def write(log: pl.DataFrame, folder: Path) -> str:
+        lines = [
+            pattern.format(t=round(t * time), a=a, g=[gyro * w for w in g])
+            for t, *read in log.select(NAMES).iter_rows()
+            for a, g in [(read[:3], read[3:])]
+        ]
+        (folder / "putty.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return "putty.log"
+
+    return write
+
+
+def carriage_returns(log: pl.DataFrame, folder: Path) -> str:
+    return written(folder / "log.txt", table(log, NAMES), delimiter=";", end="\r")
+
+
+def counter_of(bits: int, unit: float, name: str) -> Callable[[pl.DataFrame, Path], str]:
+    """Time stamps of a counter that starts anew in the middle of the recording, and as often as it must."""
+
+    def write(log: pl.DataFrame, folder: Path) -> str:
+        rows = table(log, [name, *NAMES[1:]], digits=7)
+        counts = np.round(log["t"].to_numpy() / unit).astype(np.int64)
+        counts = (counts + 2**bits - counts[len(counts) // 2]) % 2**bits
+        return written(
+            folder / "log.csv", [rows[0], *([str(c), *r[1:]] for c, r in zip(counts, rows[1:], strict=True))]
+        )
+
+    return write

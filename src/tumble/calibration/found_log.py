@@ -17,14 +17,16 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.calibration.log_times import Stamps, Times, times_of_column, times_without_column
+from tumble.calibration.log_times import Stamps, Times, overflow_of, times_of_column, times_without_column, unwound
 from tumble.calibration.raw_scale import unwrapped, wrapped
+from tumble.calibration.respelled import respelled
 from tumble.errors import InputError
 from tumble.recording import formats
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, columns_by_name
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
+from tumble.recording.gaps import is_reading
 from tumble.recording.readers import ENDINGS, LogSource, opened, readable, source_of, text_tables
 from tumble.recording.writer import write_tables
 from tumble.units import TIME_UNITS, Array
@@ -35,7 +37,6 @@ LONGEST = 2_000_000
 _SEEN_BYTES = 1 << 18
 _SAMPLE_ROWS = 200
 _FEWEST_ROWS = 50
-_LARGEST = 1e30  # no sensor reads more
 _JUMP = 0.2
 _LABEL = re.compile(
     r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
@@ -67,7 +68,7 @@ class FoundLog:
         for source in self.sources():
             for table, _ in source.tables(columns, clock):
                 read = table.select(columns).to_numpy()[: rows - count]
-                found.append(np.where(np.abs(read) < _LARGEST, read, np.nan))
+                found.append(np.where(is_reading(read), read, np.nan))
                 count += len(found[-1])
                 if count >= rows:
                     return np.concatenate(found)
@@ -123,7 +124,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
-    logs = [_found(file) for file in files]
+    logs = [_found(file, folder) for file in files]
     if len(logs) > 1 and not any(log.columns.triads for log in logs):
         return _of_sensors_apart(logs, folder)
     logs = [_by_data(log) if ACCEL not in log.columns.triads else log for log in logs]
@@ -140,16 +141,20 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
             )
     _check_has_accelerometers(first)
     said = first.said + ((f"{len(files)} files, each a recording of its own",) if len(files) > 1 else ())
-    return replace(first, files=tuple(files), said=said)
+    return replace(first, files=tuple(file for log in logs for file in log.files), said=said)
 
 
-def _found(file: Path) -> FoundLog:
+def _found(file: Path, folder: Path) -> FoundLog:
     if file.suffix.lower() == ".parquet":
         return FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
         raise InputError(f"{file}: expected a log, found an empty file")
+    copied = respelled(file, seen, folder)
+    if copied is not None:
+        log = _found(copied[0], folder)
+        return replace(log, said=(copied[1], *log.said))
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None:
         if max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]:
@@ -267,6 +272,11 @@ def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
     tick = _tick(log) if rate is None else None
     if tick is not None:
         steps.append(f"time: column {log.columns.time!r} in ticks of {tick:g} s, made seconds")
+    overflow = _overflow(log) if rate is None else None
+    if overflow is not None:
+        steps.append(
+            f"time: column {log.columns.time!r} starts anew at {overflow:.10g}: that much is added where it does"
+        )
     counter = _counting(log) if log.columns.time is None else None
     if counter is not None:
         steps.append(f"time: none, but column {counter!r} counts the samples and shows some to be missing")
@@ -284,7 +294,8 @@ def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
     per_second = rate or times_without_column(None, log.remarks).rate
     factor = tick if tick is not None else 1.0 / per_second if counter is not None else None
     column = log.columns.time if tick is not None else counter
-    return _copied(log, folder, wraps, None if factor is None or column is None else (column, factor), edges, steps)
+    time = None if factor is None or column is None else (column, factor)
+    return _copied(log, folder, wraps, time, overflow, edges, steps)
 
 
 def _copied(
@@ -292,6 +303,7 @@ def _copied(
     folder: Path,
     wraps: Sequence[str],
     time: tuple[str, float] | None,
+    overflow: float | None,
     edges: Sequence[tuple[int, int]] | None,
     steps: Sequence[str],
 ) -> FoundLog:
@@ -306,8 +318,13 @@ def _copied(
     stamp = log.columns.time if time is None else TIME
 
     def tables(source: LogSource) -> Iterator[pl.DataFrame]:
+        last: float | None = None
         for read, _ in source.tables(used, clock):
             table = read.with_columns(pl.Series(c, unwrapped(read[c].to_numpy())) for c in signed)
+            if overflow is not None:
+                stamps = unwound(read[used[0]].to_numpy(), overflow, last)
+                last = next((float(t) for t in stamps[::-1] if np.isfinite(t)), last)
+                table = table.with_columns(pl.Series(used[0], stamps))
             if time is not None:
                 table = table.rename({time[0]: TIME}).with_columns(pl.col(TIME) * time[1])
             yield table if stamp is None else table.filter(pl.col(stamp).is_finite())
@@ -325,6 +342,12 @@ def _copied(
     columns = replace(log.columns, time=stamp, time_unit="s" if time is not None or clock else log.columns.time_unit)
     said = (*log.said, *steps, f"so mended, the log is copied to {files[0].name}{' …' if len(files) > 1 else ''}")
     return FoundLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=said)
+
+
+def _overflow(log: FoundLog) -> float | None:
+    """The number at which the counter behind the time stamps starts anew, where it does."""
+    column = log.columns.time
+    return None if column is None or log.is_clock(column) else overflow_of(log.read([column])[:, 0])
 
 
 def _tick(log: FoundLog) -> float | None:

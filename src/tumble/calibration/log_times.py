@@ -20,6 +20,7 @@ _RATES = 2.0, 20_000.0  # Hz, of a log
 _SHARE, _FREE = 2e-2, 3
 _JITTER = 0.25
 _UNEVEN = 3.0
+_SHORTEST = 1e-9  # from the first stamp to the last, in any unit
 _RATE_IN_TEXT = re.compile(
     r"(?:rate|frequency|freq|fs|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
     re.IGNORECASE,
@@ -68,7 +69,7 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
 def times_of_column(stamps: Stamps) -> Times | None:
     """Unit and rate of a time column; None where it is none."""
     values = stamps.values[np.isfinite(stamps.values)]
-    if len(values) < 3 or values[-1] <= values[0]:
+    if len(values) < 3 or not values[-1] - values[0] > _SHORTEST:
         return None
     typical = _typical_step(values)
     taken, how, sure = _unit(stamps, typical)
@@ -91,13 +92,45 @@ def times_of_column(stamps: Stamps) -> Times | None:
     return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean)
 
 
+_OVERFLOWS = (65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
+_MOST_OVERFLOWS = 10_000
+_LATE = 50  # samples that may be lost where a counter starts anew
+
+
+def overflow_of(values: Array) -> float | None:
+    """The number at which the counter behind time stamps starts anew, that of 16, 24 or 32 bits in its own unit or in
+    thousands or millions of it; None where it does not, or where they fall otherwise too."""
+    values = values[np.isfinite(values)]
+    steps = np.diff(values)
+    falls = np.flatnonzero(steps < 0.0)
+    if not len(falls) or len(falls) > _MOST_OVERFLOWS:
+        return None
+    usual = float(np.median(steps))
+    for number in _OVERFLOWS:
+        after = steps[falls] + number
+        if ((after > 0.0) & (after < _LATE * usual)).all():
+            return number
+    return None
+
+
+def unwound(values: Array, overflow: float, last: float | None) -> Array:
+    """Time stamps of a counter that starts anew at `overflow` as ones that grow, `last` being the one before them. What
+    is not finite stays so."""
+    out, found = values.copy(), np.isfinite(values)
+    read = values[found]
+    if len(read):
+        behind = 0.0 if last is None else np.rint((last - read[0]) / overflow)
+        out[found] += overflow * (behind + np.cumsum(np.diff(read, prepend=read[:1]) < -0.5 * overflow))
+    return out
+
+
 def _typical_step(values: Array) -> float:
     """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts."""
     steps = np.diff(values)
     median, mean = float(np.median(steps)), float((values[-1] - values[0]) / (len(values) - 1))
     again = np.mean(steps <= 0.0)
     burst = np.mean(steps < 0.5 * mean)
-    return mean if median <= 0.0 or again > _SHARE or burst > 0.3 else median
+    return mean if median <= 1e-6 * mean or again > _SHARE or burst > 0.3 else median
 
 
 def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:

@@ -91,6 +91,7 @@ def _sphere(points: Array) -> tuple[float, Array] | None:
     return radius, centre
 
 
+@np.errstate(invalid="ignore", over="ignore")  # rates without measure carry nothing
 def gyro_factor(observations: Observations) -> float | None:
     """What the gyros of observations read for one rad/s: the factor with which they carry the vertical best, where that
     is well. None where it is not, or where there are fewer than three turns."""
@@ -105,8 +106,7 @@ def gyro_factor(observations: Observations) -> float | None:
 
     def misses(log_factor: float) -> Array:
         model = SensorModel(matrix=matrix * np.exp(log_factor), bias=bias)
-        with np.errstate(invalid="ignore", over="ignore"):
-            carried = observations.turns_about(model).C
+        carried = observations.turns_about(model).C
         back = np.einsum("kij,kj->ki", carried, vertical[turns.last])
         cosine = np.einsum("ki,ki->k", np.nan_to_num(back, nan=0.0), vertical[turns.first])
         return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -1,7 +1,7 @@
 """Lost samples of a log.
 
-A lost sample is a row that is not there, one that cannot be read, or one with a number that is not finite. What is done
-about a run of them depends on its length:
+A lost sample is a row that is not there, one that cannot be read, or one with a number that is not finite or beyond
+1e30. What is done about a run of them depends on its length:
 
 * At most five are bridged: the missing rows are put in with evenly spaced times, and what is not finite is interpolated
   linearly in time between its sound neighbours.
@@ -29,7 +29,7 @@ import polars as pl
 from tumble.errors import LogError
 from tumble.recording.readers import Kind, LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 _JUMP = 1.5
 """A step in time longer than this many intervals is a gap."""
@@ -42,6 +42,7 @@ _MOST = 100_000
 than 100 000."""
 REGULAR_HINT = "if the rows are equally spaced whatever their time stamps say, put regular = true in [log]"
 _SHORTEST_TIME = 2.0
+_LARGEST = 1e30
 _HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
 
 
@@ -60,10 +61,15 @@ class Gap:
     integrable: bool = True
 
 
+def is_reading(numbers: Array) -> BoolArray:
+    """Which numbers can be read by a sensor or a clock: finite, and not beyond all measure."""
+    return np.asarray(np.abs(numbers) < _LARGEST)
+
+
 def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> None:
     """Times (m,) of these data rows must be finite and increase."""
-    if not np.isfinite(time).all():
-        at = int(np.argmin(np.isfinite(time)))
+    if not is_reading(time).all():
+        at = int(np.argmin(is_reading(time)))
         raise LogError(
             f"{source.place(int(numbers[at]), spec.time)}: expected a time, found {time[at]}; remove the row"
         )
@@ -80,7 +86,7 @@ def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array)
 
 def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
     """The first times of a file without those that cannot be read or are repeated, if these are few."""
-    found = np.isfinite(time)
+    found = is_reading(time)
     kept = time[found]
     again = np.concatenate([[False], np.diff(kept) == 0.0])
     if np.count_nonzero(again) > _FREE + _SHARE * len(time) or np.count_nonzero(found) < 2:
@@ -118,9 +124,9 @@ class LogRows:
 
     def lost(self) -> npt.NDArray[np.bool_]:
         """Which rows have a number that is not finite."""
-        if all(np.isfinite(v).all() for v in self.values):
+        if all(is_reading(v).all() for v in self.values):
             return np.zeros(len(self.time), dtype=bool)
-        return np.asarray(~np.isfinite(np.hstack(self.values)).all(axis=1))
+        return np.asarray(~is_reading(np.hstack(self.values)).all(axis=1))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -354,7 +360,7 @@ class Bridge:
     def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
         """Columns with numbers that are not finite, and the first such number of each."""
         numbers = np.hstack(rows.values)
-        bad = ~np.isfinite(numbers)
+        bad = ~is_reading(numbers)
         columns = [column for column in self.spec.columns if column != self.spec.time]
         return [(columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
 
@@ -399,7 +405,7 @@ def _interpolated(numbers: Array, place: IntArray, time: Array) -> Array:
     out = np.full((len(time), numbers.shape[1]), np.nan)
     out[place] = numbers
     for column in out.T:
-        bad = ~np.isfinite(column)
+        bad = ~is_reading(column)
         if bad.any():
             column[bad] = np.interp(time[bad], time[~bad], column[~bad])
     return out

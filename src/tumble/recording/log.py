@@ -18,7 +18,7 @@ import numpy as np
 
 from tumble.errors import LogError
 from tumble.recording.dialect import LINE_BYTES
-from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
+from tumble.recording.gaps import Bridge, Gap, Grid, check_head, is_reading, rows_of
 from tumble.recording.readers import Kind, LogSource, readable, source_of
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec, Session
@@ -201,7 +201,7 @@ def _regular_grid(source: LogSource, spec: LogSpec) -> Grid:
         time = table[spec.time].to_numpy()[keep] * spec.time_factor
         k = np.arange(count, count + len(time), dtype=float)
         count += len(time)
-        sound = np.isfinite(time)
+        sound = is_reading(time)
         start = float(time[sound][0]) if start is None and sound.any() else start
         k, t = k[sound], time[sound] - (start or 0.0)
         sums += [len(k), k.sum(), t.sum(), (k * k).sum(), (k * t).sum()]

@@ -20,6 +20,7 @@ from scipy.io.matlab import MatReadError
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.recording.formats.message import TIME, Message
+from tumble.recording.gaps import is_reading
 from tumble.units import TIME_UNITS
 
 NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
@@ -96,10 +97,11 @@ def _read_whole(path: Path, columns: Columns) -> Any:
 def _part(shape: tuple[int, ...], read: Read, part: slice, axis: int | None) -> Any:
     """Some of a column of an array: of three columns or three rows, or of one of either."""
     if len(shape) == 1:
-        return np.asarray(read(part), dtype=np.float64)
-    across = 0 if axis is None else axis
-    upright = shape[0] >= shape[1]
-    return np.asarray(read((part, across) if upright else (across, part)), dtype=np.float64)
+        numbers = np.asarray(read(part), dtype=np.float64)
+    else:
+        across, upright = 0 if axis is None else axis, shape[0] >= shape[1]
+        numbers = np.asarray(read((part, across) if upright else (across, part)), dtype=np.float64)
+    return np.where(is_reading(numbers), numbers, np.nan)
 
 
 def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
