@@ -53,7 +53,7 @@ from tumble.errors import TumbleError
 from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
 
-SHORT, LONG = 250, 1_000_000
+SHORT, LONG = 80, 1_000_000
 LONGEST, MOST, BEGUN = 20.0, 1 << 30, 5.0
 """How long and how large a command may be, and how long a campaign is looked at: s, bytes, s."""
 OFF = 3.0
@@ -596,7 +596,7 @@ def _strange(character: str) -> bool:
 # -------------------- the study --------------------
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--short", action="store_true")
     parser.add_argument("--cases", type=int)
@@ -623,8 +623,8 @@ def main() -> None:
         print(f"  {count:6d}  {kind}  (case {first[kind].case})")
     found = sum(kinds.values())
     print(f"Does a damaged input end otherwise than it should? {f'Yes, {found} times' if found else 'No.'}")
-    sys.exit(1 if found else 0)
+    return 1 if found else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

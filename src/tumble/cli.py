@@ -5,9 +5,13 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+import platform
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from importlib import import_module
+from importlib.metadata import version
 from pkgutil import iter_modules
 from typing import Any
 
@@ -47,8 +51,66 @@ def _in_one_line() -> Iterator[None]:
         raise _Refused(f"{error.filename or 'standard output'}: {error.strerror or error}") from error
 
 
+GROUPS = {
+    "From a recording to a calibration": (
+        "new", "inspect", "calibrate", "ellipsoid", "verify", "compare", "apply", "noise", "bench",
+    ),
+    "Before anything is recorded": ("programme", "plan", "budget", "require", "simulate"),
+    "To pass on and to keep": ("report", "export", "registry"),
+    "Many at once": ("campaign", "fleet"),
+    "This installation": ("selftest",),
+}  # fmt: skip
+"""What commands are for."""
+
+EXAMPLES = {
+    "apply": ("tumble apply imu-7/calibration.json flight-12 -o corrected.parquet",),
+    "bench": ("tumble bench imu-7 --listen serial:/dev/ttyUSB0:115200", "tumble bench imu-7 --listen udp:5005"),
+    "budget": ("tumble budget --grade mems --table-error 0.5 --rest 10",),
+    "calibrate": (
+        "tumble calibrate imu-7",
+        "tumble calibrate LOG0007.TXT --latitude 56.84 --serial A-7",
+        "tumble calibrate monday tuesday --out A-7.json",
+        "tumble calibrate imu-7 --json",
+    ),
+    "campaign": ("tumble campaign methods.toml -o methods",),
+    "compare": ("tumble compare last-year.json imu-7/calibration.json",),
+    "ellipsoid": ("tumble ellipsoid positions.csv --unit g", "tumble ellipsoid compass.csv --sensor mag --unit uT"),
+    "export": ("tumble export imu-7/calibration.json --to px4 -o imu-7.params",),
+    "fleet": ("tumble fleet 'sessions/*' -o results",),
+    "inspect": ("tumble inspect imu-7",),
+    "new": ("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7",),
+    "noise": ("tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --rate-hz 100"),
+    "plan": ("tumble plan --grade mems", "tumble plan --positions 12 --axes N,U"),
+    "programme": ("tumble programme cube-26 --html sheet.html",),
+    "registry": ("tumble registry add imu-7/calibration.json", "tumble registry due"),
+    "report": ("tumble report imu-7/calibration.json -o imu-7.pdf --limits limits.toml",),
+    "require": ("tumble require --want accel.scale=3.5ppm",),
+    "selftest": ("tumble selftest -o record.json",),
+    "simulate": ("tumble simulate launch --programme rough-table --seed 1",),
+    "verify": ("tumble verify imu-7/calibration.json check-session",),
+}
+
+
+def _examples(lines: Iterable[str]) -> str:
+    """Examples as the end of a help text."""
+    return "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in lines)))
+
+
+def _first_sentence(command: click.Command) -> str:
+    return " ".join((command.help or "").split("\n\n")[0].split()).partition(". ")[0].removesuffix(".") + "."
+
+
 class _Commands(click.Group):
     """Commands whose errors are one line on standard error, with exit status 2."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The commands by what they are for, each with its first sentence."""
+        del ctx
+        with formatter.section("Commands"):
+            for title, names in GROUPS.items():
+                formatter.write_text(title)
+                with formatter.indentation():
+                    formatter.write_dl([(name, _first_sentence(self.commands[name])) for name in names])
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         with _in_one_line():
@@ -60,14 +122,33 @@ class _Commands(click.Group):
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.option("-q", "--quiet", is_flag=True, help="Results, reasons and errors alone: no notes on standard error.")
+@click.option("-v", "--verbose", is_flag=True, help="At the end, the versions, the time and the memory it took.")
 @click.version_option(__version__, prog_name="tumble")
-def main() -> None:
+@click.pass_context
+def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: ARG001 — `say` looks whether it is quiet
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
+    if verbose:
+        started = time.monotonic()
+        context.call_on_close(lambda: _say_what_it_took(time.monotonic() - started))
+
+
+def _say_what_it_took(seconds: float) -> None:
+    versions = [f"{name} {version(name)}" for name in ("numpy", "numba", "polars")]
+    said = [f"tumble {__version__}", f"Python {platform.python_version()}", *versions, f"{seconds:.2f} s"]
+    with suppress(ImportError):  # not on Windows
+        import resource
+
+        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        said.append(f"at most {most / 1e6:.0f} MB")
+    click.echo(", ".join(said), err=True)
 
 
 for module in iter_modules(commands.__path__):
     if module.name != "arguments":
-        main.add_command(getattr(import_module(f"tumble.commands.{module.name}"), module.name))
+        added: click.Command = getattr(import_module(f"tumble.commands.{module.name}"), module.name)
+        added.epilog = _examples(EXAMPLES[module.name])
+        main.add_command(added)
 
 
 if __name__ == "__main__":

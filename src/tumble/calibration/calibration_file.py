@@ -225,7 +225,7 @@ class Calibration:
                 raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
             if not force:
                 self._check_replaceable(path)
-        text = json.dumps(self._content(), indent=1, ensure_ascii=False, allow_nan=False)
+        text = json.dumps(self.content(), indent=1, ensure_ascii=False, allow_nan=False)
         try:
             with whole_file(path) as temporary:
                 temporary.write_text(text + "\n", encoding="utf-8")
@@ -244,7 +244,8 @@ class Calibration:
         if not same:
             raise CalibrationError(f"{path}: holds a calibration from another log or by another method; {advice}")
 
-    def _content(self) -> dict[str, Any]:
+    def content(self) -> dict[str, Any]:
+        """What the calibration file holds."""
         return {
             "format": FORMAT,
             "device": {"serial": self.serial, "model": self.model},

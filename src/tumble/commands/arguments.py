@@ -58,8 +58,19 @@ def with_progress(log: Log) -> Iterator[Chunk]:
 
 
 def say(line: str) -> None:
-    """A line to standard error: what was written where, notes, reasons; as it can be shown."""
+    """A line to standard error, as it can be shown: what was written where, notes. Nothing where `tumble -q` asks for
+    results alone."""
+    context = click.get_current_context(silent=True)
+    if context is None or not context.find_root().params.get("quiet"):
+        warn(line)
+
+
+def warn(line: str) -> None:
+    """A line to standard error, as it can be shown: why a result is not accepted."""
     click.echo(plain(line), err=True)
+
+
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, in SI, instead of tables.")
 
 
 def number(name: str, default: float, says: str) -> Callable[[_Command], _Command]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, METHOD_NAMES, say, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, JSON, METHOD_NAMES, say, warn, with_progress
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
 @click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
+@JSON
 @click.option("--all", "every", is_flag=True, help="Show every parameter, not a line for each further group.")
 def calibrate(
     sessions: tuple[Path, ...],
@@ -49,6 +50,7 @@ def calibrate(
     out: Path | None,
     force: bool,
     truth: Path | None,
+    as_json: bool,
     every: bool,
 ) -> None:
     """Calibrate the device of SESSION, a folder with session.toml and a log.
@@ -60,6 +62,7 @@ def calibrate(
     from tumble.recording.session import read_session
     from tumble.simulation.session import read_truth
     from tumble.terminal.calibration import calibration_report
+    from tumble.terminal.data import calibration_data, print_data
     from tumble.terminal.text import print_report
 
     if len(sessions) > 1 and out is None:
@@ -76,11 +79,14 @@ def calibrate(
     )
     target = out or Path(described[0].name) / "calibration.json"
     result.write(target, force=force)
-    print_report(calibration_report(result, known, others, every=every))
+    if as_json:
+        print_data(calibration_data(result, *others))
+    else:
+        print_report(calibration_report(result, known, others, every=every))
     say(f"written to {target}")
     for other in others:
         for reason in other.outcome.reasons:
-            say(f"{other.method}: not accepted: {reason}")
+            warn(f"{other.method}: not accepted: {reason}")
     for reason in result.outcome.reasons:
-        say(f"not accepted: {reason}")
+        warn(f"not accepted: {reason}")
     sys.exit(0 if result.outcome.accepted else 1)

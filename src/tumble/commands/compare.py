@@ -7,23 +7,28 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, say
+from tumble.commands.arguments import FILE, JSON, say
 
 
 @click.command()
 @click.argument("first", type=FILE)
 @click.argument("second", type=FILE)
-def compare(first: Path, second: Path) -> None:
+@JSON
+def compare(first: Path, second: Path, as_json: bool) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
 
     Exit status 0: no |E_n| exceeds 1 and χ² is within chance (probability 0.001); 1: otherwise.
     """
     from tumble.calibration.compare import compare_calibrations
     from tumble.terminal.comparison import comparison_report
+    from tumble.terminal.data import comparison_data, print_data
     from tumble.terminal.text import print_report
 
     found = compare_calibrations(first, second)
-    print_report(comparison_report(found))
+    if as_json:
+        print_data(comparison_data(found))
+    else:
+        print_report(comparison_report(found))
     for remark in found.remarks:
         say(f"note: {remark}")
     if found.missing:

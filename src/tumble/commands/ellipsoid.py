@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import FILE, say
+from tumble.commands.arguments import FILE, JSON, say, warn
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 @click.option("--serial", help="Serial number of the device; default: the name of the table without its ending.")
 @click.option("--out", type=FILE, help="Calibration file; default: READINGS.calibration.json beside the table.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another table or method.")
+@JSON
 def ellipsoid(
     readings: Path,
     unit: str,
@@ -57,12 +58,14 @@ def ellipsoid(
     serial: str | None,
     out: Path | None,
     force: bool,
+    as_json: bool,
 ) -> None:
     """Calibrate a triad from READINGS.csv, a table of mean readings in nine or more positions of any orientation.
 
     The table has a header with the names of three columns, one per channel, and a row per position.
     """
     from tumble.calibration.from_readings import calibrate_table
+    from tumble.terminal.data import calibration_data, print_data
     from tumble.terminal.readings import result_report
     from tumble.terminal.text import print_report
 
@@ -80,10 +83,13 @@ def ellipsoid(
     )
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
-    print_report(result_report(result))
+    if as_json:
+        print_data(calibration_data(result.calibration))
+    else:
+        print_report(result_report(result))
     say(f"written to {target}")
     for reason in result.calibration.outcome.reasons:
-        say(f"not accepted: {reason}")
+        warn(f"not accepted: {reason}")
     sys.exit(0 if result.calibration.outcome.accepted else 1)
 
 

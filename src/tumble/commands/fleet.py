@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import METHOD_NAMES, cluster_options, say, task_progress
+from tumble.commands.arguments import METHOD_NAMES, cluster_options, say, task_progress, warn
 
 SHOWN = 20
 
@@ -34,7 +34,7 @@ def fleet(sessions: str, method: str, serial: bool, cluster: str | None, workers
     said = [f"not accepted: {session}: {why}" for session, why in ended.refused.items()]
     said += [f"failed: {session}: {why}" for session, why in ended.failed.items()]
     for line in said[:SHOWN]:
-        say(line)
+        warn(line)
     if len(said) > SHOWN:
         say(f"and {len(said) - SHOWN} more, in the columns reasons and error of the rows")
     say(f"written to {result.rows}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, say, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, say, warn, with_progress
 
 
 @click.command()
@@ -42,6 +42,6 @@ def new(
     for sentence in draft.said:
         say(sentence)
     for fault in faults:
-        say(f"look at this: {fault}")
+        warn(f"look at this: {fault}")
     missing = [what for what, value in (("the serial number", serial), ("the place", latitude)) if value is None]
     say(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""))

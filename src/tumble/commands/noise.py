@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, say
 
 
 @click.command()
@@ -19,6 +19,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
 @click.option("--gyro-unit", default="rad/s", show_default=True, help="LOG: their unit.")
 @click.option("--time", "time_column", metavar="COLUMN", help="LOG: column of the time, s.")
 @click.option("--rate-hz", type=float, help="LOG: sample rate, where there is no time column.")
+@JSON
 def noise(
     recording: Path,
     plot: Path | None,
@@ -28,6 +29,7 @@ def noise(
     gyro_unit: str,
     time_column: str | None,
     rate_hz: float | None,
+    as_json: bool,
 ) -> None:
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
@@ -35,6 +37,7 @@ def noise(
     """
     from tumble.calibration.quiet_samples import noise
     from tumble.report.allan_picture import plot as draw
+    from tumble.terminal.data import noise_data, print_data
     from tumble.terminal.noise import noise_report
     from tumble.terminal.text import print_report
 
@@ -48,4 +51,7 @@ def noise(
     if plot is not None:
         draw(found.panels, plot)
         say(f"written to {plot}")
-    print_report(noise_report(found.source, found.panels))
+    if as_json:
+        print_data(noise_data(found))
+    else:
+        print_report(noise_report(found.source, found.panels))

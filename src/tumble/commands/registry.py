@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import FILE, say
+from tumble.commands.arguments import FILE, say, warn
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _print_record(opened: Any, record: Record, rows: list[ParameterRow]) -> bool
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
-        say(f"not accepted: {reason}")
+        warn(f"not accepted: {reason}")
     return False
 
 
@@ -244,7 +244,7 @@ def due(day: datetime | None, place: str | None) -> None:
     print_report(due_table(found, today))
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
     if overdue:
-        say(f"overdue: {', '.join(overdue)}")
+        warn(f"overdue: {', '.join(overdue)}")
     sys.exit(1 if overdue else 0)
 
 

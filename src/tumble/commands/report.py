@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, say
+from tumble.commands.arguments import FILE, say, warn
 
 
 @click.command()
@@ -21,5 +21,5 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None) -> No
     reasons = write_report(calibrations, out, limits=limits)
     say(f"written to {out}")
     for reason in reasons:
-        say(f"not accepted: {reason}")
+        warn(f"not accepted: {reason}")
     sys.exit(1 if reasons else 0)

@@ -7,24 +7,29 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, warn
 
 
 @click.command()
 @click.argument("calibration", type=FILE)
 @click.argument("readings", metavar="SESSION|READINGS.csv", type=EXISTING_FOLDER)
-def verify(calibration: Path, readings: Path) -> None:
+@JSON
+def verify(calibration: Path, readings: Path, as_json: bool) -> None:
     """Look whether CALIBRATION holds in check positions: g − |corrected reading| in every rest of a session, or every
     row of a table of readings.
 
     Where these are the calibration's own, each is left out in turn.
     """
     from tumble.calibration.verify import verify_calibration
+    from tumble.terminal.data import print_data, verification_data
     from tumble.terminal.text import print_report
     from tumble.terminal.verification import verification_report
 
     verification = verify_calibration(calibration, readings)
-    print_report(verification_report(verification))
+    if as_json:
+        print_data(verification_data(verification))
+    else:
+        print_report(verification_report(verification))
     for reason in verification.reasons:
-        say(f"not accepted: {reason}")
+        warn(f"not accepted: {reason}")
     sys.exit(1 if verification.reasons else 0)

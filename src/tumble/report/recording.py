@@ -13,6 +13,7 @@ from tumble.calibration.results import Readings, RestResult, SensorsAtRest, Turn
 from tumble.errors import ProgrammeError
 from tumble.estimation.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
+from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
 from tumble.report import drawings, figures
 from tumble.report.blocks import Block, Facts, Figure, ReportTable, Section, Text
@@ -162,7 +163,8 @@ def _rest_table(
     for i, rest in enumerate(recording.rests):
         row = [str(i + 1), *([str(rest.file + 1)] if several else [])]
         position = positions[i]
-        row += [NONE if position is None else position.label, rest.attitude or NONE] if programmed else []
+        code = NONE if rest.attitude is None else short_code(rest.attitude)
+        row += [NONE if position is None else position.label, code] if programmed else []
         row += [fixed(rest.start, 1), fixed(rest.stop, 1)]
         if verticals is not None:
             row += [fixed(float(v), 3) for v in verticals[i]]

@@ -16,7 +16,7 @@ from tumble.planning.bounds import Bound
 from tumble.planning.plan import PlanResult
 from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme, duration
-from tumble.programme.sheet_words import clock, move_text
+from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.parameters import group_of, positions_by_group, shown_in
 from tumble.units import DEGREE
 from tumble.usual_setup import MOVE
@@ -94,7 +94,7 @@ def next_report(before: Bound, found: Sequence[Next], aim: Aim) -> RenderableTyp
     table.add_row("none", "", "", "", str(before.rank), "", *_groups(before))
     for one in found:
         table.add_row(
-            one.position.attitude,
+            short_code(one.position.attitude),
             one.position.label,
             move_text(one.move),
             f"+{one.as_good}" if one.as_good else "",
@@ -113,7 +113,7 @@ def positions_report(programme: Programme) -> RenderableType:
         table.add_column(heading)
     moves = ("start", *map(move_text, programme.moves))
     for i, (position, how) in enumerate(zip(programme.positions, moves, strict=True)):
-        table.add_row(str(i + 1), how, position.attitude, position.label)
+        table.add_row(str(i + 1), how, short_code(position.attitude), position.label)
     return table
 
 
