@@ -4,9 +4,11 @@ written, never a traceback. What a recording may suffer from is in test_refusals
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -21,11 +23,14 @@ import polars as pl
 import pytest
 import tomli_w
 from click.testing import CliRunner, Result
+from rich.console import Console
 
 from tumble import __version__
-from tumble.cli import main
+from tumble.calibration.observed import inspect_session
+from tumble.cli import EXAMPLES, GROUPS, first_sentence, main
 from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
+from tumble.terminal.inspection import inspection_report
 
 HAND = Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=50.0)
 FEW = Setup.of(grade="mems", positions=3, rest=3.0, rate_deg_s=200.0, sample_rate=20.0)
@@ -607,3 +612,80 @@ def test_an_output_that_cannot_be_written_is_said_in_one_line(sessions: Path) ->
         done = program("inspect", sessions / "few", stdout=full)
     assert done.returncode == 2
     assert done.stderr == "tumble: standard output: No space left on device\n"
+
+
+# -------------------- for other programs, and for narrow terminals --------------------
+
+
+def test_results_are_printed_as_data(sessions: Path) -> None:
+    """The content of the calibration file, and what the tables of the others say."""
+    done = run("calibrate", sessions / "one", "--terms", "linear", "--json")
+    assert json.loads(done.stdout) == json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))
+    seen = json.loads(run("inspect", sessions / "one", "--json").stdout)
+    assert [rest["start"] for rest in seen["rests"]] == [rest["start"] for rest in json.loads(done.stdout)["rests"]]
+    assert len(seen["turns"]) == len(seen["rests"]) - 1
+    file = sessions / "one/calibration.json"
+    compared = json.loads(run("compare", file, file, "--json").stdout)
+    assert compared["agree"]
+    assert {p["difference"] for p in compared["parameters"]} == {0.0}
+    verified = json.loads(run("verify", file, sessions / "one", "--json").stdout)
+    assert verified["accepted"]
+    assert len(verified["positions"]) == len(seen["rests"])
+
+
+def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:
+    words = "calibrate", sessions / "one", "--terms", "linear"
+    assert "written to" in run(*words).stderr
+    assert run("-q", *words).stderr == ""
+    assert run("-q", *words).stdout == run(*words).stdout
+    assert "not accepted: " in run("-q", "calibrate", sessions / "few").stderr
+    assert run("-q", "calibrate", sessions / "none").stderr.startswith("tumble: ")
+    assert run("-v", *words).stderr.splitlines()[-1].startswith(f"tumble {__version__}, Python 3.")
+
+
+def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
+    """As through `tumble new`; what was guessed is said and kept. A log that cannot be used leaves nothing."""
+    log = shutil.copy(sessions / "one/log.parquet", sessions / "mine.parquet")
+    done = run("calibrate", log, "--latitude", "56.84", "--serial", "A-7", "--terms", "linear", "--json")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["device"]["serial"] == "A-7"
+    assert "time: column 't' in s" in done.stderr
+    assert {path.name for path in (sessions / "mine-session").iterdir()} == {"session.toml", "calibration.json"}
+    (sessions / "letter.txt").write_text("Dear all,", encoding="utf-8")
+    assert "expected rows of readings" in refused(
+        "calibrate", sessions / "letter.txt", "--latitude", "50", below=sessions
+    )
+    assert "they stand in its session.toml" in refused(
+        "calibrate", sessions / "one", "--latitude", "50", below=sessions
+    )
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_in_the_help_are_commands(name: str) -> None:
+    for line in EXAMPLES[name]:
+        program, *words = shlex.split(line)
+        assert program == "tumble"
+        command: click.Command = main
+        while isinstance(command, click.Group):
+            command = command.commands[words.pop(0)]
+        with command.make_context(name, words):
+            pass
+
+
+def test_every_command_has_its_group_and_afirst_sentence() -> None:
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(main.commands)
+    for command in main.commands.values():
+        assert f" {first_sentence(command)}" in f" {' '.join(run('--help').stdout.split())}"
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_no_number_is_cut_on_a_narrow_terminal(width: int, sessions: Path) -> None:
+    observed = inspect_session(sessions / "one")
+    shown = io.StringIO()
+    Console(file=shown, width=width).print(inspection_report(observed))
+    wide = io.StringIO()
+    Console(file=wide, width=200).print(inspection_report(observed))
+    assert max(map(len, shown.getvalue().splitlines())) <= width
+    assert "…" not in shown.getvalue()
+    number = re.compile(r"[-+]?[0-9]+[.][0-9]+")
+    assert set(number.findall(wide.getvalue())) <= set(number.findall(shown.getvalue()))

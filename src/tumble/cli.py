@@ -81,7 +81,7 @@ EXAMPLES = {
     "new": ("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7",),
     "noise": ("tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --rate-hz 100"),
     "plan": ("tumble plan --grade mems", "tumble plan --positions 12 --axes N,U"),
-    "programme": ("tumble programme cube-26 --html sheet.html",),
+    "programme": ("tumble programme cube-26 -o sheet.html",),
     "registry": ("tumble registry add imu-7/calibration.json", "tumble registry due"),
     "report": ("tumble report imu-7/calibration.json -o imu-7.pdf --limits limits.toml",),
     "require": ("tumble require --want accel.scale=3.5ppm",),
@@ -96,7 +96,8 @@ def _examples(lines: Iterable[str]) -> str:
     return "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in lines)))
 
 
-def _first_sentence(command: click.Command) -> str:
+def first_sentence(command: click.Command) -> str:
+    """What the list of commands says of one."""
     return " ".join((command.help or "").split("\n\n")[0].split()).partition(". ")[0].removesuffix(".") + "."
 
 
@@ -110,7 +111,7 @@ class _Commands(click.Group):
             for title, names in GROUPS.items():
                 formatter.write_text(title)
                 with formatter.indentation():
-                    formatter.write_dl([(name, _first_sentence(self.commands[name])) for name in names])
+                    formatter.write_dl([(name, first_sentence(self.commands[name])) for name in names])
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         with _in_one_line():

@@ -106,7 +106,7 @@ def new_session(
         raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
     if given.rate is not None and not 0.0 < given.rate < 1e9:
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
-    with _nothing_left(folder):
+    with nothing_left(folder):
         draft = _of_files(files, folder, given)
         draft, faults = _checked(_scaled(draft, progress), progress)
         draft, faults = _with_rate(draft, faults, progress)
@@ -118,7 +118,7 @@ def new_session(
 
 
 @contextmanager
-def _nothing_left(folder: Path) -> Iterator[None]:
+def nothing_left(folder: Path) -> Iterator[None]:
     """Where the block fails, the folder is as it was: not there, or without the files that were written into it."""
     absent = [place for place in (folder, *folder.parents) if not place.exists()]
     before = set(folder.iterdir()) if folder.is_dir() else set()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +16,7 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.calibration.calibrate import Terms
+    from tumble.calibration.new_session import Given
     from tumble.sensors.frames import Frame
 
 
@@ -36,9 +40,14 @@ if TYPE_CHECKING:
     show_default=True,
     help="Of joint: all groups of parameters, or bias, scale factor and axis angles alone.",
 )
-@click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
+@click.option(
+    "-o", "--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder."
+)
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
 @click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
+@click.option("--latitude", type=float, metavar="DEGREES", help="Of a LOG: where it was recorded, ° north.")
+@click.option("--serial", metavar="NUMBER", help="Of a LOG: serial number of the device; default: the log's name.")
+@click.option("--rate", type=float, metavar="HZ", help="Of a LOG: samples per second, instead of the times in it.")
 @JSON
 @click.option("--all", "every", is_flag=True, help="Show every parameter, not a line for each further group.")
 def calibrate(
@@ -50,6 +59,9 @@ def calibrate(
     out: Path | None,
     force: bool,
     truth: Path | None,
+    latitude: float | None,
+    serial: str | None,
+    rate: float | None,
     as_json: bool,
     every: bool,
 ) -> None:
@@ -57,8 +69,12 @@ def calibrate(
 
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
     launch to launch, and --out is required. Several methods are compared: the first one's result is the one written.
+
+    With --latitude, --serial or --rate it is a LOG in any dialect: a session is made of it first, as `tumble new` does,
+    in the folder LOG-session beside it.
     """
     from tumble.calibration.launches import calibrate_launches
+    from tumble.calibration.new_session import NOTHING_GIVEN, Given
     from tumble.recording.session import read_session
     from tumble.simulation.session import read_truth
     from tumble.terminal.calibration import calibration_report
@@ -70,15 +86,17 @@ def calibrate(
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
     known = read_truth(truth) if truth else None
-    described = [read_session(session) for session in sessions]
-    result, *others = (
-        calibrate_launches(
-            described, method=method, iterations=iterations, frame=frame, terms=terms, progress=with_progress
+    given = Given(latitude=latitude, serial=serial, rate=rate)
+    with _session_of(sessions, given) if given != NOTHING_GIVEN else nullcontext(sessions) as folders:
+        described = [read_session(folder) for folder in folders]
+        result, *others = (
+            calibrate_launches(
+                described, method=method, iterations=iterations, frame=frame, terms=terms, progress=with_progress
+            )
+            for method in dict.fromkeys(methods)
         )
-        for method in dict.fromkeys(methods)
-    )
-    target = out or Path(described[0].name) / "calibration.json"
-    result.write(target, force=force)
+        target = out or Path(described[0].name) / "calibration.json"
+        result.write(target, force=force)
     if as_json:
         print_data(calibration_data(result, *others))
     else:
@@ -90,3 +108,26 @@ def calibrate(
     for reason in result.outcome.reasons:
         warn(f"not accepted: {reason}")
     sys.exit(0 if result.outcome.accepted else 1)
+
+
+@contextmanager
+def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
+    """The folder of a session made of a log, which is there no more where the block fails."""
+    from tumble.calibration.new_session import new_session, nothing_left
+
+    if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
+        raise InputError(
+            "--latitude, --serial, --rate: expected one log with them, found a session; they stand in its session.toml"
+        )
+    name = logs[0].name.partition(".")[0]
+    folder = logs[0].with_name(f"{name}-session")
+    with nothing_left(folder):
+        draft, faults = new_session(
+            folder, logs[0], replace(given, serial=given.serial or name), progress=with_progress
+        )
+        for sentence in draft.said:
+            say(sentence)
+        for fault in faults:
+            warn(f"look at this: {fault}")
+        say(f"kept in {folder / 'session.toml'}")
+        yield [folder]

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     help="Of the result.",
 )
 @click.option("--serial", help="Serial number of the device; default: the name of the table without its ending.")
-@click.option("--out", type=FILE, help="Calibration file; default: READINGS.calibration.json beside the table.")
+@click.option("-o", "--out", type=FILE, help="Calibration file; default: READINGS.calibration.json beside the table.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another table or method.")
 @JSON
 def ellipsoid(

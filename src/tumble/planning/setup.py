@@ -154,7 +154,13 @@ def check_setup(setup: Setup, iterations: int) -> None:
             expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
 
 
+LARGEST = 1e30
+"""No number of a set-up is larger, and none that is not zero is smaller than its inverse."""
+
+
 def expect(name: str, value: float, *, least: Literal["more than 0", "0 or more"]) -> None:
     """Raise InputError unless a value is finite and as large as that."""
     if not (0.0 < value < math.inf or (value == 0.0 and least == "0 or more")):
         raise InputError(f"{name}: expected {least}, in SI, found {value:g}")
+    if value != 0.0 and not 1.0 / LARGEST <= value <= LARGEST:
+        raise InputError(f"{name}: expected from {1.0 / LARGEST:g} to {LARGEST:g} in size, found {value:g}")

@@ -257,7 +257,8 @@ def _timetable(profile: Profile, moves: Array) -> Array:
     rests = np.full(len(moves) + 1, profile.rest)
     rests[0] = profile.first_rest
     durations = [profile.duration(float(np.linalg.norm(move))) for move in moves]
-    stops = np.cumsum(rests + np.concatenate([[0.0], durations]))
+    with np.errstate(over="ignore"):  # too long a session is refused after
+        stops = np.cumsum(rests + np.concatenate([[0.0], durations]))
     return np.column_stack([stops - rests, stops])
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from tumble.sensors.parameters import shown_in
@@ -14,12 +13,13 @@ from tumble.sensors.parameters import shown_in
 if TYPE_CHECKING:
     pass
 from tumble.campaigns.summary import SummaryLine, _plain, varying
+from tumble.terminal.table import plain_table
 
 
 def summary_report(lines: Sequence[SummaryLine]) -> RenderableType:
     """The lines as tables: first how the trials ended, then the errors."""
     axes = varying(lines)
-    ended, errors = Table(box=None, pad_edge=False), Table(box=None, pad_edge=False)
+    ended, errors = plain_table(), plain_table()
     for table, headings in (
         (ended, ("trials", "accepted", "not accepted", "failed")),
         (errors, ("bias", "scatter", "rms", "unit", "rms/bound", "coverage")),

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from tumble.estimation.observability import in_words, sum_in_words
@@ -18,6 +17,7 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme, duration
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.parameters import group_of, positions_by_group, shown_in
+from tumble.terminal.table import plain_table
 from tumble.units import DEGREE
 from tumble.usual_setup import MOVE
 
@@ -51,7 +51,7 @@ def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
     ]
     if not len(bound.null):
         lines.append(f"worst determined: {_worst(bound)} (of gravity, of the rate of turns, rad)")
-    table = Table(box=None, pad_edge=False)
+    table = plain_table()
     table.add_column("parameter")
     for heading in ("bound of u", "of the spread", "with all groups"):
         table.add_column(heading, justify="right")
@@ -65,7 +65,7 @@ def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
 
 def _further(whole: Bound) -> RenderableType:
     """A line for each group beyond the linear model: what is usual, and what the programme finds out about it."""
-    table = Table(box=None, pad_edge=False)
+    table = plain_table()
     table.add_column("group")
     for heading in ("usual", "bound of u", "learned"):
         table.add_column(heading, justify="right")
@@ -86,7 +86,7 @@ def _in_unit(name: str, value: float) -> str:
 
 def next_report(before: Bound, found: Sequence[Next], aim: Aim) -> RenderableType:
     """What one more position would buy, the best first."""
-    table = Table(box=None, pad_edge=False)
+    table = plain_table()
     for heading in ("one more position", "up and down", "how to get there"):
         table.add_column(heading)
     for heading in ("as good", "rank", aim.letter, *before.groups):
@@ -107,7 +107,7 @@ def next_report(before: Bound, found: Sequence[Next], aim: Aim) -> RenderableTyp
 
 def positions_report(programme: Programme) -> RenderableType:
     """The positions of a programme and how they are reached."""
-    table = Table(box=None, pad_edge=False)
+    table = plain_table()
     table.add_column("", justify="right")
     for heading in ("how to get there", "attitude", "up and down"):
         table.add_column(heading)
@@ -119,7 +119,7 @@ def positions_report(programme: Programme) -> RenderableType:
 
 def comparison_report(setup: Setup, rows: Sequence[Compared], aim: Aim) -> RenderableType:
     """Programmes beside each other; the criterion over that of the first."""
-    table = Table(box=None, pad_edge=False)
+    table = plain_table()
     table.add_column("programme")
     for heading in ("positions", "time", "rank", "condition", *rows[0].bound.groups, aim.letter):
         table.add_column(heading, justify="right")

@@ -19,6 +19,7 @@ from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
+from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
 from tumble.units import rounded
 
@@ -279,7 +280,7 @@ def change_cells(change: Change | None, size: float) -> list[str]:
 
 
 def _table(*headings: str) -> Table:
-    table = Table(box=None, pad_edge=False)
+    table = plain_table()
     for heading in headings:
         table.add_column(heading, no_wrap=True)
     return table

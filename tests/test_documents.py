@@ -1,0 +1,101 @@
+"""Documents that are damaged: one line that says what and where, and nothing that does something to a terminal."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from registry_files import content
+
+from tumble.calibration.calibration_file import calibration_of
+from tumble.documents import LONGEST_LINE, json_of, one_line, plain, toml_of
+from tumble.errors import CalibrationError, InputError, SessionError
+from tumble.recording.session import read_session, session_of
+
+LOG = {"file": "log.csv", "rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x = " + "1" * 5000, "a number or a nesting without measure"),
+        ("x = " + "[" * 5000, "a number or a nesting without measure"),
+        ("x = 2026-13-45", "an error in its syntax"),
+        ("x = '\x1b[31m'", "an error in its syntax"),
+    ],
+)
+def test_toml_without_measure_is_one_line(text: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"^file: expected TOML, found {said}") as caught:
+        toml_of(text, "file")
+    assert "\n" not in str(caught.value)
+    (tmp_path / "session.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(SessionError, match=said):
+        read_session(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["1" * 5000, "[" * 100_000, "[NaN]", "[Infinity]", "{", "²"])
+def test_json_without_measure_is_a_value_error(text: str) -> None:
+    with pytest.raises(ValueError, match=r"^[^\n]+$"):
+        json_of(text)
+
+
+def test_what_moves_a_cursor_is_not_shown() -> None:
+    assert plain("A\x1b[31m\u202eB\nC\x9b\ud800") == "A\ufffd[31m\ufffdB\nC\ufffd\ufffd"
+    assert plain("27 °/h, χ² – 3 µg") == "27 °/h, χ² – 3 µg"
+
+
+def test_a_message_is_one_line_that_can_be_read() -> None:
+    line = one_line("expected\na number, found " + "9" * 5000 + "; correct it")
+    assert len(line) < 250
+    assert line.startswith("expected a number, found 999")
+    assert line.endswith("999; correct it")
+    assert len(one_line("word " * 5000)) == LONGEST_LINE
+
+
+@pytest.mark.parametrize("serial", ["A\x1b[31m7", "A\n7", "A\u202e7", " ", "A" * 201])
+def test_a_serial_number_is_printable(serial: str) -> None:
+    with pytest.raises(SessionError, match=r"device\.serial: expected 1 to 200 printable characters") as caught:
+        session_of({"format": 1, "device": {"serial": serial}, "log": LOG})
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("parameters/2/value", "much", "found 'much' in place of a number at parameters[3].value"),
+        ("parameters/2/value", 10**400, "found a number without measure in place of a number at parameters[3].value"),
+        ("parameters/2/value", 1e300, "parameters[3]: expected a number of at most 1e+60 in size, found 1e+300"),
+        ("parameters/2/u", 1e-300, "parameters[3]: expected zero or a number from 1e-60 to 1e+60, found 1e-300"),
+        ("parameters", None, "found null in place of a list at parameters"),
+        ("parameters", {}, "found a table in place of a list at parameters"),
+        ("accel/matrix", [[1, 0, 0], [0, 1, 0]], "accel: expected a matrix of three columns, with a row for each bias"),
+        ("accel/matrix", [[1, 0, 0]] * 3, "accel: expected a matrix that can be inverted, found a singular one"),
+        ("accel/bias", [0, "1", 0], "found '1' in place of a number at accel.bias[2]"),
+        ("outcome/accepted", [], None),
+        ("outcome/reasons", "none", "found 'none' in place of a list at outcome.reasons"),
+        ("outcome/verdict", "accepted", "outcome: expected outcomes of accelerometers and of gyros beside the verdict"),
+        ("device", "A-7", "found 'A-7' in place of a table at device"),
+        ("method", "joint\x1b[2J", "method: expected 1 to 200 printable characters, found"),
+        ("launches", [{}], "found no key 'parameters' in launches[1]"),
+        ("rests", [{"start": 0, "stop": True, "residual": 0}], "found True in place of a number at rests[1].stop"),
+        ("provenance/created", 7, "found 7 in place of a text at provenance.created"),
+    ],
+)
+def test_every_fault_of_a_calibration_file_is_named_with_its_key(path: str, value: Any, said: str | None) -> None:
+    whole = copy.deepcopy(content())
+    *keys, last = path.split("/")
+    part: Any = whole
+    for key in keys:
+        part = part[int(key) if key.isdigit() else key]
+    part[last] = value
+    if said is None:  # a key that is worked out, not read
+        assert calibration_of(json.dumps(whole), "file").outcome.accepted
+        return
+    with pytest.raises(CalibrationError) as caught:
+        calibration_of(json.dumps(whole), "file")
+    assert str(caught.value).startswith("file: ")
+    assert said in str(caught.value)
+    assert str(caught.value).isprintable()
