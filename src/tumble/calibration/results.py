@@ -223,6 +223,7 @@ def site_from(content: Mapping[str, Any]) -> Site | None:
         gravity=float(site["gravity"]),
         gravity_u=float(site["gravity_u"]),
         field=optional(float, site.get("field")),
+        gravity_is_unit=bool(site.get("gravity_is_unit", False)),
     )
 
 

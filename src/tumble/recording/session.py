@@ -77,6 +77,8 @@ class Site:
     field: float | None = None
     gravity_confirmed: bool = False
     """That gravity is meant, however far it is from normal gravity."""
+    gravity_is_unit: bool = False
+    """That gravity at the place, whatever it is, is the unit, and `gravity` stands for it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
