@@ -440,7 +440,8 @@ def _with_magnetometer(calibration: Calibration, session: Session, observations:
     if found.reasons or found.values is None or found.covariance is None or covariance is None:
         why = "; ".join(found.reasons) or "magnetometer: nothing says how well it is known"
         said = (f"{why}; the rest of the session is calibrated without it",)
-        return replace(calibration, notes=calibration.notes + said)
+        missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + MAGNETOMETER_NAMES)
+        return replace(calibration, outcome=missing, notes=calibration.notes + said)
     u, units = np.sqrt(np.diag(found.covariance)), (spec.unit,) * 3 + ("1",) * 3 + ("rad",) * 3
     parameters = tuple(
         Parameter(name=name, value=float(value), u=float(each), unit=unit)

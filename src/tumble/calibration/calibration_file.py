@@ -196,7 +196,8 @@ class Calibration:
         gyros is missing, and for more than three of them."""
         if frame == self.frame:
             return self
-        missing = self.outcome.unobservable or (() if self.accel is not None else ("those of accelerometers",))
+        missing = tuple(name for name in self.outcome.unobservable if sensor_kind(name) != "mag")
+        missing = missing or (() if self.accel is not None else ("those of accelerometers",))
         if missing:
             raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
         try:

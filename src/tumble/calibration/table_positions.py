@@ -18,7 +18,7 @@ import numpy as np
 
 from tumble.calibration.readings_table import ReadingsTable
 from tumble.errors import InputError
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 _SHOWN = 3
 
@@ -37,7 +37,7 @@ class TablePositions:
     @property
     def resolution_u(self) -> Array:
         """Standard uncertainty (3,) of a reading from the last digit it is written with, in the unit of the table."""
-        return self.table.steps / np.sqrt(12.0)
+        return np.asarray(self.table.steps / np.sqrt(12.0))
 
 
 def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> TablePositions:
@@ -67,7 +67,7 @@ def _covariance_of_mean(blocks: Array, means: Array) -> Array:
     return np.asarray(away.T @ away / (B * (N - 1)) / N)
 
 
-def _copies(lines: tuple[int, ...], first: Array, rows: int) -> tuple[str, ...]:
+def _copies(lines: tuple[int, ...], first: IntArray, rows: int) -> tuple[str, ...]:
     """That blocks repeat others, in words; `first` (B,) is the first block that is equal to each."""
     again = np.flatnonzero(first != np.arange(len(first)))
     if not len(again):
