@@ -252,6 +252,7 @@ def _without_result(observed: Observed, method: str, outcome: Outcome, provenanc
         gyro=None,
         outcome=outcome,
         site=session.site,
+        circumstances=observed.circumstances,
         readings=_readings_of(session),
         notes=_bridged(observed.gaps),
         provenance=provenance,
@@ -383,6 +384,7 @@ def _result(
         turns=turns,
         fits=estimate.fits,
         site=observations.site,
+        circumstances=observed.circumstances,
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
         notes=_bridged(observed.gaps)
