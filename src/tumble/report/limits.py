@@ -8,24 +8,13 @@ from typing import Literal
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
-from tumble.registry.limits import RULE, LimitJudgement, Limits, Verdict, judge
-from tumble.registry.records import OCCASIONS, parameter_rows
+from tumble.registry.limits import RULE, LimitJudgement, Limits, verdicts
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text
 from tumble.report.numbers import NONE, minus
 from tumble.terminal.text import shown_units
 from tumble.units import engineering, rounded
 
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
-
-
-def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
-    """What the limits say of a calibration, for each check that they are for.
-
-    Raises CalibrationError where it cannot be taken to the frame of the limits."""
-    if calibration.frame != limits.frame:
-        calibration = calibration.in_frame(limits.frame)
-    rows, unseen = list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable
-    return [found for occasion in OCCASIONS if (found := judge(limits, occasion, rows, unseen)) is not None]
 
 
 def section(calibration: Calibration, limits: Limits | None) -> Section:
