@@ -70,6 +70,10 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
         return (("site", "not in the calibration file"),)
     latitude = NONE if site.latitude is None else f"{fixed(site.latitude / DEGREE, 5)}°"
     gravity = f"{fixed(site.gravity, 7)} m/s², U = {significant(2.0 * site.gravity_u, 2)} m/s² (k = 2)"
+    if site.gravity_is_unit:
+        gravity = f"not stated: g at the place is the unit, {fixed(site.gravity, 5)} m/s² stands for it"
+    elif site.gravity_u == 0.0:
+        gravity = f"{fixed(site.gravity, 7)} m/s², taken as exact: no uncertainty of it was stated"
     height = () if site.latitude is None else (("height", f"{fixed(site.height, 1)} m"),)
     return (("latitude", latitude), *height, ("gravity", gravity))
 

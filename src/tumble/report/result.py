@@ -73,20 +73,23 @@ def described(name: str) -> str:
     return f"{sensor}, {said[found['what']]}"
 
 
-def parameter_table(calibration: Calibration) -> ReportTable:
-    """Parameters of the linear model with U (95 %); where there are such, coverage factors other than 2, deviations
-    from the systematic values and from launch to launch."""
+def parameter_table(calibration: Calibration, as_found: Calibration | None = None) -> ReportTable:
+    """Parameters of the linear model with U (95 %); where there are such, the values as found before an adjustment,
+    coverage factors other than 2, deviations from the systematic values and from launch to launch."""
     parameters = linear_parameters(calibration.parameters)
     units = shown_units(parameters)
     launches, factors = bool(calibration.launches), other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
+    before = {} if as_found is None else {p.name: p.value for p in as_found.parameters}
     columns = ["parameter", "", "mean" if launches else "value", "U (95 %)", "unit"]
+    columns += ["as found"] if before else []
     columns += ["k"] if factors else []
     columns += (["run to run"] if launches else []) + (["from nominal"] if passport else [])
     rows = []
     for p in parameters:
         size, unit = units[p.name]
         row = [p.name, described(p.name), *with_expanded(p, size), unit]
+        row += [as_value(before.get(p.name), p, size)] if before else []
         row += [fixed(p.k, 2)] if factors else []
         row += [as_value(p.run_to_run, p, size)] if launches else []
         row += [as_value(p.deviation, p, size)] if passport else []
