@@ -41,13 +41,15 @@ class Facts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReportTable:
-    """Rows of cells. Columns in `text` are words, set to the left; all others are numbers, set to the right."""
+    """Rows of cells. Columns in `text` are words, set to the left; all others are numbers, set to the right. A long
+    table may stand on a page in `halves` beside each other."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     text: tuple[int, ...] = (0,)
     caption: str = ""
     dense: bool = False
+    halves: bool = False
     kind: Literal["table"] = "table"
 
 

@@ -10,6 +10,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
 from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.recording.circumstances import Circumstances
+from tumble.registry.limits import AGREED_RULE, RULE
 from tumble.report.blocks import Letterhead, Signature
 from tumble.report.numbers import fixed, significant
 
@@ -76,12 +77,15 @@ def circumstances(given: Circumstances) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-def statements(certificate: Certificate | None) -> tuple[str, ...]:
-    """What stands above the signatures."""
+def statements(certificate: Certificate | None, *, judged: bool) -> tuple[str, ...]:
+    """What stands above the signatures: by which rule limits were `judged`, traceability, what it all relates to."""
+    rule = RULE if certificate is None else AGREED_RULE
+    said = f"{rule[0].upper()}{rule[1:]}." if judged else ""
     if certificate is None:
-        return ("The results relate only to the item named above.",)
+        return tuple(each for each in (said, "The results relate only to the item named above.") if each)
+    said += f" Agreed beforehand: {certificate.agreed}." if judged and certificate.agreed else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    return tuple(said for said in (RELATES, traced, *certificate.remarks) if said)
+    return tuple(each for each in (said, traced, *certificate.remarks, RELATES) if each)
 
 
 def signatures(certificate: Certificate | None) -> tuple[Signature, ...]:

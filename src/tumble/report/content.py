@@ -45,7 +45,7 @@ def document(
         Part(
             title=title if len(sources) > 1 else "",
             sections=_sections(source, f"c{i}", given),
-            customer=0 if len(sources) > 1 else 1 if acceptance is None else 2,
+            customer=0 if len(sources) > 1 else 1,
         )
         for i, (source, title) in enumerate(zip(sources, titles, strict=True), 1)
     ]
@@ -65,7 +65,7 @@ def document(
         ),
         created=max(calibration.provenance.get("created", "") for calibration in calibrations),
         parts=tuple(parts),
-        statements=certified.statements(certificate),
+        statements=certified.statements(certificate, judged=acceptance is not None),
         signatures=certified.signatures(certificate),
         closing="End of the report" if certificate is None else f"End of the certificate {certificate.number}",
         number="" if certificate is None else certificate.number,
@@ -197,11 +197,11 @@ def _sections(source: Source, key: str, given: Given) -> tuple[Section, ...]:
     """All sections of one calibration; `key` begins the names of its figures."""
     calibration = source.calibration
     recordings = recording.recordings(calibration)
-    judged = limits.section(calibration, given.acceptance, given.agreed)
-    beyond = result.beyond(calibration)
     sections: list[Section | None] = [
-        _result(calibration, given.as_found),
-        *((beyond, judged) if given.acceptance is None else (judged, beyond)),
+        _result(calibration, given),
+        result.beyond(calibration),
+        limits.section(calibration, given.acceptance, given.agreed),
+        _notes(calibration),
         result.launches(calibration) if calibration.launches else None,
         result.application(calibration),
         result.frame(calibration, f"{key}-frame"),
@@ -217,10 +217,10 @@ def _sections(source: Source, key: str, given: Given) -> tuple[Section, ...]:
     return tuple(section for section in sections if section is not None)
 
 
-def _result(calibration: Calibration, as_found: Calibration | None) -> Section:
+def _result(calibration: Calibration, given: Given) -> Section:
     blocks: list[Block] = result.verdict(calibration)
     if calibration.parameters:
-        blocks.append(result.parameter_table(calibration, as_found))
+        blocks.append(result.parameter_table(calibration, given.as_found, _by_parameter(calibration, given)))
         blocks.append(
             Text(
                 text="U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by "
@@ -229,15 +229,28 @@ def _result(calibration: Calibration, as_found: Calibration | None) -> Section:
                 tone="small",
             )
         )
-        if found := remarks(calibration):
-            blocks.append(Items(items=found))
     if calibration.prediction is not None:
         blocks.append(Text(text=f"Known to (standard uncertainty): {predicted(calibration.prediction)}."))
     if calibration.outcome.unobservable:
         blocks.append(Text(text=f"Not determined: {', '.join(calibration.outcome.unobservable)}."))
-    if calibration.notes:
-        blocks += [Text(text="Notes", tone="small"), Items(items=calibration.notes)]
     return Section(title="Result", blocks=tuple(blocks))
+
+
+def _by_parameter(calibration: Calibration, given: Given) -> dict[str, str]:
+    """The worst outcome of the checks of every parameter that has a limit."""
+    if given.acceptance is None or given.acceptance.frame != calibration.frame:
+        return {}
+    found: dict[str, Statement] = {}
+    for judgement in (j for verdict in verdicts(calibration, given.acceptance) for j in verdict.judgements):
+        outcome = judgement.result if given.certificate is None else judgement.statement
+        found[judgement.name] = min(found.get(judgement.name, outcome), outcome, key=STATEMENTS.index)
+    return dict(found)
+
+
+def _notes(calibration: Calibration) -> Section | None:
+    """What is to be known of the recording and of U."""
+    said = (*remarks(calibration), *calibration.notes)
+    return Section(title="Notes", blocks=(Items(items=said),)) if said else None
 
 
 def _provenance(source: Source) -> Section:
