@@ -54,7 +54,7 @@ def registry() -> None:
     "--date",
     "day",
     type=_DAY,
-    help="When it was performed; default: when it was recorded, else when the file was made.",
+    help="When it was performed; default: when recorded, or the file made.",
 )
 @click.option("--supersedes", metavar="NUMBER", type=int, help="The record that this one corrects.")
 @click.option("--reason", help="Why it is corrected.")

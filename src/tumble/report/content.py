@@ -56,7 +56,7 @@ def document(
     return Document(
         title="Calibration report" if certificate is None else "Calibration certificate",
         device=first.serial if first.model is None else f"{first.serial} ({first.model})",
-        tone=_tone(sources, acceptance),
+        tone=_tone(sources, given),
         verdict=_badge(sources, given),
         facts=(
             *(() if certificate is None else certified.facts(certificate, first)),
@@ -87,9 +87,11 @@ class Given:
         return None if self.certificate is None else self.certificate.agreed or ""
 
 
-def _tone(sources: Sequence[Source], acceptance: Limits | None) -> Tone:
+def _tone(sources: Sequence[Source], given: Given) -> Tone:
     """The colour of the worst verdict."""
-    if not_accepted(sources, acceptance):
+    if _badge(sources, given) == "conditional pass":
+        return "doubt"
+    if not_accepted(sources, given.acceptance):
         return "bad"
     return "doubt" if any(source.calibration.outcome.remarks for source in sources) else "good"
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
 from tumble.registry.limits import AGREED_RULE, RULE, LimitJudgement, Limits, verdicts
-from tumble.report.blocks import Block, Items, ReportTable, Section, Text
+from tumble.report.blocks import Block, Items, ReportTable, Section, Text, Tone
 from tumble.report.numbers import NONE, minus
 from tumble.terminal.text import shown_units
 from tumble.units import engineering, rounded
@@ -30,9 +29,10 @@ def section(calibration: Calibration, limits: Limits | None, agreed: str | None 
     units = shown_units(calibration.parameters)
     for verdict in verdicts(calibration, limits):
         check = _CHECKS[verdict.occasion]
-        tone: Literal["good", "bad"] = "good" if verdict.result == "pass" else "bad"
+        tone: Tone = "good" if verdict.result == "pass" else "bad"
         reasons = "; ".join(verdict.reasons())
         outcome = verdict.result if agreed is None else verdict.statement
+        tone = "doubt" if outcome == "conditional pass" else tone
         said = f"{check}: {outcome}" + (f" ({reasons})" if reasons else "")
         rows = tuple(_row(j, units, j.result if agreed is None else j.statement) for j in verdict.judgements)
         columns = ("parameter", "low", "value", "U", "high", "unit", "verdict")
