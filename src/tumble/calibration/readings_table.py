@@ -138,8 +138,8 @@ def read_table(path: Path) -> ReadingsTable:
 
 
 def _step(cells: Iterable[str]) -> float:
-    """The step of the last digit of the cells of a column, the smallest of them."""
-    return 10.0 ** min(_last_place(cell) for cell in cells)
+    """The step of the last digit of the cells of a column, the smallest of them; of whole numbers 1."""
+    return 10.0 ** min(0, *(_last_place(cell) for cell in cells))
 
 
 def _last_place(cell: str) -> int:
