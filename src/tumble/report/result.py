@@ -328,7 +328,10 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
         ),
     ]
     if rows:
-        said = "The covariance of two parameters is their coefficient times both standard uncertainties. The strongest:"
+        said = (
+            "The covariance of two parameters is their coefficient times both standard uncertainties; that of all is in "
+            "the calibration file. The strongest:"
+        )
         blocks += [Text(text=said), ReportTable(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
@@ -348,7 +351,7 @@ def _not_contained(calibration: Calibration) -> str:
 
 
 def covariance(calibration: Calibration) -> Section | None:
-    """The whole covariance matrix, a table for each pair of kinds of sensor."""
+    """The whole covariance matrix, a table for each pair of kinds of sensor; none where a page has no room for it."""
     if calibration.covariance is None:
         return None
     names = [p.name for p in calibration.parameters]
@@ -359,11 +362,10 @@ def covariance(calibration: Calibration) -> Section | None:
     kinds = list(dict.fromkeys(sensor_kind(name) for name in linear))
     members = {kind: [names.index(name) for name in linear if name.startswith(f"{kind}.")] for kind in kinds}
     blocks: list[Block] = [Text(text=said)]
-    large = [kind for kind in kinds if len(members[kind]) > _MOST_COLUMNS]
-    if large:
-        blocks.append(Text(text=f"That of more than {_MOST_COLUMNS} parameters of a kind is in the calibration file."))
+    if any(len(own) > _MOST_COLUMNS for own in members.values()):
+        return None
     for n, first in enumerate(kinds):
-        for second in kinds[: n + 1] if not large else ():
+        for second in kinds[: n + 1]:
             rows = tuple(
                 (names[i], *(_entry(calibration.covariance, i, j, lower=first == second) for j in members[second]))
                 for i in members[first]
