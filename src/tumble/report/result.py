@@ -329,7 +329,7 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
     ]
     if rows:
         said = (
-            "The covariance of two parameters is their coefficient times both standard uncertainties; that of all is in "
+            "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
             "the calibration file. The strongest:"
         )
         blocks += [Text(text=said), ReportTable(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
