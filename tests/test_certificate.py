@@ -202,6 +202,17 @@ def test_what_a_certificate_lacks_is_said_in_one_line(tmp_path: Path, change: tu
     assert "\n" not in str(refused.value)
 
 
+def test_a_logo_that_is_none_and_another_device_as_found_are_refused(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    (tmp_path / "lab" / "logo.svg").write_text("no picture", "utf-8")
+    with pytest.raises(InputError, match=r"logo\.svg: expected a picture in SVG, found another file"):
+        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+    (tmp_path / "lab" / "logo.svg").write_text(LOGO, "utf-8")
+    replace(read_calibration(path), serial="B").write(tmp_path / "before.json", force=True)
+    with pytest.raises(InputError, match="as_found: expected a calibration of device 'A-0007' in the frame"):
+        write_report(path, tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
+
+
 def test_a_certificate_is_of_one_calibration_with_a_date(tmp_path: Path) -> None:
     path = files(tmp_path)
     with pytest.raises(InputError, match="--certificate: expected one calibration, found 2"):

@@ -77,9 +77,8 @@ class Certificate(_CertificateTable):
     """The administrative part of a calibration certificate. Without `begin` and `end` the date is that of the
     recording. `state` is that of the item when it was calibrated: before an adjustment, after it, or without one;
     `as_found` the calibration file from before. `limits` is the file of acceptance limits, `agreed` how they and the
-    decision rule were agreed with the customer,
-    `traceability` how gravity, time and table are traced, `replaces` the number of a certificate that this one
-    takes the place of."""
+    decision rule were agreed with the customer, `traceability` how gravity, time and table are traced, `replaces` the
+    number of a certificate that this one takes the place of."""
 
     number: str = _Text
     country: str = _Country

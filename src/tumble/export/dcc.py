@@ -212,7 +212,8 @@ def _results(
             _named(_typed(_child(every, "measuringEquipment"), "basic_measurementStandard"), "name", each)
     _conditions(parent, calibration)
     results = _child(parent, "results")
-    _parameters(_result(results, "parameters"), calibration, judged)
+    alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
+    _parameters(_result(results, "parameters"), calibration, alike)
     if calibration.covariance is not None:
         _covariance(_result(results, "parameters with covariance"), calibration, calibration.covariance)
     for kind, model in known.items():

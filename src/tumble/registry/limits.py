@@ -112,9 +112,10 @@ class LimitJudgement:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """Every parameter that has a limit, judged."""
+    """Every parameter that has a limit, judged in the frame of the limits."""
 
     occasion: Occasion
+    frame: str
     judgements: tuple[LimitJudgement, ...]
 
     @property
@@ -162,7 +163,7 @@ def judge(
     missing = [name for name in unobservable if limits.of(name, occasion) is not None]
     missing += [key for key in own if not any(_is_of(name, key) for name in named)]
     judged += [_not_determined(name, limits.of(name, occasion) or (-math.inf, math.inf)) for name in missing]
-    return Verdict(occasion=occasion, judgements=tuple(judged))
+    return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judged))
 
 
 def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:

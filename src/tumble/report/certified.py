@@ -24,7 +24,7 @@ _PLACES = {
 
 
 def letterhead(laboratory: Party) -> Letterhead:
-    """Name, address, accreditation number and logo. Raises InputError for a logo that cannot be read."""
+    """Name, address, accreditation number and logo. Raises InputError for a logo that is none."""
     lines = [laboratory.address]
     lines += [laboratory.email] if laboratory.email else []
     lines += [f"accreditation {laboratory.code}"] if laboratory.code else []
@@ -35,6 +35,8 @@ def letterhead(laboratory: Party) -> Letterhead:
     except OSError as error:
         raise InputError(f"{laboratory.logo}: expected a logo: {error.strerror}") from None
     kind: Literal["svg", "png"] = "svg" if laboratory.logo.endswith(".svg") else "png"
+    if {"svg": b"<svg", "png": b"\x89PNG"}[kind] not in logo:
+        raise InputError(f"{laboratory.logo}: expected a picture in {kind.upper()}, found another file")
     return Letterhead(
         name=laboratory.name, lines=tuple(lines), logo=base64.b64encode(logo).decode("ascii"), logo_type=kind
     )

@@ -39,6 +39,11 @@ def document(
     if certificate is not None and len(sources) > 1:
         raise InputError(f"--certificate: expected one calibration, found {len(sources)}")
     calibrations = [source.calibration for source in sources]
+    if as_found is not None and (as_found.serial, as_found.frame) != (calibrations[0].serial, calibrations[0].frame):
+        raise InputError(
+            f"certificate: as_found: expected a calibration of device {calibrations[0].serial!r} in the frame "
+            f"{calibrations[0].frame!r}, found {as_found.serial!r} in {as_found.frame!r}"
+        )
     titles = _titles(sources)
     given = Given(acceptance=acceptance, certificate=certificate, as_found=as_found)
     parts = [
