@@ -45,7 +45,7 @@ def document(
             f"{calibrations[0].frame!r}, found {as_found.serial!r} in {as_found.frame!r}"
         )
     titles = _titles(sources)
-    given = Given(acceptance=acceptance, certificate=certificate, as_found=as_found)
+    given = ReportBasis(acceptance=acceptance, certificate=certificate, as_found=as_found)
     parts = [
         Part(
             title=title if len(sources) > 1 else "",
@@ -79,7 +79,7 @@ def document(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Given:
+class ReportBasis:
     """What a report is made with beside the calibrations."""
 
     acceptance: Limits | None
@@ -92,7 +92,7 @@ class Given:
         return None if self.certificate is None else self.certificate.agreed or ""
 
 
-def _tone(sources: Sequence[Source], given: Given) -> Tone:
+def _tone(sources: Sequence[Source], given: ReportBasis) -> Tone:
     """The colour of the worst verdict."""
     if _badge(sources, given) == "conditional pass":
         return "doubt"
@@ -101,7 +101,7 @@ def _tone(sources: Sequence[Source], given: Given) -> Tone:
     return "doubt" if any(source.calibration.outcome.remarks for source in sources) else "good"
 
 
-def _badge(sources: Sequence[Source], given: Given) -> str:
+def _badge(sources: Sequence[Source], given: ReportBasis) -> str:
     """One verdict: the worst outcome of the checks where there are limits, else whether the calibrations are
     accepted."""
     outcomes = [source.calibration.outcome for source in sources]
@@ -113,13 +113,13 @@ def _badge(sources: Sequence[Source], given: Given) -> str:
     return "accepted with scatter" if any(outcome.remarks for outcome in outcomes) else "accepted"
 
 
-def _outcomes(sources: Sequence[Source], given: Given) -> list[tuple[str, Statement]]:
+def _outcomes(sources: Sequence[Source], given: ReportBasis) -> list[tuple[str, Statement]]:
     """The outcome of every check, with its name."""
     found = [verdict for _, verdict in _checks(sources, given.acceptance)]
     return [(v.occasion, v.result if given.certificate is None else v.statement) for v in found]
 
 
-def _verdict(sources: Sequence[Source], given: Given) -> str:
+def _verdict(sources: Sequence[Source], given: ReportBasis) -> str:
     """The verdict in a few words: of the calibrations, and where there are limits, of every check."""
     outcomes = [source.calibration.outcome for source in sources]
     if not all(outcome.accepted for outcome in outcomes):
@@ -200,7 +200,7 @@ def _computed(calibration: Calibration) -> str:
     return calibration.provenance.get("created", NONE).replace("T", " ").replace("+00:00", " UTC")
 
 
-def _sections(source: Source, key: str, given: Given) -> tuple[Section, ...]:
+def _sections(source: Source, key: str, given: ReportBasis) -> tuple[Section, ...]:
     """All sections of one calibration; `key` begins the names of its figures."""
     calibration = source.calibration
     recordings = recording.recordings(calibration)
@@ -224,7 +224,7 @@ def _sections(source: Source, key: str, given: Given) -> tuple[Section, ...]:
     return tuple(section for section in sections if section is not None)
 
 
-def _result(calibration: Calibration, given: Given) -> Section:
+def _result(calibration: Calibration, given: ReportBasis) -> Section:
     blocks: list[Block] = result.verdict(calibration)
     if calibration.parameters:
         blocks.append(result.parameter_table(calibration, given.as_found, _by_parameter(calibration, given)))
@@ -243,7 +243,7 @@ def _result(calibration: Calibration, given: Given) -> Section:
     return Section(title="Result", blocks=tuple(blocks))
 
 
-def _by_parameter(calibration: Calibration, given: Given) -> dict[str, str]:
+def _by_parameter(calibration: Calibration, given: ReportBasis) -> dict[str, str]:
     """The worst outcome of the checks of every parameter that has a limit."""
     if given.acceptance is None or given.acceptance.frame != calibration.frame:
         return {}
