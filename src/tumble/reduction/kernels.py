@@ -22,14 +22,22 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def _compiled(**flags: Any) -> Callable[[Function], Function]:
     """numba.njit that keeps the machine code on disk, or in memory alone where no folder can be written."""
+    flags = {"nogil": True, "no_cfunc_wrapper": True, **flags}
 
     def decorate(function: Function) -> Function:
         try:
-            return numba.njit(cache=True, nogil=True, **flags)(function)  # type: ignore[no-any-return]
+            return numba.njit(cache=True, **flags)(function)  # type: ignore[no-any-return]
         except RuntimeError:
-            return numba.njit(nogil=True, **flags)(function)  # type: ignore[no-any-return]
+            return numba.njit(**flags)(function)  # type: ignore[no-any-return]
 
     return decorate
+
+
+def _part_of_compiled(**flags: Any) -> Callable[[Function], Function]:
+    """numba.njit for a loop that only compiled loops call: neither kept on disk nor made callable from Python, since it
+    is in the machine code of those that call it."""
+    flags = {"nogil": True, "no_cfunc_wrapper": True, "no_cpython_wrapper": True, **flags}
+    return numba.njit(**flags)  # type: ignore[no-any-return]
 
 
 # Allan variance ----------------------------------------------------------------------------------------------
@@ -52,7 +60,7 @@ def allan_sums(phase: Array, sizes: IntArray) -> Array:
     return sums
 
 
-@_compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _squared_differences(a: Array, b: Array, c: Array) -> float:
     """Sum of (c − 2 b + a)²."""
     total = 0.0
@@ -118,7 +126,7 @@ def block_sums(
     return blocks
 
 
-@_compiled()
+@_part_of_compiled()
 def _end_row(channel: Array, value: float, length: float, stop: float) -> None:
     """Take note of a row of equal values that ends, or goes on after this chunk."""
     if length > channel[6]:
