@@ -16,6 +16,9 @@ triangle. Nothing is squared, and the cost is linear in the number of rests. A c
 is left is no information: its unknown, a heading that nothing shows, stays where it is. Rows stand in memory column
 by column, so that the loops over them are vector instructions.
 
+Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
+compilation to the next, and rows of a campaign would differ in the last digit from process to process.
+
 Nothing is compiled when this module is imported; see `tumble.reduction.kernels`, whose rules hold here.
 """
 
@@ -33,7 +36,7 @@ BUFFER = 96
 """Rows on the parameters that are folded into the triangle together."""
 
 
-@_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_compiled(error_model="numpy")
 def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
     the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
@@ -99,7 +102,7 @@ def _gather(work: Array, carried: Array, rest: Array, counts: bool, turn: Array,
     return rows  # type: ignore[no-any-return]
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_part_of_compiled(error_model="numpy")
 def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> bool:
     """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
     has nothing in it."""
@@ -129,7 +132,7 @@ def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> boo
     return True
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_part_of_compiled(error_model="numpy")
 def _fold(kept: Array, count: int, triangle: Array) -> None:
     """Fold rows (p + 1, count), column by column in memory and overwritten, into an upper triangle (p + 1, p + 1):
     Householder reflections of the rows together with one row of the triangle at a time."""
@@ -156,7 +159,7 @@ def _fold(kept: Array, count: int, triangle: Array) -> None:
                 kept[other, row] -= product * kept[c, row]
 
 
-@_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_compiled(error_model="numpy")
 def put_back(
     factor: Array, link: IntArray, parameters: Array, covariance: Array, unknowns: Array
 ) -> tuple[Array, Array]:
@@ -187,7 +190,7 @@ def put_back(
     return own, shared
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_part_of_compiled(error_model="numpy")
 def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:
     """What the rows of a rest, solved for its unknowns, say of them: by how much they change with those of the next
     rest (d, d) and with the parameters (d, p), and their value (d,) where these are zero."""
@@ -202,7 +205,7 @@ def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: 
             value[a] += inverse[a, b] * factor[b, 2 * d + p]
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_part_of_compiled(error_model="numpy")
 def _add_product(a: Array, b: Array, out: Array) -> None:
     """Add a bᵀ; a covariance stands for its own transpose."""
     for i in range(len(a)):
@@ -249,7 +252,9 @@ def left_over(
     p, d = len(covariance), unknowns.shape[1]
     rest_left, rest_covariance = np.zeros((N, r)), np.zeros((N, r, r))
     turn_left, turn_covariance = np.zeros((K, t)), np.zeros((K, t, t))
-    joint, unknown = np.zeros((2 * d + p, 2 * d + p)), np.zeros(2 * d + p)
+    m = 2 * d + p
+    joint, unknown = np.zeros((m, m)), np.zeros(m)
+    of_rest, of_turn = np.zeros((m + 1, r)), np.zeros((m + 1, t))
     for b in range(p):
         unknown[2 * d + b] = parameters[b]
         for c in range(p):
@@ -261,15 +266,17 @@ def left_over(
             unknown[a] = unknowns[i, a]
             unknown[d + a] = unknowns[i + 1, a] if k >= 0 else 0.0
         if counts[i]:
-            wide = np.zeros((r, 2 * d + p + 1))
-            for j in range(r):
+            for row in range(r):
                 for a in range(d):
-                    wide[j, a] = rest[i, j, a]
-                for b in range(p + 1):
-                    wide[j, 2 * d + b] = rest[i, j, d + b]
-            _leave(wide, joint, unknown, rest_left[i], rest_covariance[i])
+                    of_rest[a, row] = rest[i, row, a]
+                for column in range(2 * d, m + 1):
+                    of_rest[column, row] = rest[i, row, column - d]
+            _leave(of_rest, joint, unknown, rest_left[i], rest_covariance[i])
         if k >= 0:
-            _leave(turn[k], joint, unknown, turn_left[k], turn_covariance[k])
+            for row in range(t):
+                for column in range(m + 1):
+                    of_turn[column, row] = turn[k, row, column]
+            _leave(of_turn, joint, unknown, turn_left[k], turn_covariance[k])
     return rest_left, rest_covariance, turn_left, turn_covariance
 
 
@@ -288,24 +295,22 @@ def _join(i: int, linked: bool, own: Array, shared: Array, joint: Array) -> None
             joint[d + a, 2 * d + q] = joint[2 * d + q, d + a] = shared[i + 1, a, q] if linked else 0.0
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_part_of_compiled(error_model="numpy")
 def _leave(rows: Array, joint: Array, unknown: Array, residual: Array, covariance: Array) -> None:
-    """Residuals (n,) of rows (n, m + 1) for unknowns (m,), and 1 − rows joint rowsᵀ (n, n)."""
-    m, product = len(unknown), np.zeros(len(unknown))
-    for i in range(len(rows)):
-        total = 0.0
-        for c in range(m):
-            total += rows[i, c] * unknown[c]
-        residual[i] = rows[i, m] - total
+    """Residuals (n,) of rows (m + 1, n), column by column, for unknowns (m,), and 1 − rowsᵀ joint rows (n, n)."""
+    m, n = len(unknown), len(residual)
+    product = np.zeros(m)
+    for i in range(n):
         product[:] = 0.0
+        residual[i] = rows[m, i]
         for b in range(m):
+            residual[i] -= rows[b, i] * unknown[b]
             for c in range(m):
-                product[c] += rows[i, b] * joint[b, c]
-        for j in range(i + 1):
-            total = 1.0 if i == j else 0.0
-            for c in range(m):
-                total -= product[c] * rows[j, c]
-            covariance[i, j] = covariance[j, i] = total
+                product[c] += rows[b, i] * joint[b, c]
+        covariance[i, i] = 1.0
+        for c in range(m):
+            for j in range(n):
+                covariance[i, j] -= product[c] * rows[c, j]
 
 
 @_compiled(error_model="numpy")
