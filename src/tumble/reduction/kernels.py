@@ -70,6 +70,43 @@ def _squared_differences(a: Array, b: Array, c: Array) -> float:
     return total
 
 
+# Autoregressive noise ----------------------------------------------------------------------------------------
+
+
+@_compiled(error_model="numpy")
+def levinson(autocovariance: Array, filters: Array, powers: Array) -> int:
+    """Prediction-error filters (P, P), a row an order from 0, and innovation variances (P,) of autocovariances (P,) by
+    Levinson's recursion, both zero before; returns how many orders there are until the process would be no longer
+    stationary."""
+    filters[0, 0], powers[0] = 1.0, autocovariance[0]
+    for order in range(1, len(autocovariance)):
+        total = 0.0
+        for k in range(order):
+            total += filters[order - 1, k] * autocovariance[order - k]
+        reflection = -total / powers[order - 1]
+        if reflection * reflection > 1.0 - 1e-9:
+            return order
+        for k in range(order + 1):
+            filters[order, k] = filters[order - 1, k] + reflection * filters[order - 1, order - k]
+        powers[order] = powers[order - 1] * (1.0 - reflection * reflection)
+    return len(autocovariance)
+
+
+@_compiled(error_model="numpy")
+def continue_autocovariance(autocovariance: Array, prediction_filter: Array, negligible: float) -> None:
+    """Write the autocovariances of an autoregressive process of order p behind the first p + 1, until a filter's length
+    of them is below `negligible` of the first."""
+    order = len(prediction_filter) - 1
+    for lag in range(order + 1, len(autocovariance)):
+        total, largest = 0.0, 0.0
+        for k in range(1, order + 1):
+            total -= prediction_filter[k] * autocovariance[lag - k]
+            largest = max(largest, abs(autocovariance[lag - k]))
+        autocovariance[lag] = total
+        if lag % 64 == 0 and max(largest, abs(total)) < negligible * autocovariance[0]:
+            return
+
+
 # Means of blocks and the state of channels --------------------------------------------------------------------
 
 CHANNEL_STATE = 14
