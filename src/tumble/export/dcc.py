@@ -21,7 +21,7 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.special import chdtri, fdtri
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
@@ -332,8 +332,8 @@ def _region_factor(count: int, degrees: float) -> float:
     """How many standard deviations the ellipsoid of so many parameters is large, of a covariance that was estimated
     with so many degrees of freedom."""
     if np.isinf(degrees):
-        return float(np.sqrt(chi2.ppf(REGION_PROBABILITY, count)))
-    return float(np.sqrt(count * f.ppf(REGION_PROBABILITY, count, degrees)))
+        return float(np.sqrt(chdtri(count, 1.0 - REGION_PROBABILITY)))
+    return float(np.sqrt(count * fdtri(count, degrees, REGION_PROBABILITY)))
 
 
 def _model(data: ET.Element, kind: str, model: SensorModel) -> None:
