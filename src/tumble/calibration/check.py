@@ -2,7 +2,7 @@
 
 What is known of the parameters at the check is the calibration, with
 
-    P = Σ + diag((k²/4 − 1) u²) + diag(s²)                                                                        (1)
+    P = Σ + diag((k²/4 − 1) u²) + diag(s²)                                                                      (1)
 
 Σ its covariance, the second term what U = k u covers beyond 2 u where u was estimated with few degrees of freedom, and s
 what turning on again changes: the standard deviation from launch to launch where the calibration has several, else what
@@ -36,7 +36,7 @@ from tumble.estimation.prediction import prediction
 from tumble.files import FilePath
 from tumble.recording.session import Session, session_from
 from tumble.reduction.observations import Observations
-from tumble.sensors.grades import GRADES
+from tumble.sensors.grades import GRADES, TURN_ON
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, group_of, sensor_kind, shown_in, usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
@@ -153,13 +153,13 @@ def _check_given(calibration: Calibration, session: Session) -> None:
                 f"{session.name}: log.{block.kind}: expected the {len(model.bias)} sensors of the calibration, found "
                 f"{block.size}"
             )
-    for kind, found in readings_of_session(session).items():
-        before = calibration.readings.get(kind)
-        raw = before is not None and (found.unit in _RAW or before.unit in _RAW)
-        if before is not None and raw and (found.scale, found.offset) != (before.scale, before.offset):
+    for kind, now in readings_of_session(session).items():
+        then = calibration.readings.get(kind)
+        raw = then is not None and (now.unit in _RAW or then.unit in _RAW)
+        if then is not None and raw and (now.scale, now.offset) != (then.scale, then.offset):
             raise InputError(
-                f"{session.name}: log.{kind}: expected the nominal scale and offset of the calibration, {before.scale} "
-                f"and {before.offset}, found {found.scale} and {found.offset}"
+                f"{session.name}: log.{kind}: expected the nominal scale and offset of the calibration, {then.scale} "
+                f"and {then.offset}, found {now.scale} and {now.offset}"
             )
 
 
@@ -168,18 +168,14 @@ def _seen_by(calibration: Calibration, observations: Observations) -> Observatio
     if calibration.gyro is not None or observations.gyro_block is None:
         return observations
     rests, none = observations.rests, np.zeros((len(observations.rests), 0))
-    at_rest = replace(
-        rests, gyro=none, gyro_covariance=np.zeros((len(rests), 0, 0)), gyro_drift=none, gyro_noise=none
-    )
-    return replace(
-        observations, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None
-    )
+    at_rest = replace(rests, gyro=none, gyro_covariance=np.zeros((len(rests), 0, 0)), gyro_drift=none, gyro_noise=none)
+    return replace(observations, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
 
 
 def _notes(calibration: Calibration, observations: Observations, grade: str, *, guessed: bool) -> tuple[str, ...]:
     """What was supposed."""
     origin = ", guessed from the noise; [device] grade says another" if guessed else ""
-    launches = " launches, biases by those of the calibration" if calibration.launches else ""
+    launches = ", or as from launch to launch of the calibration" if calibration.launches else ""
     notes = [f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
     then, now = calibration.reference_temperature, _celsius(observations)
     if then is None or now is None:
@@ -261,11 +257,10 @@ def _to_temperature(calibration: Calibration, observations: Observations, instru
 
 def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> Array:
     """Standard deviations (m,) by which parameters change when the device is turned on again."""
-    typical = {"accel": GRADES[grade].accel_turn_on, "gyro": GRADES[grade].gyro_turn_on}
     launched = {p.name: p.run_to_run for p in calibration.parameters if p.run_to_run is not None}
     out = np.zeros(len(instrument.names))
     for i, name in enumerate(instrument.names[: instrument.linear_count]):
-        out[i] = launched.get(name, getattr(typical[sensor_kind(name)], group_name(name).partition(".")[2]))
+        out[i] = launched.get(name, getattr(TURN_ON[grade][sensor_kind(name)], group_name(name).partition(".")[2]))
     return out
 
 

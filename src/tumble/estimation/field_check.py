@@ -3,12 +3,12 @@
 The likelihood is that of the method joint, with all that is known of the parameters as one prior. With x the deviation
 of gravity and the parameters from what was known, of covariance P, and the attitudes eliminated, the session leaves
 
-    d = R x + n,   n of unit variance,   S = 1 + R P Rᵀ = L Lᵀ,   z = L⁻¹ d,   G = L⁻¹ R                             (1)
+    d = R x + n,   n of unit variance,   S = 1 + R P Rᵀ = L Lᵀ,   z = L⁻¹ d,   G = L⁻¹ R                         (1)
 
 and residuals that no x explains. If nothing has changed, z is of unit variance too. A change of parameter j by a, beyond
 what P allows, has the estimate, standard uncertainty and test
 
-    a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u                                                              (2)
+    a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u                                                            (2)
 
 The t_j of all parameters that the session sees are normal with the correlations of the columns g_j; the largest is
 compared with what the largest of such numbers exceeds in CHANCE of all cases. Where it is larger, its parameter is set
@@ -47,7 +47,7 @@ POWER = 0.9
 MOST_CHANGES = 6
 AS_LIKELY = 4.0
 """χ² by which another change may explain less and still be named beside the one that explains most."""
-DRAWS = 50_000
+DRAWS = 20_000
 CONVERGED = 1e-2  # of the standard uncertainty
 MAX_ITERATIONS = 12
 
@@ -284,9 +284,7 @@ def _result(
             for i, j in enumerate(free)
         ),
         tests={names[j]: (float(first.t[j] * first.u[j]), float(first.u[j])) for j in first.candidates},
-        detectable={
-            names[j]: float((first.most + special.ndtri(POWER)) * first.u[j]) for j in first.candidates
-        },
+        detectable={names[j]: float((first.most + special.ndtri(POWER)) * first.u[j]) for j in first.candidates},
         largest=float(np.abs(first.t[first.candidates]).max()) if len(first.candidates) else 0.0,
         limit=first.most,
         misfit=Fit(

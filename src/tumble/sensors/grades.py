@@ -48,14 +48,11 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grade:
-    """Typical errors before calibration, noise, and how far parameters change from one power-on to the next, of a class
-    of instruments."""
+    """Typical errors before calibration, and noise, of a class of instruments."""
 
     accel: Spread
     gyro: Spread
     noise: NoiseModel
-    accel_turn_on: Spread
-    gyro_turn_on: Spread
 
 
 GRADES: Mapping[str, Grade] = MappingProxyType(
@@ -69,8 +66,6 @@ GRADES: Mapping[str, Grade] = MappingProxyType(
                 accel_instability=5e-6,
                 gyro_instability=0.002 * DEGREE_PER_HOUR,
             ),
-            accel_turn_on=Spread(bias=2e-4, scale=1e-5, axis=2 * ARCSEC),
-            gyro_turn_on=Spread(bias=0.01 * DEGREE_PER_HOUR, scale=5e-6, axis=2 * ARCSEC),
         ),
         "tactical": Grade(
             accel=Spread(bias=2e-2, scale=5e-4, axis=100 * ARCSEC),
@@ -81,8 +76,6 @@ GRADES: Mapping[str, Grade] = MappingProxyType(
                 accel_instability=5e-5,
                 gyro_instability=0.2 * DEGREE_PER_HOUR,
             ),
-            accel_turn_on=Spread(bias=3e-3, scale=1e-4, axis=10 * ARCSEC),
-            gyro_turn_on=Spread(bias=1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
         ),
         "mems": Grade(
             accel=Spread(bias=5e-2, scale=6e-3, axis=4e-3),
@@ -93,8 +86,6 @@ GRADES: Mapping[str, Grade] = MappingProxyType(
                 accel_instability=3e-4,
                 gyro_instability=5 * DEGREE_PER_HOUR,
             ),
-            accel_turn_on=Spread(bias=5e-3, scale=3e-4, axis=1e-4),
-            gyro_turn_on=Spread(bias=0.02 * DEGREE, scale=3e-4, axis=1e-4),
         ),
         "consumer": Grade(
             accel=Spread(bias=0.3, scale=1.5e-2, axis=1e-2),
@@ -105,11 +96,31 @@ GRADES: Mapping[str, Grade] = MappingProxyType(
                 accel_instability=2e-3,
                 gyro_instability=20 * DEGREE_PER_HOUR,
             ),
-            accel_turn_on=Spread(bias=3e-2, scale=1e-3, axis=3e-4),
-            gyro_turn_on=Spread(bias=0.1 * DEGREE, scale=1e-3, axis=3e-4),
         ),
     }
 )
+
+TURN_ON: Mapping[str, Mapping[str, Spread]] = MappingProxyType(
+    {
+        "navigation": {
+            "accel": Spread(bias=2e-4, scale=1e-5, axis=2 * ARCSEC),
+            "gyro": Spread(bias=0.01 * DEGREE_PER_HOUR, scale=5e-6, axis=2 * ARCSEC),
+        },
+        "tactical": {
+            "accel": Spread(bias=3e-3, scale=1e-4, axis=10 * ARCSEC),
+            "gyro": Spread(bias=1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
+        },
+        "mems": {
+            "accel": Spread(bias=5e-3, scale=3e-4, axis=1e-4),
+            "gyro": Spread(bias=0.02 * DEGREE, scale=3e-4, axis=1e-4),
+        },
+        "consumer": {
+            "accel": Spread(bias=3e-2, scale=1e-3, axis=3e-4),
+            "gyro": Spread(bias=0.1 * DEGREE, scale=1e-3, axis=3e-4),
+        },
+    }
+)
+"""By grade and kind of sensor, how far parameters change from one power-on to the next: standard deviations."""
 
 
 def grade(name: str) -> Grade:
