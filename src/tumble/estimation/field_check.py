@@ -8,7 +8,7 @@ of gravity and the parameters from what was known, of covariance P, and the atti
 and residuals that no x explains. If nothing has changed, z is of unit variance too. A change of parameter j by a, beyond
 what P allows, has the estimate, standard uncertainty and test
 
-    a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u                                                            (2)
+    a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u   (2)
 
 The t_j of all parameters that the session sees are normal with the correlations of the columns g_j; the largest is
 compared with what the largest of such numbers exceeds in CHANCE of all cases. Where it is larger, its parameter is set
