@@ -400,6 +400,8 @@ def _result(
         prediction=estimate.prediction,
         axes=_axes(observations),
         reference_temperature=_reference(observations),
+        imu=session.device.imu,
+        sample_rate=observed.rate,
     )
 
 

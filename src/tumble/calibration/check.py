@@ -4,10 +4,10 @@ What is known of the parameters at the check is the calibration, with
 
     P = Σ + diag((k²/4 − 1) u²) + diag(s²)                                                                      (1)
 
-Σ its covariance, the second term what U = k u covers beyond 2 u where u was estimated with few degrees of freedom, and s
-what turning on again changes: the standard deviation from launch to launch where the calibration has several, else what
-is usual of the grade (`tumble.sensors.grades`). Groups of parameters that the calibration does not have, and drifts,
-which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
+Σ its covariance, the second term what U = k u covers beyond 2 u where u was estimated with few degrees of freedom, and
+s what turning on again changes: the standard deviation from launch to launch where the calibration has several, else
+what is usual of the grade (`tumble.sensors.grades`). Groups of parameters that the calibration does not have, and
+drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
 temperatures, parameters are taken to that of the session by their slopes, with the usual size of those that are not
 known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite sign.
 

@@ -5,8 +5,8 @@ of gravity and the parameters from what was known, of covariance P, and the atti
 
     d = R x + n,   n of unit variance,   S = 1 + R P Rᵀ = L Lᵀ,   z = L⁻¹ d,   G = L⁻¹ R                         (1)
 
-and residuals that no x explains. If nothing has changed, z is of unit variance too. A change of parameter j by a, beyond
-what P allows, has the estimate, standard uncertainty and test
+and residuals that no x explains. If nothing has changed, z is of unit variance too. A change of parameter j by a,
+beyond what P allows, has the estimate, standard uncertainty and test
 
     a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u   (2)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.recording.autopilot import sensors_content
 from tumble.recording.dialect import Dialect
 from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site
 from tumble.recording.session_keys import CLOCK
@@ -25,6 +26,7 @@ def description_of(session: Session) -> dict[str, Any]:
     {'rate_hz': 100.0, 'accel': {'columns': ['accel_x', 'accel_y', 'accel_z'], 'unit': 'm/s^2'}}
     """
     device = {"serial": session.device.serial, "model": session.device.model}
+    device |= {"imu": sensors_content(session.device.imu)} if session.device.imu else {}
     passport = session.device.systematic
     content: dict[str, Any] = {
         "format": 1,
