@@ -9,7 +9,7 @@ import click
 from tumble.commands.arguments import EXISTING_FOLDER, FILE
 from tumble.errors import InputError
 
-FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "c", "mat", "csv", "dcc"]
+FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "depthai", "matlab-imu", "c", "mat", "csv", "dcc"]
 
 
 @click.command()

@@ -27,6 +27,8 @@ _PLAIN = {
     "px4": "px4",
     "ardupilot": "ardupilot",
     "imucal": "imucal",
+    "depthai": "depthai",
+    "matlab-imu": "matlab_imu",
     "c": "c_header",
     "mat": "mat",
     "csv": "csv_table",
