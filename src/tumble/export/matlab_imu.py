@@ -3,8 +3,8 @@
     reading = 1/100 AxesMisalignment true + ConstantBias
 
 so AxesMisalignment = 100 M, 3 × 3, and of the gyros ConstantBias = b. The accelerometer of imuSensor reads gravity
-less acceleration, −f: at rest with Z down +9.81. What it gives, with the other sign, is to be what the device reads, M f + b;
-so its ConstantBias is −b. Temperatures of the simulation and noise are left as they are.
+less acceleration, −f: at rest with Z down +9.81. What it gives, with the other sign, is to be what the device reads,
+M f + b; so its ConstantBias is −b. Temperatures of the simulation and noise are left as they are.
 
 Source: MathWorks, documentation of accelparams, gyroparams and imuSensor, and of its loadparams.
 """

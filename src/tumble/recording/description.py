@@ -25,7 +25,7 @@ def description_of(session: Session) -> dict[str, Any]:
     >>> tumble.description_of(session)["log"]
     {'rate_hz': 100.0, 'accel': {'columns': ['accel_x', 'accel_y', 'accel_z'], 'unit': 'm/s^2'}}
     """
-    device = {"serial": session.device.serial, "model": session.device.model}
+    device: dict[str, Any] = {"serial": session.device.serial, "model": session.device.model}
     device |= {"imu": sensors_content(session.device.imu)} if session.device.imu else {}
     passport = session.device.systematic
     content: dict[str, Any] = {
