@@ -135,13 +135,13 @@ def _freed(covariance: Array, free: list[int], limits: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _At:
+class _Where:
     problem: Problem
     point: Point
     about: TurnsAbout | None
 
 
-def _started(observations: Observations, known: Known) -> _At:
+def _started(observations: Observations, known: Known) -> _Where:
     """The calibrated parameters, and attitudes by them."""
     instrument, values = known.instrument, known.values
     start = dict(zip(instrument.names, values.tolist(), strict=True))
@@ -151,7 +151,7 @@ def _started(observations: Observations, known: Known) -> _At:
     turns = observations.turns
     about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
     attitudes = headings(problem, vertical, values, about)
-    return _At(
+    return _Where(
         problem=problem,
         point=Point(values=values, gravity=observations.site.gravity, attitudes=attitudes),
         about=about,
@@ -169,7 +169,7 @@ class _Reduced:
     degrees: int
 
 
-def _iterated(at: _At, known: Known, covariance: Array) -> tuple[_At, _Reduced]:
+def _iterated(at: _Where, known: Known, covariance: Array) -> tuple[_Where, _Reduced]:
     """Gauss–Newton with a covariance of the prior, and what the session leaves at the end."""
     problem = replace(at.problem, prior=Prior(covariance=covariance))
     point, about = at.point, at.about
@@ -187,7 +187,7 @@ def _iterated(at: _At, known: Known, covariance: Array) -> tuple[_At, _Reduced]:
     weight = weights(problem, rows, known.scatter)
     reduced = _reduced(problem, (rows.rest, rows.merged(_first(problem))), weight)
     off = np.append(point.gravity, point.values) - problem.measured[0]
-    return _At(problem=problem, point=point, about=about), replace(reduced, d=reduced.d + reduced.R @ off)
+    return _Where(problem=problem, point=point, about=about), replace(reduced, d=reduced.d + reduced.R @ off)
 
 
 def _first(problem: Problem) -> IntArray:
