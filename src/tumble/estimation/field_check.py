@@ -13,7 +13,9 @@ beyond what P allows, has the estimate, standard uncertainty and test
 The t_j of all parameters that the session sees are normal with the correlations of the columns g_j; the largest is
 compared with what the largest of such numbers exceeds in CHANCE of all cases. Where it is larger, its parameter is set
 free, everything is solved again, and so on: that gives the changes together. What no change explains is judged by
-χ² = |z|² and the residuals, against MISFIT_CHANCE. Together they are the 1 % of false alarms.
+χ² = |z|² and the residuals, against MISFIT_CHANCE. P and the scatter are themselves estimates: tests of a session with
+turns exceed their limits up to twice as often as if these were known, so that the limits are those of 0.5 % for 1 % of
+false alarms.
 
 The prior decides nothing of a change: it is beyond it. A change smaller than what turning on again may do is none.
 """
@@ -38,9 +40,9 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import limits_of
 from tumble.units import Array, IntArray
 
-CHANCE = 0.008
+CHANCE = 0.004
 """How often the largest of the tests calls a calibration changed that is not."""
-MISFIT_CHANCE = 0.002
+MISFIT_CHANCE = 0.001
 """How often χ² says so."""
 POWER = 0.9
 """A change is called detectable that is found as often."""
