@@ -30,7 +30,7 @@ from tumble.calibration.observed import inspect_session, observations_for_calibr
 from tumble.calibration.results import Parameter
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
-from tumble.estimation.field_check import Change, CheckResult, Known, field_check
+from tumble.estimation.field_check import Change, CheckResult, KnownBefore, field_check
 from tumble.estimation.likelihood import Scatter, variables_of
 from tumble.estimation.prediction import prediction
 from tumble.files import FilePath
@@ -195,7 +195,7 @@ def _celsius(observations: Observations) -> float | None:
 
 def known_before(
     calibration: Calibration, observations: Observations, grade: str, data_sheet: Mapping[str, float]
-) -> Known:
+) -> KnownBefore:
     """Parameters and covariance at the check by the calibration, in the frame `accelerometer`, Eq. (1)."""
     usual = usual_sizes(grade, data_sheet)
     blocks = observations.accel_block, observations.gyro_block
@@ -210,7 +210,7 @@ def known_before(
         whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in instrument.names])
     J = np.eye(len(whole))
     J[1:, 1:] = _to_temperature(calibration, observations, instrument)
-    return Known(
+    return KnownBefore(
         instrument=instrument,
         values=J[1:, 1:] @ values,
         covariance=J @ whole @ J.T + np.diag(np.append(0.0, _turned_on(calibration, instrument, grade) ** 2)),

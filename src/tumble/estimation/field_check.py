@@ -55,7 +55,7 @@ MAX_ITERATIONS = 12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Known:
+class KnownBefore:
     """What was known before: values (m,) of the parameters of an instrument, the covariance (1 + m, 1 + m) of gravity
     and of them, SI, and the scatter from rest to rest and turn to turn."""
 
@@ -103,26 +103,26 @@ class CheckResult:
         return self.explained and not self.changes
 
 
-def field_check(observations: Observations, known: Known) -> CheckResult:
+def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
     """What a session says of a calibration, see the module's docstring."""
     limits = limits_of(known.instrument.names)
     seen = range(known.instrument.linear_count)
     free: list[int] = []
     others: list[dict[int, float]] = []
     at = _started(observations, known)
-    first: _Tests | None = None
+    rounds: list[_Tests] = []
     while True:
         at, reduced = _iterated(at, known, _freed(known.covariance, free, limits))
         found = _Tests.of(reduced, _freed(known.covariance, free, limits))
         candidates = np.array([j for j in seen if j not in free and found.u[j] < limits[j] / DETERMINED], dtype=int)
         limit = found.limit(candidates)
-        first = first or _Tests(z=found.z, G=found.G, candidates=candidates, most=limit)
+        rounds.append(replace(found, candidates=candidates, most=limit))
         worst = int(candidates[np.argmax(np.abs(found.t[candidates]))]) if len(candidates) else 0
         if not len(candidates) or abs(found.t[worst]) <= limit or len(free) == MOST_CHANGES:
             break
         free.append(worst)
         others.append(found.as_likely(worst, candidates, limit))
-    return _result(known, (free, others), reduced, first)
+    return _result(known, (free, others), reduced, rounds[0])
 
 
 def _freed(covariance: Array, free: list[int], limits: Array) -> Array:
@@ -143,7 +143,7 @@ class _Where:
     about: TurnsAbout | None
 
 
-def _started(observations: Observations, known: Known) -> _Where:
+def _started(observations: Observations, known: KnownBefore) -> _Where:
     """The calibrated parameters, and attitudes by them."""
     instrument, values = known.instrument, known.values
     start = dict(zip(instrument.names, values.tolist(), strict=True))
@@ -171,7 +171,7 @@ class _Reduced:
     degrees: int
 
 
-def _iterated(at: _Where, known: Known, covariance: Array) -> tuple[_Where, _Reduced]:
+def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where, _Reduced]:
     """Gauss–Newton with a covariance of the prior, and what the session leaves at the end."""
     problem = replace(at.problem, prior=Prior(covariance=covariance))
     point, about = at.point, at.about
@@ -213,7 +213,8 @@ def _reduced(problem: Problem, rows: tuple[Array, Array], weight: Weights) -> _R
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Tests:
-    """z (p,) and G (p, m) of Eq. (1), without the column of gravity."""
+    """z (p,) and G (p, m) of Eq. (1), without the column of gravity; which parameters are candidates for a change, and
+    `most`, what the largest |t| of them may be."""
 
     z: Array
     G: Array
@@ -264,9 +265,8 @@ def _normal(size: int) -> Array:
 
 
 def _result(
-    known: Known, found: tuple[list[int], list[dict[int, float]]], reduced: _Reduced, first: _Tests | None
+    known: KnownBefore, found: tuple[list[int], list[dict[int, float]]], reduced: _Reduced, first: _Tests
 ) -> CheckResult:
-    assert first is not None
     instrument, (free, others) = known.instrument, found
     names, units = instrument.names, instrument.units
     tests = _Tests.of(reduced, known.covariance)
