@@ -30,7 +30,7 @@ from tumble.calibration.observed import inspect_session, observations_for_calibr
 from tumble.calibration.results import Parameter
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
-from tumble.estimation.field_check import Change, CheckResult, KnownBefore, field_check
+from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
 from tumble.estimation.likelihood import Scatter, variables_of
 from tumble.estimation.prediction import prediction
 from tumble.files import FilePath
@@ -87,7 +87,7 @@ class FieldCheck:
         return _updated(self).in_frame(self.frame)
 
 
-def _said(change: Change) -> str:
+def _said(change: ChangedParameter) -> str:
     size, unit = shown_in(change.name, change.unit, change.value)
     said = f"{change.name} has changed by {change.value / size:+.3g} {unit} (u {change.u / size:.2g} {unit})"
     for name, value in change.others.items():

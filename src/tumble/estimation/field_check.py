@@ -66,7 +66,7 @@ class KnownBefore:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Change:
+class ChangedParameter:
     """A parameter that has changed by `value`, SI, with standard uncertainty; `others` have changes, by name, that
     explain the session nearly as well."""
 
@@ -83,7 +83,7 @@ class CheckResult:
     had changed, and the size that is detectable; `largest` of |change|/u and what it may be, `limit`; the `misfit`
     that no change explains; values (m,) and covariance (m, m) of the parameters by calibration and check together."""
 
-    changes: tuple[Change, ...]
+    changes: tuple[ChangedParameter, ...]
     tests: Mapping[str, tuple[float, float]]
     detectable: Mapping[str, float]
     largest: float
@@ -276,7 +276,7 @@ def _result(
     PR = covariance @ reduced.R.T
     return CheckResult(
         changes=tuple(
-            Change(
+            ChangedParameter(
                 name=names[j],
                 unit=units[j],
                 value=float(value[i]),
