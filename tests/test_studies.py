@@ -19,6 +19,7 @@ ANSWERS = {
     "coverage_of_limits.py": "Does a device at its limit pass in 2.5 % at most? Yes",
     "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",
     "departures.py": "accepted without a word? Only what no turn of the session shows.",
+    "field_check.py": "Does a check find these changes in 90 %, and in 1 % one that is none? Yes",
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
     "joint_bound.py": "Does the joint estimate reach the bound? yes",
     "kalman_filter.py": "Does the Kalman filter win? In accuracy",

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from tumble.calibration.calibrate import calibrate as calibrate
     from tumble.calibration.calibration_file import Calibration as Calibration
     from tumble.calibration.calibration_file import read_calibration as read_calibration
+    from tumble.calibration.check import FieldCheck as FieldCheck
+    from tumble.calibration.check import check_calibration as check_calibration
     from tumble.calibration.compare import Comparison as Comparison
     from tumble.calibration.compare import compare_calibrations as compare_calibrations
     from tumble.calibration.from_readings import ReadingsCalibration as ReadingsCalibration
@@ -139,6 +141,8 @@ _PUBLIC = {
     "ReadingsCalibration": "calibration.from_readings",
     "Comparison": "calibration.compare",
     "compare_calibrations": "calibration.compare",
+    "FieldCheck": "calibration.check",
+    "check_calibration": "calibration.check",
     "Positions": "calibration.verify",
     "Verification": "calibration.verify",
     "positions_of": "calibration.verify",

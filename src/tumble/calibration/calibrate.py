@@ -162,14 +162,19 @@ def _usual(session: Session, observations: Observations, terms: Terms) -> tuple[
     as a note; none for the linear model."""
     if terms == "linear":
         return {}, ()
-    grade, rests = session.device.grade, observations.rests
-    guessed = grade is None
-    if grade is None:
-        gyro = float(np.median(rests.gyro_noise)) if rests.gyro_noise.size else None
-        grade = guessed_grade(float(np.median(rests.accel_noise)), gyro)
+    grade, guessed = grade_of(session, observations)
     said = f"usual sizes of what is not bias, scale or axis angle: those of the grade {grade}"
     origin = ", guessed from the noise; [device] grade says another" if guessed else ""
     return usual_sizes(grade, session.device.prior), (said + origin,)
+
+
+def grade_of(session: Session, observations: Observations) -> tuple[str, bool]:
+    """The grade of a session's device, and whether it had to be guessed from the noise."""
+    if session.device.grade is not None:
+        return session.device.grade, False
+    rests = observations.rests
+    gyro = float(np.median(rests.gyro_noise)) if rests.gyro_noise.size else None
+    return guessed_grade(float(np.median(rests.accel_noise)), gyro), True
 
 
 def _estimated(
@@ -253,13 +258,13 @@ def _without_result(observed: Observed, method: str, outcome: Outcome, provenanc
         outcome=outcome,
         site=session.site,
         circumstances=observed.circumstances,
-        readings=_readings_of(session),
+        readings=readings_of_session(session),
         notes=_bridged(observed.gaps),
         provenance=provenance,
     )
 
 
-def _readings_of(session: Session) -> dict[str, Readings]:
+def readings_of_session(session: Session) -> dict[str, Readings]:
     """What the readings of a session are."""
     given = {"accel": session.log.accel, "gyro": session.log.gyro}
     readings = {kind: _readings_in(channels) for kind, channels in given.items() if channels is not None}
@@ -386,7 +391,7 @@ def _result(
         site=observations.site,
         circumstances=observed.circumstances,
         programme=None if observations.programme is None else observations.programme.name,
-        readings=_readings_of(session),
+        readings=readings_of_session(session),
         notes=_bridged(observed.gaps)
         + _torn(observations)
         + exclusion.said(session.excluded)
@@ -398,6 +403,8 @@ def _result(
         prediction=estimate.prediction,
         axes=_axes(observations),
         reference_temperature=_reference(observations),
+        imu=session.device.imu,
+        sample_rate=observed.rate,
     )
 
 

@@ -44,6 +44,7 @@ from tumble.estimation.estimate import Fit, GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
 from tumble.recording.arrays import celsius_of, numbers_of
+from tumble.recording.autopilot import AutopilotSensor, sensors_content, sensors_from
 from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_content, circumstances_from
 from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
@@ -101,6 +102,10 @@ class Calibration:
     """°C, at which parameters that change with temperature have their values."""
     circumstances: Circumstances = UNKNOWN
     """When, by whom, with what and in what air it was recorded."""
+    imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
+    """Which "accel" and "gyro" of an autopilot were recorded, where they are of one."""
+    sample_rate: float | None = None
+    """Samples a second of the recording."""
 
     @property
     def compensator(self) -> Compensator:
@@ -250,7 +255,8 @@ class Calibration:
     def _content(self) -> dict[str, Any]:
         return {
             "format": FORMAT,
-            "device": {"serial": self.serial, "model": self.model},
+            "device": {"serial": self.serial, "model": self.model}
+            | ({"imu": sensors_content(self.imu)} if self.imu else {}),
             "method": self.method,
             "frame": self.frame,
             "parameters": [parameter_content(p) for p in self.parameters],
@@ -266,6 +272,7 @@ class Calibration:
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],
+            "sample_rate": self.sample_rate,
             "site": None if self.site is None else asdict(self.site),
             "session": circumstances_content(self.circumstances),
             "programme": self.programme,
@@ -421,6 +428,8 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         prediction=optional(_prediction_from, content.get("prediction")),
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
+        imu=sensors_from(content["device"].get("imu", {})),
+        sample_rate=optional(float, content.get("sample_rate")),
         iterations=tuple(
             {text_from(p["name"]): float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]
         ),

@@ -13,8 +13,11 @@ from tumble.commands.arguments import FILE
 @click.command()
 @click.argument("first", type=FILE)
 @click.argument("second", type=FILE)
-def compare(first: Path, second: Path) -> None:
+@click.option("--gyro", type=FILE, help="SECOND is the file of the accelerometers of imu_tk: that of its gyros.")
+def compare(first: Path, second: Path, gyro: Path | None) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
+
+    SECOND may also be a result of Kalibr (YAML, with scale and misalignment) or of imu_tk, for the same readings.
 
     Exit status 0: no |E_n| exceeds 1 and χ² is within chance (probability 0.001); 1: otherwise.
     """
@@ -22,7 +25,7 @@ def compare(first: Path, second: Path) -> None:
     from tumble.terminal.comparison import comparison_report
     from tumble.terminal.text import print_report
 
-    found = compare_calibrations(first, second)
+    found = compare_calibrations(first, second, gyro=gyro)
     print_report(comparison_report(found))
     for remark in found.remarks:
         click.echo(f"note: {remark}", err=True)

@@ -54,13 +54,16 @@ COMPONENTS = ("accel", "gyro", "turn", "velocity", "jumps")
 """The components of variance, in the order of `Scatter`."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prior:
     """What is known beforehand: standard deviations, SI, of parameters about their start values, by name (others have
-    their limit or their usual size), and of the attitudes about those of the programme, rad an axis."""
+    their limit or their usual size), and of the attitudes about those of the programme, rad an axis. Where a
+    `covariance` (1 + m, 1 + m) of gravity and the parameters is known, it takes the place of all of these but the
+    attitudes'."""
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     attitude: float | None = None
+    covariance: Array | None = None
 
 
 NO_PRIOR = Prior()
@@ -425,11 +428,24 @@ def _prior_rows(problem: Problem, point: Point) -> Array:
     """Measured gravity and the prior of the parameters: a diagonal and a right-hand side, whitened."""
     expected, u = problem.measured
     known = u > 0.0
-    weight = np.where(known, 1.0 / np.where(known, u, 1.0), 0.0)
     rows = np.zeros((len(u) + 1, len(u) + 1))
-    rows[np.arange(len(u)), np.arange(len(u))] = weight
-    rows[:-1, -1] = weight * (expected - np.append(point.gravity, point.values))
+    if problem.prior.covariance is None:
+        rows[np.arange(len(u)), np.arange(len(u))] = np.where(known, 1.0 / np.where(known, u, 1.0), 0.0)
+    else:
+        rows[:-1, :-1] = _root_of_inverse(problem.prior.covariance)
+    rows[:-1, -1] = rows[:-1, :-1] @ (expected - np.append(point.gravity, point.values))
     return rows
+
+
+def _root_of_inverse(covariance: Array) -> Array:
+    """The triangle W with WᵀW = C⁻¹; zero where a quantity is exact."""
+    known = np.flatnonzero(np.diag(covariance) > 0.0)
+    index = np.ix_(known, known)
+    size = np.sqrt(np.diag(covariance)[known])
+    lower = np.linalg.cholesky(covariance[index] / np.outer(size, size))
+    out = np.zeros_like(covariance)
+    out[index] = np.linalg.qr(np.linalg.inv(lower), mode="r") / size
+    return out
 
 
 def left_jacobian(r: Array) -> Array:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.recording.autopilot import sensors_content
 from tumble.recording.circumstances import Circumstances, circumstances_content
 from tumble.recording.dialect import Dialect
 from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site
@@ -26,7 +27,8 @@ def description_of(session: Session) -> dict[str, Any]:
     >>> tumble.description_of(session)["log"]
     {'rate_hz': 100.0, 'accel': {'columns': ['accel_x', 'accel_y', 'accel_z'], 'unit': 'm/s^2'}}
     """
-    device = {"serial": session.device.serial, "model": session.device.model}
+    device: dict[str, Any] = {"serial": session.device.serial, "model": session.device.model}
+    device |= {"imu": sensors_content(session.device.imu)} if session.device.imu else {}
     passport = session.device.systematic
     content: dict[str, Any] = {
         "format": 1,

@@ -21,6 +21,7 @@ from pydantic import ValidationError
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath, whole_file
+from tumble.recording.autopilot import AutopilotSensor, sensors_from
 from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
 from tumble.recording.dialect import Dialect
 from tumble.recording.session_keys import (
@@ -65,6 +66,8 @@ class Device:
     """The class of instrument, where the session says it."""
     prior: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of groups of parameters, where the data sheet gives them."""
+    imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
+    """Which "accel" and "gyro" of an autopilot it is, where it is one."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -361,6 +364,7 @@ def _session(document: SessionDocument, folder: Path | None) -> Session:
             systematic=None if device.systematic is None else place / device.systematic,
             grade=device.grade,
             prior=device.priors(),
+            imu=sensors_from(device.imu.model_dump()),
         ),
         site=_site(document.site),
         log=_log(document.log, place),

@@ -44,6 +44,15 @@ class SessionTable(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+class ImuTable(SessionTable):
+    """[device.imu]"""
+
+    accel_number: int | None = Field(default=None, ge=1, le=9, description="a number from 1 to 9")
+    accel_id: int | None = Field(default=None, ge=1, lt=2**32, description="a device id, a whole number")
+    gyro_number: int | None = Field(default=None, ge=1, le=9, description="a number from 1 to 9")
+    gyro_id: int | None = Field(default=None, ge=1, lt=2**32, description="a device id, a whole number")
+
+
 class DeviceTable(SessionTable):
     """[device]"""
 
@@ -53,6 +62,7 @@ class DeviceTable(SessionTable):
     grade: Literal["navigation", "tactical", "mems", "consumer"] | None = Field(
         default=None, description="one of navigation, tactical, mems, consumer"
     )
+    imu: ImuTable = Field(default_factory=ImuTable, description="a table of sensors of an autopilot")
     prior: dict[str, str | dict[str, str]] = Field(
         default_factory=dict, description='standard deviations such as accel_quadratic = "20 ug/g^2"'
     )
@@ -411,6 +421,7 @@ class SessionDocument(SessionTable):
 
 TABLES: Mapping[str, type[SessionTable]] = {
     "device": DeviceTable,
+    "imu": ImuTable,
     "site": SiteTable,
     "log": LogTable,
     "accel": AccelTable,

@@ -171,7 +171,7 @@ def _started(problem: Problem) -> tuple[_At, tuple[Array, ...]]:
     about = None
     if instrument.gyro is not None:
         about, values[instrument.own(instrument.gyro)] = _started_gyros(problem, values, vertical)
-    attitudes = _headings(problem, vertical, values, about)
+    attitudes = headings(problem, vertical, values, about)
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
     return _At.of(problem, point, about), (values,)
 
@@ -212,7 +212,7 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
     return (about if near else TurnsAbout.of(observations, instrument, started)), started[own]
 
 
-def _headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
+def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
     """Attitudes (N, 3, 3) with these verticals. With N', E' the axes of a chain whose heading is any, the rates at
     rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a and s of each chain."""
     observations, link = problem.observations, problem.link
@@ -328,9 +328,9 @@ def _iterated(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> _Solved
     increments: list[Array] = []
     while True:
         step = solve(problem, at.rows, out.noise(problem, at.rows).weights(scatter))
-        point, moved = _moved(problem, at.point, step)
-        increments.append(moved)
-        about = _integrated(problem, point, at.about)
+        point, change = moved(problem, at.point, step)
+        increments.append(change)
+        about = integrated(problem, point, at.about)
         if (_negligible(problem, step) and about is at.about) or len(increments) == MAX_ITERATIONS:
             return _Solved(point=point, last=at, step=step, increments=tuple(increments))
         at = _At.of(problem, point, about)
@@ -343,7 +343,7 @@ def _negligible(problem: Problem, step: Step) -> bool:
     return bool(np.all(after <= CONVERGED * u + 1e-15))
 
 
-def _moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
+def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
     parameters. Chains whose heading is hardly seen keep it."""
     share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
@@ -364,7 +364,7 @@ def _heading_information(problem: Problem, step: Step) -> Array:
     return np.asarray(own)
 
 
-def _integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
+def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
     """The turns, integrated again if the parameters have moved too far since."""
     turns = problem.observations.turns
     if about is None or turns is None:

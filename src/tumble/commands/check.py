@@ -1,0 +1,37 @@
+"""`tumble check`: whether a calibration still holds, from a few rests."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from tumble.commands.arguments import EXISTING_FOLDER, FILE
+
+
+@click.command()
+@click.argument("calibration", type=FILE)
+@click.argument("session", type=EXISTING_FOLDER)
+@click.option("-o", "--out", type=FILE, help="Write the calibration, updated by the check, into this file.")
+@click.option("--force", is_flag=True, help="Replace an existing file whatever it is.")
+def check(calibration: Path, session: Path, out: Path | None, force: bool) -> None:
+    """Look whether CALIBRATION still holds for its device: three to five rests of SESSION in any attitude, with the
+    turns between them, decide, or say what has changed and by how much.
+
+    Exit status 0: it holds; 1: something has changed.
+    """
+    from tumble.calibration.check import check_calibration
+    from tumble.terminal.field_check import field_check_report
+    from tumble.terminal.text import print_report
+
+    found = check_calibration(calibration, session)
+    print_report(field_check_report(found))
+    for note in found.notes:
+        click.echo(f"note: {note}", err=True)
+    for reason in found.reasons:
+        click.echo(f"changed: {reason}", err=True)
+    if out is not None and found.result.explained:
+        found.updated().write(out, force=force)
+        click.echo(f"written to {out}", err=True)
+    sys.exit(0 if found.valid else 1)
