@@ -22,7 +22,7 @@ from tumble.sensors.parameters import Variable, group_of
 from tumble.units import ZERO_CELSIUS, Array
 
 N = 500
-AT_REST: tuple[Variable, ...] = ("temperature",)
+AT_REST: tuple[Variable, ...] = ("temperature", "temperature²")
 
 
 def larger(
@@ -72,8 +72,8 @@ def read(instrument: Instrument, values: Array, force: Array, rate: Array, celsi
     for i in range(len(force)):
         at = values.copy()
         for own, base, variable in instrument.changes:
-            assert variable == "temperature"
-            at[base] += values[own] * (0.0 if celsius is None else celsius[i] - 20.0)
+            power = {"temperature": 1, "temperature²": 2}[variable]
+            at[base] += values[own] * (0.0 if celsius is None else celsius[i] - 20.0) ** power
         blocks = (instrument.accel, instrument.gyro)
         f, w = force[i : i + 1], rate[i : i + 1]
         rows.append([readings(block, instrument.coefficients(block, at), f, w)[0] for block in blocks])

@@ -169,7 +169,7 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
         out.append(
             f"the delay of the accelerometers, {1e3 * compensator.delay:.3g} ms, is not undone: shift their times"
         )
-    if compensator.slopes and session.log.temperature is None:
+    if compensator.warm and session.log.temperature is None:
         at = "the reference" if compensator.reference is None else f"{compensator.reference:.1f} °C"
         out.append(f"the session has no temperature: parameters are those at {at}")
     if any(group.variable == "time" for group in groups() if group.name in found):
@@ -359,7 +359,7 @@ class _Reader:
     def _temperatures(self, table: pl.DataFrame) -> Array | None:
         """Temperatures (N,), °C, where parameters change with them: a lost one is the one before, or the reference."""
         column, reference = self.session.log.temperature, self.compensator.reference
-        if column is None or reference is None or not self.compensator.slopes:
+        if column is None or reference is None or not self.compensator.warm:
             return None
         with rows_of_numbers(self.path):
             known = table[column].cast(pl.Float64).fill_nan(None).fill_null(strategy="forward")

@@ -327,13 +327,20 @@ def _mean_reference(runs: Sequence[Run]) -> float | None:
 
 
 def _to_temperature(run: Run, names: list[str], reference: float | None) -> Array:
-    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes they have."""
+    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes and
+    curvatures they have."""
     out, own = np.eye(len(names)), run.calibration.reference_temperature
     if reference is None or own is None:
         return out
+    warmer = reference - own
     for i, name in enumerate(names):
-        if sensor_kind(name) != "mag" and group_of(name).variable == "temperature":
-            out[names.index(name.rpartition(".")[0]), i] = reference - own
+        variable = None if sensor_kind(name) == "mag" else group_of(name).variable
+        base = name.rpartition(".")[0]
+        if variable == "temperature":
+            out[names.index(base), i] = warmer
+        elif variable == "temperature²":
+            out[names.index(base), i] = warmer**2
+            out[names.index(f"{base}.t1"), i] = 2.0 * warmer
     return out
 
 

@@ -276,7 +276,8 @@ def variables_of(observations: Observations) -> dict[str, tuple[Array, Array]]:
     time = 0.5 * (rests.start + rests.stop)
     at_rest = {"time": time - 0.5 * (time.min() + time.max())}
     if rests.temperature is not None:
-        at_rest["temperature"] = rests.temperature - rests.temperature.mean()
+        warmer = rests.temperature - rests.temperature.mean()
+        at_rest |= {"temperature": warmer, "temperature²": warmer**2}
     if turns is None:
         return {name: (values, np.zeros(0)) for name, values in at_rest.items()}
     return {name: (v, 0.5 * (v[turns.first] + v[turns.last])) for name, v in at_rest.items()}

@@ -62,6 +62,7 @@ def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, st
 def _of_change(group: ParameterGroup, largest: float, rate: float, at_rate: str) -> tuple[float, str]:
     """The effect of the change of a bias or a scale factor."""
     span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
+    span = WARMER**2 if group.variable == "temperature²" else span
     if group.base is not None and group.base.endswith("bias"):
         return largest * span, over
     size, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
