@@ -22,6 +22,7 @@ from tumble.calibration.coverage import with_degrees
 from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
     Launch,
+    Member,
     Parameter,
     Readings,
     RestResult,
@@ -29,6 +30,8 @@ from tumble.calibration.results import (
     covariance_from,
     fits_content,
     fits_from,
+    member_content,
+    member_from,
     optional,
     parameter_content,
     parameter_from,
@@ -98,6 +101,8 @@ class Calibration:
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     reference_temperature: float | None = None
     """°C, at which parameters that change with temperature have their values."""
+    together: tuple[Member, ...] = ()
+    """The sessions, where several are in one estimate."""
 
     @property
     def compensator(self) -> Compensator:
@@ -112,6 +117,12 @@ class Calibration:
 
     def _axes(self, kind: str, model: SensorModel) -> Array:
         return np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
+
+    @property
+    def temperature_range(self) -> tuple[float, float] | None:
+        """The lowest and the highest temperature of the rests, °C; None where they have none."""
+        found = [rest.temperature for rest in self.rests if rest.temperature is not None]
+        return (min(found), max(found)) if found else None
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -258,7 +269,7 @@ class Calibration:
             "groups": [_group_content(group) for group in self.groups],
             "prediction": None if self.prediction is None else asdict(self.prediction),
             "axes": {kind: [list(axis) for axis in axes] for kind, axes in self.axes.items()},
-            "temperature": {"reference": self.reference_temperature},
+            "temperature": {"reference": self.reference_temperature, "range": self.temperature_range},
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],
@@ -282,6 +293,7 @@ class Calibration:
                 }
                 for launch in self.launches
             ],
+            "together": [member_content(member) for member in self.together],
             "provenance": dict(self.provenance),
         }
 
@@ -438,6 +450,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
             )
             for launch in content.get("launches", ())
         ),
+        together=tuple(map(member_from, content.get("together", ()))),
         provenance={text_from(key): text_from(value) for key, value in content["provenance"].items()},
     )
 

@@ -340,7 +340,8 @@ def _to_temperature(run: Run, names: list[str], reference: float | None) -> Arra
             out[names.index(base), i] = warmer
         elif variable == "temperature²":
             out[names.index(base), i] = warmer**2
-            out[names.index(f"{base}.t1"), i] = 2.0 * warmer
+            if f"{base}.t1" in names:
+                out[names.index(f"{base}.t1"), i] = 2.0 * warmer
     return out
 
 

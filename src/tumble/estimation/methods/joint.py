@@ -44,10 +44,11 @@ from scipy import special
 
 from tumble.earth import EARTH_RATE
 from tumble.estimation.elimination import carry
-from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, GroupFinding
+from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, GroupFinding, OwnEstimate
 from tumble.estimation.likelihood import (
     COMPONENTS,
     NO_PRIOR,
+    OWN,
     Left,
     Linearised,
     Noise,
@@ -58,19 +59,20 @@ from tumble.estimation.likelihood import (
     Scatter,
     Step,
     Weights,
+    at_reference,
     left,
     linearise,
     noise_of,
     solve,
-    variables_of,
 )
 from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.estimation.variables import variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 30
@@ -111,13 +113,22 @@ def joint(
     where None, the groups whose usual size the observations know. With `robust`, the estimate is that without the
     rests and turns that do not fit; their sigmas say which they are."""
     accel, gyro = observations.accel_block, observations.gyro_block
-    instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables_of(observations))
-    problem = Problem.of(observations, prior, instrument=instrument, usual=observations.usual)
+    variables, own = set(variables_of(observations)), None
+    if observations.together is not None:
+        variables, own = variables - set(OWN), _of_each(accel, gyro, observations.usual)
+    instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables)
+    problem = Problem.of(observations, prior, instrument=instrument, own=own, usual=observations.usual)
     at, first = _started(problem)
     everything = _fitted(problem, at, _Out.nothing(problem))
     fitting = _fitting(everything)
     shown = fitting if robust else everything
     return _estimate(shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
+
+
+def _of_each(accel: Block, gyro: Block | None, usual: Mapping[str, float]) -> Instrument:
+    """The groups that each of several sessions has of its own."""
+    every = Instrument.of(accel, gyro, usual, OWN)
+    return replace(every, further=tuple(group for group in every.further if group.variable in OWN))
 
 
 # Which rests and turns count
@@ -172,7 +183,8 @@ def _started(problem: Problem) -> tuple[_At, tuple[Array, ...]]:
     if instrument.gyro is not None:
         about, values[instrument.own(instrument.gyro)] = _started_gyros(problem, values, vertical)
     attitudes = _headings(problem, vertical, values, about)
-    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
+    own = np.zeros((len(problem.parts), len(problem.own_known)))
+    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, own=own)
     return _At.of(problem, point, about), (values,)
 
 
@@ -353,7 +365,7 @@ def _moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     seen = np.bincount(problem.chain, _heading_information(problem, step))
     mean = np.bincount(problem.chain, angles[:, 2]) / np.bincount(problem.chain)
     angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[problem.chain]
-    return point.moved(share * step.parameters, angles), share * step.parameters[1:]
+    return point.moved(share * step.parameters, angles, share * step.own), share * step.parameters[1:]
 
 
 def _heading_information(problem: Problem, step: Step) -> Array:
@@ -375,9 +387,13 @@ def _integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Tur
     velocity = np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
     if not problem.instrument.in_velocities:
         velocity = np.full_like(velocity, np.inf)
-    if about.good_for(problem.instrument, point.values, (noise, velocity)):
+    changes: tuple[Array, Array] | None = problem.changed_in_turns(point)
+    if changes is not None and about.small(changes[0], (noise, velocity)):
+        changes = None
+    gyro_changes = 0.0 if changes is None else changes[0]
+    if about.good_for(problem.instrument, point.values, (noise, velocity), gyro_changes):
         return about
-    return TurnsAbout.of(problem.observations, problem.instrument, point.values)
+    return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)
 
 
 # Scatter
@@ -446,27 +462,44 @@ def _scored(problem: Problem, rows: Rows, noise: Noise, variance: Array) -> tupl
 def _widened(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> Problem:
     """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where
     none is."""
-    members = problem.instrument.members
-    if not members:
+    members, own_members = problem.instrument.members, _own_members(problem)
+    if not members and not own_members:
         return problem
     weight = out.noise(problem, at.rows).weights(scatter)
     expected, u = problem.measured
-    now = u.copy()
+    now, own = u.copy(), problem.own_known.copy()
     for _ in range(WIDENING_STEPS):
-        rows = replace(at.rows, prior=_with_prior(at.rows.prior, now, expected, at.point))
-        step = solve(problem, rows, weight)
+        rows = replace(at.rows, prior=_with_prior(at.rows.prior, now, expected, at.point), own=-at.point.own / own)
+        step = solve(replace(problem, own_known=own), rows, weight)
         values, variance = at.point.values + step.parameters[1:], np.diag(step.covariance)[1:]
         most = 1.0
-        for own in members.values():
-            widened = float(np.sqrt(np.mean(((values - expected[1:])[own] ** 2 + variance[own]) / now[1:][own] ** 2)))
-            if widened > 1.0:
-                now[1:][own] *= widened
-                most = max(most, widened)
+        for group in members.values():
+            most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variance))
+        own_variance = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, : len(own)]
+        own_square = ((at.point.own + step.own) ** 2 + own_variance).mean(axis=0)
+        for group in own_members:
+            most = max(most, _widen(own, group, own_square))
         if most < WIDENED:
             break
-    if np.all(now <= u * WIDENED):
+    if np.all(now <= u * WIDENED) and np.all(own <= problem.own_known * WIDENED):
         return problem
-    return replace(problem, measured=(expected, now))
+    return replace(problem, measured=(expected, now), own_known=own)
+
+
+def _widen(known: Array, group: slice, square: Array) -> float:
+    """Widen the priors of a group, in place, that the squares of its parameters and variances exceed; by how much."""
+    widened = float(np.sqrt(np.mean(square[group] / known[group] ** 2)))
+    if widened > 1.0:
+        known[group] *= widened
+    return max(widened, 1.0)
+
+
+def _own_members(problem: Problem) -> list[slice]:
+    """Where the groups stand of what each session has of its own."""
+    if problem.own is None:
+        return []
+    first = problem.own.linear_count
+    return [slice(of.start - first, of.stop - first) for of in problem.own.members.values()]
 
 
 def _with_prior(prior: Array, u: Array, expected: Array, point: Point) -> Array:
@@ -679,7 +712,7 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
         null=combinations[:, variance > DETERMINED**-2].T,
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
-        rest_residual=np.linalg.norm(_force(problem, values), axis=1) - observations.site.gravity,
+        rest_residual=np.linalg.norm(_force(fitted), axis=1) - observations.site.gravity,
         rest_sigmas=rest_sigmas,
         turn_sigmas=turn_sigmas,
         increments=increments,
@@ -695,7 +728,8 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
             gravity=observations.site.gravity,
             rate=_usual_rate(fitted.solved.last.about),
         ),
-        linearised=_linearised(fitted),
+        linearised=None if observations.together is not None else _linearised(fitted),
+        own=_own(fitted),
     )
 
 
@@ -720,9 +754,29 @@ def _usual_rate(about: TurnsAbout | None) -> float | None:
     return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
 
 
-def _force(problem: Problem, values: Array) -> Array:
+def _force(fitted: _Fitted) -> Array:
     """Specific forces (N, 3) at rest by the whole model."""
-    return specific_force(problem.instrument, values, problem.observations.rests.accel)
+    problem, last = fitted.problem, fitted.solved.last
+    accel = problem.observations.rests.accel
+    if "temperature" in problem.variables:
+        accel = at_reference(problem, last.point, last.rows)
+    return specific_force(problem.instrument, fitted.solved.point.values, accel)
+
+
+def _own(fitted: _Fitted) -> OwnEstimate | None:
+    """What each of several sessions has of its own."""
+    own = fitted.problem.own
+    if own is None:
+        return None
+    first, q = own.linear_count, len(fitted.problem.own_known)
+    variance = np.diagonal(fitted.solved.step.own_covariance, axis1=1, axis2=2)[:, :q]
+    return OwnEstimate(
+        names=own.names[first:],
+        units=own.units[first:],
+        values=fitted.solved.point.own,
+        u=np.sqrt(variance),
+        priors=fitted.problem.own_known,
+    )
 
 
 def _findings(fitted: _Fitted, covariance: Array) -> Iterator[GroupFinding]:
@@ -755,4 +809,5 @@ def _degrees(fitted: _Fitted, covariance: Array) -> Array:
         more = noise.weights(Scatter.of_variances(variance + step * np.eye(len(variance))[a]))
         slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - np.diag(covariance)) / step
     of_u = np.einsum("am,ab,bm->m", slopes, fitted.components, slopes)
-    return np.asarray(np.minimum(2.0 * np.diag(covariance) ** 2 / np.maximum(of_u, 1e-300), MOST_DEGREES))
+    least = 2.0 * np.diag(covariance) ** 2 / MOST_DEGREES
+    return np.asarray(MOST_DEGREES * least / np.maximum(of_u, least))
