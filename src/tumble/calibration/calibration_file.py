@@ -169,8 +169,8 @@ class Calibration:
         """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
         readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
         squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
-        readings the rate is None. The `temperature` (...), K, counts where parameters change with it; without it they
-        are those of the reference temperature. Lever arms and the delay, which need the motion, are not applied:
+        readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in a
+        stream it follows the thermometer with the parameter temperature.lag); without it they are those of the reference temperature. Lever arms and the delay, which need the motion, are not applied:
         see `apply_to_session`.
 
         Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
@@ -214,6 +214,10 @@ class Calibration:
             return reframed(self, frame_of(frame))
         except InputError as error:
             raise CalibrationError(str(error)) from error
+
+    def _lag(self) -> dict[str, float]:
+        """The lag of the sensors behind the thermometer, s, where it is known."""
+        return {"lag": p.value for p in self.parameters if p.name == "temperature.lag"}
 
     def _with_further(self, kind: str, content: dict[str, Any] | None) -> dict[str, Any] | None:
         """The model of a kind of sensor, and beside it the values of the groups beyond it."""
@@ -269,7 +273,7 @@ class Calibration:
             "groups": [_group_content(group) for group in self.groups],
             "prediction": None if self.prediction is None else asdict(self.prediction),
             "axes": {kind: [list(axis) for axis in axes] for kind, axes in self.axes.items()},
-            "temperature": {"reference": self.reference_temperature, "range": self.temperature_range},
+            "temperature": {"reference": self.reference_temperature, "range": self.temperature_range} | self._lag(),
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],

@@ -214,7 +214,7 @@ class Left:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Part:
+class SessionSpan:
     """One of several sessions: its rests and turns, and the turn among these after each of its rests, or −1."""
 
     rests: slice
@@ -237,7 +237,7 @@ class Problem:
     measured: tuple[Array, Array]
     variables: Variables
     """What parameters may change with, in the middle of the rests (N,) and of the turns (K,)."""
-    parts: tuple[Part, ...]
+    parts: tuple[SessionSpan, ...]
     """The sessions."""
     of_session: tuple[IntArray, IntArray]
     """The session of every rest (N,) and turn (K,)."""
@@ -367,7 +367,7 @@ class Linearised:
     scatter: Scatter
 
 
-def _parts(observations: Observations, link: IntArray) -> tuple[tuple[Part, ...], tuple[IntArray, IntArray]]:
+def _parts(observations: Observations, link: IntArray) -> tuple[tuple[SessionSpan, ...], tuple[IntArray, IntArray]]:
     """The sessions, and that of every rest and turn."""
     session, turns = observations.session, observations.turns
     of_rest = np.zeros(len(link), dtype=np.int64) if session is None else session
@@ -376,7 +376,7 @@ def _parts(observations: Observations, link: IntArray) -> tuple[tuple[Part, ...]
     parts = []
     for s in range(len(edges) - 1):
         rests, own = slice(edges[s], edges[s + 1]), slice(turn_edges[s], turn_edges[s + 1])
-        parts.append(Part(rests=rests, turns=own, link=np.where(link[rests] < 0, -1, link[rests] - own.start)))
+        parts.append(SessionSpan(rests=rests, turns=own, link=np.where(link[rests] < 0, -1, link[rests] - own.start)))
     return tuple(parts), (of_rest, of_turn)
 
 

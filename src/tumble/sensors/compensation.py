@@ -55,8 +55,8 @@ def _solved(
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
     biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about a reference,
-    °C, where there is one. Lever arms (n, 3), m, need the motion: `at_one_point`. The `delay` of the accelerometers, s,
-    is not undone."""
+    °C, where there is one; the sensors follow the thermometer with the time constant `lag`, s. Lever arms (n, 3), m,
+    need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
 
     accel: Block
     gyro: Block | None
@@ -67,6 +67,7 @@ class Compensator:
     levers: Array
     delay: float = 0.0
     reference: float | None = None
+    lag: float = 0.0
 
     @staticmethod
     def of(
@@ -98,6 +99,7 @@ class Compensator:
             levers=instrument.levers(further),
             delay=instrument.delay(further),
             reference=reference,
+            lag=values.get("temperature.lag", 0.0),
         )
 
     @property
@@ -127,7 +129,7 @@ class Compensator:
         return np.asarray(readings - np.einsum("npk,pk->np", added, self.accel_coefficients[:, FORCE]))
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
-        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C."""
+        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C, of the sensors."""
         change = self._change(self.accel, self.accel_coefficients, temperature)
         return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)), change)
 
