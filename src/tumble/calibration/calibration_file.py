@@ -169,9 +169,9 @@ class Calibration:
         """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
         readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
         squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
-        readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in a
-        stream it follows the thermometer with the parameter temperature.lag); without it they are those of the reference temperature. Lever arms and the delay, which need the motion, are not applied:
-        see `apply_to_session`.
+        readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in
+        a stream it follows the thermometer with temperature.lag); without it they are those of the reference
+        temperature. Lever arms and the delay, which need the motion, are not applied: see `apply_to_session`.
 
         Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
         of a frame whose names say another unit, and temperatures that are not in kelvin."""
@@ -217,7 +217,8 @@ class Calibration:
 
     def _lag(self) -> dict[str, float]:
         """The lag of the sensors behind the thermometer, s, where it is known."""
-        return {"lag": p.value for p in self.parameters if p.name == "temperature.lag"}
+        found = [p.value for p in self.parameters if p.name == "temperature.lag"]
+        return {"lag": found[0]} if found else {}
 
     def _with_further(self, kind: str, content: dict[str, Any] | None) -> dict[str, Any] | None:
         """The model of a kind of sensor, and beside it the values of the groups beyond it."""
