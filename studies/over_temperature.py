@@ -265,10 +265,10 @@ def warm_up(count: int) -> tuple[float, float]:
 
 def main() -> None:
     short = "--short" in sys.argv
-    worst = procedures(4 if short else 100)
+    worst = procedures(2 if short else 60)
     if not short:
-        lags(12)
-    z, ratio = warm_up(4 if short else 60)
+        lags(8)
+    z, ratio = warm_up(3 if short else 60)
     honest = worst < (6.0 if short else 2.0) and z < (1.3 if short else 1.05) and ratio < 1.2
     print(f"\nIs u over temperature honest, and does a warm-up cost little? {'Yes' if honest else 'No'}")
     sys.exit(0 if honest else 1)

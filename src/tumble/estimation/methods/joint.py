@@ -87,6 +87,11 @@ ROUNDS = 6
 SCATTER_STEPS = 40
 SCATTER_CONVERGED = 0.02  # of the standard deviation of a component of variance
 WIDENING_STEPS = 50
+LAGS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, -25.0, -100.0)
+"""s: time constants of the sensors behind the thermometer from which the best is sought."""
+LAG_HELD = 1e-3  # s
+LAG_GRID = np.linspace(-5.0, 8.0, 40)
+"""Lags at which the likelihood is taken, in units of u from the maximum."""
 WIDENED = 1.01  # λ of a step that counts as settled
 KEPT = 1e-3  # learned fraction of a group that the session says anything of
 LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
@@ -119,9 +124,10 @@ def joint(
     instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables)
     problem = Problem.of(observations, prior, instrument=instrument, own=own, usual=observations.usual)
     at, first = _started(problem)
+    at = _with_lag(problem, at)
     everything = _fitted(problem, at, _Out.nothing(problem))
     fitting = _fitting(everything)
-    shown = fitting if robust else everything
+    shown = _with_posterior(fitting if robust else everything)
     return _estimate(shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
 
 
@@ -456,6 +462,80 @@ def _scored(problem: Problem, rows: Rows, noise: Noise, variance: Array) -> tupl
     return step.deviance, score, information + np.triu(information, 1).T
 
 
+# The lag
+
+
+def _with_lag(problem: Problem, at: _At) -> _At:
+    """The start with the best of LAGS. The likelihood of a lag, which multiplies the coefficients over temperature, has
+    several maxima: everything else is found at none, and from there the likelihood of each in one step."""
+    if problem.lag is None:
+        return at
+    solved = _iterated(_held(problem, 0.0), at, _Out.nothing(problem), Scatter())
+    at = _At.of(problem, solved.point, solved.last.about)
+    tried = [_at_lag(problem, at, lag, (_Out.nothing(problem), Scatter())) for lag in LAGS]
+    best = min(range(len(LAGS)), key=lambda i: tried[i][1])
+    step = tried[best][0]
+    point = _point_of(solved.point.moved(step.parameters, step.angles, step.own), problem.lag, LAGS[best])
+    return _At.of(problem, point, solved.last.about)
+
+
+def _held(problem: Problem, lag: float) -> Problem:
+    """The problem with a lag that is known."""
+    assert problem.lag is not None
+    expected, u = (values.copy() for values in problem.measured)
+    expected[1 + problem.lag], u[1 + problem.lag] = lag, LAG_HELD
+    return replace(problem, measured=(expected, u))
+
+
+def _point_of(point: Point, where: int, lag: float) -> Point:
+    """A point with another lag."""
+    values = point.values.copy()
+    values[where] = lag
+    return replace(point, values=values)
+
+
+def _at_lag(problem: Problem, at: _At, lag: float, noise: tuple[_Out, Scatter]) -> tuple[Step, float]:
+    """The step from a point to the solution with a lag, and −2 log of the likelihood of the lag, whatever the other
+    parameters are, with its prior."""
+    assert problem.lag is not None
+    out, scatter = noise
+    held = _held(problem, lag)
+    rows = linearise(held, _point_of(at.point, problem.lag, lag), at.about)
+    step = solve(held, rows, out.noise(held, rows).weights(scatter))
+    expected, u = (values[1 + problem.lag] for values in problem.measured)
+    return step, step.deviance + ((lag - expected) / u) ** 2
+
+
+def _with_posterior(fitted: _Fitted) -> _Fitted:
+    """The fit with the lag at the mean of what is known of it, and its spread in all uncertainties: with g = ∂θ/∂λ,
+
+        C = C(λ) + g gᵀ u_λ²                                                                                     (A5)
+
+    Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
+    maximum. A lag that the session says nothing of stays what it is."""
+    problem, solved = fitted.problem, fitted.solved
+    if problem.lag is None:
+        return fitted
+    where, free = 1 + problem.lag, solved.step.covariance
+    u = float(np.sqrt(free[where, where]))
+    if 1.0 - (u / problem.measured[1][where]) ** 2 < KEPT:
+        return fitted
+    lags = solved.point.values[problem.lag] + u * LAG_GRID
+    noise = fitted.out, fitted.scatter
+    at = _At.of(problem, solved.point, solved.last.about)
+    deviance = np.array([_at_lag(problem, at, float(lag), noise)[1] for lag in lags])
+    weight = np.exp(-0.5 * (deviance - deviance.min()))
+    mean = float(weight @ lags / weight.sum())
+    square = float(weight @ (lags - mean) ** 2 / weight.sum())
+    held = _held(problem, mean)
+    start = _At.of(held, _point_of(solved.point, problem.lag, mean), solved.last.about)
+    there = _iterated(held, start, *noise)
+    g = free[where] / free[where, where]
+    step = replace(there.step, covariance=there.step.covariance + square * np.outer(g, g))
+    after = _left(held, there, *noise)
+    return replace(fitted, solved=replace(there, step=step), left=after[0], weights=after[1])
+
+
 # Priors
 
 
@@ -473,7 +553,9 @@ def _widened(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> Problem:
         step = solve(replace(problem, own_known=own), rows, weight)
         values, variance = at.point.values + step.parameters[1:], np.diag(step.covariance)[1:]
         most = 1.0
-        for group in members.values():
+        for name, group in members.items():
+            if name == "temperature.lag":
+                continue  # it multiplies others: a wide prior would let both grow
             most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variance))
         own_variance = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, : len(own)]
         own_square = ((at.point.own + step.own) ** 2 + own_variance).mean(axis=0)
@@ -804,10 +886,11 @@ def _degrees(fitted: _Fitted, covariance: Array) -> Array:
     if not len(active):
         return degrees
     noise, slopes = fitted.out.noise(problem, rows), np.zeros((len(COMPONENTS), len(covariance)))
+    now = np.diag(solve(problem, rows, noise.weights(fitted.scatter)).covariance)[1:]
     for a in active:
         step = 0.1 * variance[a]
         more = noise.weights(Scatter.of_variances(variance + step * np.eye(len(variance))[a]))
-        slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - np.diag(covariance)) / step
+        slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - now) / step
     of_u = np.einsum("am,ab,bm->m", slopes, fitted.components, slopes)
     least = 2.0 * np.diag(covariance) ** 2 / MOST_DEGREES
     return np.asarray(MOST_DEGREES * least / np.maximum(of_u, least))
