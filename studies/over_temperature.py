@@ -5,12 +5,12 @@ included; programme rough-table, rests of 120 s, half turns in about 20 s, 35 mi
 from the truth. Each session has biases of its own launch and drifts of its own.
 
 Procedures: the programme at 0, 20 and 40 °C, a launch each; the programme twice in one recording while the temperature
-goes from 0 to 40 °C and back; once while it goes from 0 to 40 °C; once at room temperature while the unit warms by 3 °C;
-and the same without any change of temperature. Sensors follow the thermometer with a lag, |N(0, 200 s)| where none is
-stated, and have a hysteresis of the usual size where both ways are gone.
+goes from 0 to 40 °C and back; once while it goes from 0 to 40 °C; once at room temperature while the unit warms by
+3 °C; and the same without any change of temperature. Sensors follow the thermometer with a lag, |N(0, 200 s)| where
+none is stated, and have a hysteresis of the usual size where both ways are gone.
 
-z: root mean square of (value − truth)/u over runs and parameters. Coverage: how often the truth is within the interval of
-95 %.
+z: root mean square of (value − truth)/u over runs and parameters. Coverage: how often the truth is within the interval
+of 95 %.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ WARM_UP = Procedure(name="warm-up of 3 °C", courses=((20.0, 23.0),), warm_up=5.
 ISOTHERMAL = Procedure(name="no change", courses=((20.0, 20.0),))
 
 
-def session(procedure: Procedure, course: Sequence[float], scenario: Scenario, lag: float) -> tuple[Climate, float]:
+def session(procedure: Procedure, course: Sequence[float], lag: float) -> tuple[Climate, float]:
     """The climate of a session, and how long it takes, s."""
     setup = Setup.of(grade=GRADE)
     turns = len(procedure.programme.moves) * (180.0 / np.rad2deg(setup.turn_rate))
@@ -126,7 +126,7 @@ def observed(procedure: Procedure, number: int, lag: float | None) -> tuple[Scen
     scenario, drawn = device(procedure, rng), abs(LAG * rng.standard_normal())
     sessions, several = [], len(procedure.courses) > 1
     for course in procedure.courses:
-        climate, _ = session(procedure, course, scenario, drawn if lag is None else lag)
+        climate, _ = session(procedure, course, drawn if lag is None else lag)
         mine = replace(of_launch(scenario, rng, several=several), climate=climate)
         sessions.append(simulate_observations(mine, rng))
     scenario = replace(mine if not several else scenario, climate=climate)
@@ -230,20 +230,21 @@ def lags(count: int) -> None:
         ]
         values = [run.values["temperature.lag"] for run in with_lag]
         u = float(np.sqrt(np.mean([run.u["temperature.lag"] ** 2 for run in with_lag])))
-        ignored = rms(without, (*LINEAR, *THERMAL))
+        ignored, fit = rms(without, (*LINEAR, *THERMAL)), np.mean([run.chi_square for run in without])
+        print(f"  {procedure.name:12s} {lag:4.0f} s: {ignored:5.1f} (chi-square over degrees {fit:.2f})", end=" ")
         print(
-            f"  {procedure.name:12s} {lag:4.0f} s: {ignored:5.1f} (chi-square/dof {np.mean([r.chi_square for r in without]):.2f})"
-            f" → {rms(with_lag, (*LINEAR, *THERMAL)):.2f}; {np.mean(values):.1f} ± {np.std(values):.1f} s, u {u:.1f} s"
+            f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f}; {np.mean(values):.1f} ± {np.std(values):.1f} s, u {u:.1f} s"
         )
     made = [observed(BOTH_WAYS, number, 60.0) for number in range(count)]
     both, lag_alone = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), ("temperature.lag",)
-    said = [
-        f"{rms([found(*each, leave=leave) for each in made], (*LINEAR, *THERMAL)):.2f}"
-        for leave in ((*both, *lag_alone), both, lag_alone, ())
-    ]
-    print(
-        f"  hysteresis with a lag of 60 s: ignored {said[0]}, lag alone {said[1]}, hysteresis alone {said[2]}, both {said[3]}"
-    )
+    for what, leave in (
+        ("ignored", both + lag_alone),
+        ("lag alone", both),
+        ("hysteresis alone", lag_alone),
+        ("both", ()),
+    ):
+        z = rms([found(*each, leave=leave) for each in made], (*LINEAR, *THERMAL))
+        print(f"  hysteresis with a lag of 60 s, {what}: {z:.2f}")
 
 
 def warm_up(count: int) -> tuple[float, float]:
@@ -255,11 +256,11 @@ def warm_up(count: int) -> tuple[float, float]:
     still = [found(*observed(ISOTHERMAL, number, 0.0), leave=leave) for number in range(count)]
     names = [name for name in runs[0].u if group_name(name) in LINEAR]
     ratio = np.array([[run.u[n] / other.u[n] for n in names] for run, other in zip(runs, still, strict=True)])
-    z = rms(runs, LINEAR)
+    z, without = rms(runs, LINEAR), rms(ignored, LINEAR)
     print(
-        f"\nwarm-up of 3 °C, {count} devices: z {z:.2f} (without coefficients over temperature {rms(ignored, LINEAR):.2f}); "
-        f"u {ratio.mean():.2f} times that without a change, at most {ratio.mean(axis=0).max():.2f}"
+        f"\nwarm-up of 3 °C, {count} devices: z {z:.2f} (without coefficients over temperature {without:.2f});", end=" "
     )
+    print(f"u {ratio.mean():.2f} times that without a change, at most {ratio.mean(axis=0).max():.2f}")
     return z, float(ratio.mean())
 
 

@@ -151,7 +151,8 @@ def dense(problem: Problem, point: Point) -> Array:
     own_prior[:, 3 * N : 3 * N + S * q] = np.diag(np.tile(1.0 / problem.own_known, S))
     A = np.concatenate([*blocks, prior, own_prior])
     scale = np.linalg.norm(A, axis=0)
-    information = np.linalg.qr(A / scale, mode="r")[3 * N :, 3 * N :]
+    triangle = np.asarray(np.linalg.qr(A / scale, mode="r"))
+    information = triangle[3 * N :, 3 * N :]
     inverse = np.linalg.inv(information) / scale[3 * N :, None]
     return np.asarray(inverse @ inverse.T)
 

@@ -15,6 +15,7 @@ from tumble.calibration.calibration_file import Calibration, SensingAxes, read_c
 from tumble.calibration.case import CaseAlignment, estimate_in
 from tumble.calibration.coverage import MANY_DEGREES, with_degrees
 from tumble.calibration.observed import Progress, inspect_session, observations_for_calibration
+from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.diagnosis import verdict
@@ -359,7 +360,7 @@ def result_of(
     outcome = verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed)
     rests, turns = _rest_results(estimate, observations), _turn_results(estimate, observations)
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
-    learned = _learned(estimate)
+    learned, notes_over_temperature = _learned(estimate), tuple(over_temperature(estimate, observations))
     estimate, case = estimate_in(frame, estimate, observations)
     systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
     seen = np.flatnonzero(estimate.observable)
@@ -400,6 +401,7 @@ def result_of(
         + exclusion.said(session.excluded)
         + observations.notes
         + _unchecked(estimate)
+        + notes_over_temperature
         + _aligned(case),
         provenance=provenance,
         groups=estimate.groups,

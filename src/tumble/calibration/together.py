@@ -21,7 +21,6 @@ from tumble.calibration.results import Member, Parameter
 from tumble.errors import InputError
 from tumble.estimation.estimate import Estimate, Outcome, OwnEstimate
 from tumble.estimation.methods.joint import joint
-from tumble.estimation.variables import OVER_TEMPERATURE, both_ways, lag_is_sought
 from tumble.files import FilePath
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Log
@@ -100,7 +99,7 @@ def calibrate_together(
     if isinstance(estimate, Outcome):
         return without_result(described[0], "joint", estimate, provenance)
     made = result_of(described[0], *estimate, systematic, frame, provenance)
-    notes = (*made.notes, *(note for each in reduced for note in _notes(each)), *_over_temperature(*estimate))
+    notes = (*made.notes, *(note for each in reduced for note in _notes(each)))
     return replace(
         made,
         outcome=_with_scatter(made.outcome, estimate[0]),
@@ -214,45 +213,6 @@ def _notes(each: _Reduced) -> Iterator[str]:
         yield (
             f"{each.name}: nothing is turned{parts}: it says how the biases that gravity and the Earth's rate show in "
             "this position change with temperature, and of scale factors nothing"
-        )
-
-
-def _over_temperature(estimate: Estimate, observations: Observations) -> Iterator[str]:
-    """What the temperatures of the sessions determine, and what not."""
-    kelvin, together = observations.rests.temperature, observations.together
-    assert kelvin is not None
-    assert together is not None
-    low, high = kelvin.min() - ZERO_CELSIUS, kelvin.max() - ZERO_CELSIUS
-    yield f"temperatures of the rests: {low:.1f} to {high:.1f} °C; beyond them nothing was measured"
-    if not lag_is_sought(observations):
-        yield (
-            f"temperatures span {np.ptp(kelvin):.1f} K, less than {OVER_TEMPERATURE:.0f}: coefficients over "
-            "temperature are mostly what is usual; take sessions at temperatures further apart"
-        )
-        return
-    turned = observations.turns is not None and bool((observations.turns.duration > 0.0).any())
-    if turned:
-        yield from _where_turned(observations)
-    lag = next((group for group in estimate.groups if group.name == "temperature.lag" and group.kept), None)
-    if lag is not None and not both_ways(observations):
-        u = float(estimate.u[estimate.names.index("temperature.lag")])
-        yield (
-            f"the temperature was not passed both ways: the lag behind the thermometer is known to {u:.0f} s only, and "
-            "hysteresis not at all; ramp up and down in one recording"
-        )
-
-
-def _where_turned(observations: Observations) -> Iterator[str]:
-    """Whether rests that are joined by turns, which alone show scale factors, span the temperatures."""
-    kelvin, turns = observations.rests.temperature, observations.turns
-    assert kelvin is not None
-    assert turns is not None
-    really = turns.duration > 0.0
-    at = kelvin[np.concatenate([turns.first[really], turns.last[really]])]
-    if np.ptp(at) < 0.5 * np.ptp(kelvin):
-        yield (
-            f"turns span {at.min() - ZERO_CELSIUS:.1f} to {at.max() - ZERO_CELSIUS:.1f} °C only: how scale factors "
-            "change beyond that is what is usual; turn at the other temperatures too"
         )
 
 

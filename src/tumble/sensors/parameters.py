@@ -329,7 +329,7 @@ FURTHER.append(
         words="lag of all sensors behind the thermometer",
         suffixes=_once,
         limit=_HOUR,
-        shown=((1.0, "s"), (60.0, "min")),
+        shown=((1.0, "s"),),
         usual=_grades(200.0, 200.0, 200.0, 200.0),
         variable="lag",
     )
