@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
+from click.testing import CliRunner
 
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.together import calibrate_together
+from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, linearise, noise_of, solve
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import variables_of
 from tumble.planning.setup import Setup
-from tumble.recording.session import Session, session_of
+from tumble.recording.log import open_log
+from tumble.recording.session import Session, session_of, write_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.sensors.instrument import Instrument
@@ -232,13 +238,17 @@ def logged(scenario: Scenario, setup: Setup, celsius: float, seed: int) -> Sessi
     return in_memory(recording.time, recording.accel, recording.gyro, np.full(len(recording.time), celsius), setup)
 
 
-def in_memory(time: Array, accel: Array, gyro: Array, celsius: Array, setup: Setup, serial: str = "A-1") -> Session:
+def in_memory(time: Array, accel: Array, gyro: Array, celsius: Array, setup: Setup) -> Session:
     columns = {"t": time, "T": celsius}
     columns |= {f"a{x}": column for x, column in zip("xyz", accel.T, strict=True)}
     columns |= {f"g{x}": column for x, column in zip("xyz", gyro.T, strict=True)}
-    content = {
+    return session_of(described(setup), columns)
+
+
+def described(setup: Setup) -> dict[str, Any]:
+    return {
         "format": 1,
-        "device": {"serial": serial, "grade": "mems"},
+        "device": {"serial": "A-1", "grade": "mems"},
         "site": {"latitude_deg": np.rad2deg(setup.latitude), "gravity": setup.gravity, "gravity_u": 1e-6},
         "log": {
             "time": "t",
@@ -247,7 +257,6 @@ def in_memory(time: Array, accel: Array, gyro: Array, celsius: Array, setup: Set
             "temperature": {"columns": ["T"], "unit": "degC"},
         },
     }
-    return session_of(content, columns)
 
 
 CUBE = Setup.of(grade="mems", programme="cube-14", rest=5.0, rate_deg_s=60.0, sample_rate=50.0, gravity_u=0.0)
@@ -333,3 +342,25 @@ def test_what_cannot_be_one_estimate_is_refused(made: tuple[Scenario, list[Sessi
         calibrate_together([first, elsewhere])
     with pytest.raises(InputError, match="frame: expected accelerometer, paper or symmetric"):
         calibrate_together([first, second], frame="case")
+
+
+def test_the_command_writes_the_calibration(made: tuple[Scenario, list[Session], Calibration], tmp_path: Path) -> None:
+    for name, session in zip(("cold", "hot"), made[1][::2], strict=True):
+        (tmp_path / name).mkdir()
+        whole = list(open_log(session).chunks())
+        columns = {"t": np.concatenate([chunk.time for chunk in whole])}
+        for stem in ("accel", "gyro"):
+            readings = np.concatenate([getattr(chunk, stem) for chunk in whole])
+            columns |= {f"{stem[0]}{x}": column for x, column in zip("xyz", readings.T, strict=True)}
+        kelvin = np.concatenate([chunk.temperature for chunk in whole if chunk.temperature is not None])
+        pl.DataFrame(columns | {"T": kelvin - ZERO_CELSIUS}).write_parquet(tmp_path / name / "log.parquet")
+        content = described(CUBE)
+        write_session(tmp_path / name, content | {"log": {"file": "log.parquet"} | content["log"]})
+    folders, out = [str(tmp_path / "cold"), str(tmp_path / "hot")], tmp_path / "out.json"
+    done = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert re.search(r"^cold +14 +13 +0\.0 +0\.0$", done.output, re.M), done.output
+    assert [member.session for member in read_calibration(out).together] == ["cold", "hot"]
+    refused = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--method", "staged", "--out", str(out)])
+    assert refused.exit_code == 2
+    assert "--together: expected the method 'joint'" in refused.output

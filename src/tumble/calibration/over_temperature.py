@@ -18,7 +18,7 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
     if kelvin is None or (observations.together is None and not lag_is_sought(observations)):
         return
     low, high = kelvin.min() - ZERO_CELSIUS, kelvin.max() - ZERO_CELSIUS
-    yield f"temperatures of the rests: {low:.1f} to {high:.1f} °C; beyond them nothing was measured"
+    yield f"temperatures of the rests: {low:z.1f} to {high:z.1f} °C; beyond them nothing was measured"
     if not lag_is_sought(observations):
         yield (
             f"temperatures span {np.ptp(kelvin):.1f} K, less than {OVER_TEMPERATURE:.0f}: coefficients over "
@@ -46,6 +46,6 @@ def _where_turned(observations: Observations) -> Iterator[str]:
     at = kelvin[np.concatenate([turns.first[really], turns.last[really]])]
     if np.ptp(at) < 0.5 * np.ptp(kelvin):
         yield (
-            f"turns span {at.min() - ZERO_CELSIUS:.1f} to {at.max() - ZERO_CELSIUS:.1f} °C only: how scale factors "
+            f"turns span {at.min() - ZERO_CELSIUS:z.1f} to {at.max() - ZERO_CELSIUS:z.1f} °C only: how scale factors "
             "change beyond that is what is usual; turn at the other temperatures too"
         )

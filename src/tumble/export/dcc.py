@@ -57,6 +57,9 @@ _DIMENSIONS: Mapping[str, Mapping[str, int]] = {
     "m/s^2/K": {"metre": 1, "second": -2, "kelvin": -1},
     "rad/s/K": {"radian": 1, "second": -1, "kelvin": -1},
     "1/K": {"kelvin": -1},
+    "m/s^2/K^2": {"metre": 1, "second": -2, "kelvin": -2},
+    "rad/s/K^2": {"radian": 1, "second": -1, "kelvin": -2},
+    "1/K^2": {"kelvin": -2},
 }
 _BIAS_UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
