@@ -27,12 +27,12 @@ from tumble.recording.session import Session, session_of, write_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.parameters import prior_of, usual_sizes
 from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, scenario_of
-from tumble.units import ZERO_CELSIUS, Array
+from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
 LONG = 4000.0
 REFERENCE = 20.0 + ZERO_CELSIUS
@@ -175,6 +175,19 @@ def test_the_step_is_that_of_everything_at_once() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(step.covariance)), u[S * q :], rtol=1e-5)
     own = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, :q]
     np.testing.assert_allclose(np.sqrt(own).ravel(), u[: S * q], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "group", "size"),
+    [
+        ("accel_curvature.bias", "1 ug/K^2", "accel.bias.t2", 1e-6 * G_STANDARD),
+        ("gyro_launch.bias", "10 deg/h", "gyro.bias.launch", 10.0 * DEGREE_PER_HOUR),
+        ("accel_hysteresis.bias", "20 ug", "accel.bias.hysteresis", 20e-6 * G_STANDARD),
+        ("temperature_lag", "60 s", "temperature.lag", 60.0),
+    ],
+)
+def test_a_data_sheet_may_say_them(key: str, text: str, group: str, size: float) -> None:
+    assert prior_of(key, text) == (group, pytest.approx(size))
 
 
 # -------------------- over temperature --------------------
