@@ -187,7 +187,9 @@ def test_the_step_is_that_of_everything_at_once() -> None:
     ],
 )
 def test_a_data_sheet_may_say_them(key: str, text: str, group: str, size: float) -> None:
-    assert prior_of(key, text) == (group, pytest.approx(size))
+    name, found = prior_of(key, text)
+    assert name == group
+    assert found == pytest.approx(size)
 
 
 # -------------------- over temperature --------------------

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration.calibrate import Terms, estimated, provenance_of, result_of, systematic_of, without_result
+from tumble.calibration.calibrate import estimated, provenance_of, result_of, systematic_of, without_result
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.observed import Progress, inspect_session, observations_in_parts
 from tumble.calibration.results import Member, Parameter
@@ -56,7 +56,6 @@ def calibrate_together(
     sessions: Sequence[Session | FilePath],
     *,
     frame: Frame = "accelerometer",
-    terms: Terms = "full",
     progress: Progress = Log.chunks,
 ) -> Calibration:
     """Calibrate a device over temperature from several sessions, each a `Session` or the path of its folder, in one
@@ -95,7 +94,7 @@ def calibrate_together(
         return without_result(described[0], "joint", Outcome(reasons=tuple(faults)), provenance)
     _check_logs(reduced)
     whole = joined([each.observations for each in reduced], _names(reduced), [each.numbers for each in reduced])
-    estimate = estimated(described[0], whole, joint, systematic, terms)
+    estimate = estimated(described[0], whole, joint, systematic, "full")
     if isinstance(estimate, Outcome):
         return without_result(described[0], "joint", estimate, provenance)
     made = result_of(described[0], *estimate, systematic, frame, provenance)

@@ -70,12 +70,14 @@ def calibrate(
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
-    if together and (list(methods) != METHOD_NAMES[:1] or iterations is not None):
-        raise InputError(f"--together: expected the method {METHOD_NAMES[0]!r} and no iterations, found others")
+    if together and (list(methods) != METHOD_NAMES[:1] or iterations is not None or terms != "full"):
+        raise InputError(
+            f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
+        )
     known = read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
     result, *others = (
-        [calibrate_together(described, frame=frame, terms=terms, progress=with_progress)]
+        [calibrate_together(described, frame=frame, progress=with_progress)]
         if together
         else [
             calibrate_launches(

@@ -273,12 +273,12 @@ class Problem:
             known[members] = (usual or {}).get(name, known[members])
         known = np.array([prior.parameters.get(n, k) for n, k in zip(instrument.names, known.tolist(), strict=True)])
         start = np.array([observations.start.get(name, 0.0) for name in instrument.names])
-        own_known = np.zeros(0)
+        own_known = [np.zeros(0)]
         if own is not None:
-            own_known = np.concatenate([
+            own_known += [
                 np.full(len(group.names(own.block(group))), (usual or {}).get(group.name, group.limit))
                 for group in own.further
-            ])  # fmt: skip
+            ]
         parts, of_session = _parts(observations, link)
         return Problem(
             observations=observations,
@@ -292,7 +292,7 @@ class Problem:
             parts=parts,
             of_session=of_session,
             own=own,
-            own_known=own_known,
+            own_known=np.concatenate(own_known),
         )
 
     @cached_property
