@@ -22,7 +22,7 @@ from tumble.sensors.parameters import Variable, group_of
 from tumble.units import ZERO_CELSIUS, Array
 
 N = 500
-AT_REST: tuple[Variable, ...] = ("temperature",)
+AT_REST: tuple[Variable, ...] = ("temperature", "temperature²")
 
 
 def larger(
@@ -72,8 +72,8 @@ def read(instrument: Instrument, values: Array, force: Array, rate: Array, celsi
     for i in range(len(force)):
         at = values.copy()
         for own, base, variable in instrument.changes:
-            assert variable == "temperature"
-            at[base] += values[own] * (0.0 if celsius is None else celsius[i] - 20.0)
+            power = {"temperature": 1, "temperature²": 2}[variable]
+            at[base] += values[own] * (0.0 if celsius is None else celsius[i] - 20.0) ** power
         blocks = (instrument.accel, instrument.gyro)
         f, w = force[i : i + 1], rate[i : i + 1]
         rows.append([readings(block, instrument.coefficients(block, at), f, w)[0] for block in blocks])
@@ -208,3 +208,37 @@ def test_a_log_with_a_thermometer_is_corrected_at_its_temperatures(tmp_path: Pat
     assert np.flatnonzero(lost).tolist() == [200]
     np.testing.assert_allclose(out.select(names[:3]).to_numpy()[~lost], force[~lost], atol=1e-8)
     np.testing.assert_allclose(out.select(names[3:6]).to_numpy()[~lost], rate[~lost], atol=2e-9)
+
+
+def test_a_log_is_corrected_at_the_temperatures_of_sensors_that_lag(tmp_path: Path) -> None:
+    """They follow the thermometer over the tables of a file, in either direction of time."""
+    made, instrument, values = larger()
+    force, rate = truth()
+    celsius = 20.0 + 15.0 * np.sin(np.arange(N) / 60.0)
+    names = ["ax", "ay", "az", "p", "q", "r", "T"]
+    for lag in (1.5, -1.5):
+        behind, a = celsius.copy(), np.exp(-0.01 / 1.5)
+        for k in range(1, N):  # what follows, in steps of a straight line
+            change = celsius[k] - celsius[k - 1]
+            behind[k] = a * behind[k - 1] + celsius[k] - a * celsius[k - 1] - change / 0.01 * 1.5 * (1.0 - a)
+        sensors = behind if lag > 0.0 else 2.0 * celsius - behind
+        accel, gyro = read(instrument, values, force, rate, sensors)
+        table = pl.DataFrame(
+            {"t": 0.01 * np.arange(1, N + 1), **dict(zip(names, [*accel.T, *gyro.T, celsius], strict=True))}
+        )
+        log = {
+            "time": "t",
+            "accel": {"columns": names[:3], "unit": "m/s^2"},
+            "gyro": {"columns": names[3:6], "unit": "rad/s"},
+            "temperature": {"columns": ["T"], "unit": "degC"},
+        }
+        folder = tmp_path / f"{lag}"
+        folder.mkdir()
+        session_of(folder, table.write_csv(), log)
+        late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s", prior=200.0, learned=0.99)
+        lagging = replace(made, parameters=(*made.parameters, late), covariance=None)
+        apply_to_session(lagging, folder, folder / "out.parquet")
+        out = pl.read_parquet(folder / "out.parquet")
+        np.testing.assert_allclose(out.select(names[:3]).to_numpy(), force, atol=1e-8)
+        np.testing.assert_allclose(out.select(names[3:6]).to_numpy(), rate, atol=2e-9)
+        assert any(f"with a lag of {lag:.0f} s" in said for said in applied(lagging, folder))

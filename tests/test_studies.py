@@ -23,6 +23,7 @@ ANSWERS = {
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
     "joint_bound.py": "Does the joint estimate reach the bound? yes",
     "kalman_filter.py": "Does the Kalman filter win? In accuracy",
+    "over_temperature.py": "Is u over temperature honest, and does a warm-up cost little? Yes",
     "paper_device.py": "Do the published tables come out? Mostly.",
     "platform_drift.py": "Does the drift of the platform win? No",
     "registry_interruptions.py": "Does a registry lose anything when its writer is killed? No.",

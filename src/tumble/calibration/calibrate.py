@@ -15,7 +15,8 @@ from tumble.calibration.calibration_file import Calibration, SensingAxes, read_c
 from tumble.calibration.case import CaseAlignment, estimate_in
 from tumble.calibration.coverage import MANY_DEGREES, with_degrees
 from tumble.calibration.field_dip import exchanged_columns
-from tumble.calibration.observed import Observed, Progress, inspect_session, observations_for_calibration
+from tumble.calibration.observed import Progress, inspect_session, observations_for_calibration
+from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.diagnosis import verdict
@@ -107,13 +108,21 @@ def calibrate(
     session = _given(session, readings)
     estimator = _estimator(method, iterations)
     Convention(frame=frame, block=session.accel_block)
-    systematic = _systematic(session)
+    systematic = systematic_of(session)
     observed = inspect_session(session, progress=progress)
-    found = _estimated(observed, estimator, systematic, terms if method == "joint" else "linear")
-    provenance = _provenance(observed.sha256)
+    observations = observations_for_calibration(observed)
+    found: tuple[Estimate, Observations] | Outcome
+    if isinstance(observations, Outcome):
+        found = observations
+    else:
+        found = estimated(session, observations, estimator, systematic, terms if method == "joint" else "linear")
+    provenance, bridged = provenance_of(observed.sha256), bridged_in(observed.gaps)
     if isinstance(found, Outcome):
-        return _without_result(observed, method, found, provenance)
-    return _with_magnetometer(_result(observed, *found, systematic, frame, provenance), session, found[1])
+        made = without_result(session, method, found, provenance, bridged)
+    else:
+        made = result_of(session, *found, systematic, frame, provenance, bridged)
+        made = replace(_with_magnetometer(made, session, found[1]), sample_rate=observed.rate)
+    return replace(made, circumstances=observed.circumstances)
 
 
 def _given(session: Session | FilePath | None, readings: Mapping[str, Any]) -> Session:
@@ -143,7 +152,7 @@ def _estimator(method: str, iterations: int | None) -> Callable[[Observations], 
     return METHODS[method]
 
 
-def _systematic(session: Session) -> Mapping[str, float]:
+def systematic_of(session: Session) -> Mapping[str, float]:
     """Values of the systematic (passport) calibration a session names, by parameter name."""
     if session.device.systematic is None:
         return {}
@@ -177,14 +186,15 @@ def grade_of(session: Session, observations: Observations) -> tuple[str, bool]:
     return guessed_grade(float(np.median(rests.accel_noise)), gyro), True
 
 
-def _estimated(
-    observed: Observed, method: Callable[[Observations], Estimate], start: Mapping[str, float], terms: Terms
+def estimated(
+    session: Session,
+    observations: Observations,
+    method: Callable[[Observations], Estimate],
+    start: Mapping[str, float],
+    terms: Terms,
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
-    observations = observations_for_calibration(observed)
-    if isinstance(observations, Outcome):
-        return observations
-    usual, said = _usual(observed.session, observations, terms)
+    usual, said = _usual(session, observations, terms)
     observations = replace(observations, start=start, usual=usual, notes=observations.notes + said)
     try:
         return method(observations), observations
@@ -193,7 +203,8 @@ def _estimated(
         return Outcome(reasons=(broken,))
 
 
-def _provenance(log_sha256: str) -> dict[str, str]:
+def provenance_of(log_sha256: str) -> dict[str, str]:
+    """Where a calibration is from: its log, the program and the time."""
     return {
         "log_sha256": log_sha256,
         "software": f"tumble {__version__}",
@@ -204,7 +215,7 @@ def _provenance(log_sha256: str) -> dict[str, str]:
 _GAPS_SHOWN = 5
 
 
-def _bridged(found: Sequence[Gap]) -> tuple[str, ...]:
+def bridged_in(found: Sequence[Gap]) -> tuple[str, ...]:
     """What was bridged or left out in the log, as notes: the first of each kind, and how many more."""
     kinds = {
         "bridged": [g for g in found if g.samples and g.integrable],
@@ -229,6 +240,8 @@ def _torn(observations: Observations) -> tuple[str, ...]:
     if observations.turns is None:
         return ()
     file, known = observations.rests.file, set(observations.turns.first.tolist())
+    if observations.together is not None:
+        return ()
     return tuple(
         f"turn from rest {i + 1} to rest {i + 2} is left out: samples are lost in it"
         for i in range(len(file) - 1)
@@ -244,8 +257,10 @@ def _unchecked(estimate: Estimate) -> tuple[str, ...]:
     return ("as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed",)
 
 
-def _without_result(observed: Observed, method: str, outcome: Outcome, provenance: Mapping[str, str]) -> Calibration:
-    session = observed.session
+def without_result(
+    session: Session, method: str, outcome: Outcome, provenance: Mapping[str, str], bridged: tuple[str, ...] = ()
+) -> Calibration:
+    """A calibration that says why there is none; `bridged` are notes of the gaps of its log."""
     return Calibration(
         serial=session.device.serial,
         model=session.device.model,
@@ -257,9 +272,8 @@ def _without_result(observed: Observed, method: str, outcome: Outcome, provenanc
         gyro=None,
         outcome=outcome,
         site=session.site,
-        circumstances=observed.circumstances,
         readings=readings_of_session(session),
-        notes=_bridged(observed.gaps),
+        notes=bridged,
         provenance=provenance,
     )
 
@@ -329,6 +343,7 @@ def _turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnR
             sigmas=float(estimate.turn_sigmas[k]),
         )
         for k in range(len(turns))
+        if turns.duration[k] > 0.0  # not between the parts of a rest
     )
 
 
@@ -341,21 +356,20 @@ def _programmed_angle(observations: Observations, first: int, last: int) -> floa
     return None if angle is None else abs(angle)
 
 
-def _result(
-    observed: Observed,
+def result_of(
+    session: Session,
     estimate: Estimate,
     observations: Observations,
     systematic: Mapping[str, float],
     frame: Frame,
     provenance: Mapping[str, str],
+    bridged: tuple[str, ...] = (),
 ) -> Calibration:
-    session, outcome = (
-        observed.session,
-        verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed),
-    )
+    """The calibration of an estimate; `bridged` are notes of the gaps of its log."""
+    outcome = verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed)
     rests, turns = _rest_results(estimate, observations), _turn_results(estimate, observations)
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
-    learned = _learned(estimate)
+    learned, notes_over_temperature = _learned(estimate), tuple(over_temperature(estimate, observations))
     estimate, case = estimate_in(frame, estimate, observations)
     systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
     seen = np.flatnonzero(estimate.observable)
@@ -389,14 +403,14 @@ def _result(
         turns=turns,
         fits=estimate.fits,
         site=observations.site,
-        circumstances=observed.circumstances,
         programme=None if observations.programme is None else observations.programme.name,
         readings=readings_of_session(session),
-        notes=_bridged(observed.gaps)
+        notes=bridged
         + _torn(observations)
         + exclusion.said(session.excluded)
         + observations.notes
         + _unchecked(estimate)
+        + notes_over_temperature
         + _aligned(case),
         provenance=provenance,
         groups=estimate.groups,
@@ -404,7 +418,6 @@ def _result(
         axes=_axes(observations),
         reference_temperature=_reference(observations),
         imu=session.device.imu,
-        sample_rate=observed.rate,
     )
 
 

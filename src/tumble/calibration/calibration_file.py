@@ -22,6 +22,7 @@ from tumble.calibration.coverage import with_degrees
 from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
     Launch,
+    Member,
     Parameter,
     Readings,
     RestResult,
@@ -29,6 +30,8 @@ from tumble.calibration.results import (
     covariance_from,
     fits_content,
     fits_from,
+    member_content,
+    member_from,
     optional,
     parameter_content,
     parameter_from,
@@ -106,6 +109,8 @@ class Calibration:
     """Which "accel" and "gyro" of an autopilot were recorded, where they are of one."""
     sample_rate: float | None = None
     """Samples a second of the recording."""
+    together: tuple[Member, ...] = ()
+    """The sessions, where several are in one estimate."""
 
     @property
     def compensator(self) -> Compensator:
@@ -120,6 +125,12 @@ class Calibration:
 
     def _axes(self, kind: str, model: SensorModel) -> Array:
         return np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
+
+    @property
+    def temperature_range(self) -> tuple[float, float] | None:
+        """The lowest and the highest temperature of the rests, °C; None where they have none."""
+        found = [rest.temperature for rest in self.rests if rest.temperature is not None]
+        return (min(found), max(found)) if found else None
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -166,9 +177,9 @@ class Calibration:
         """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
         readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
         squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
-        readings the rate is None. The `temperature` (...), K, counts where parameters change with it; without it they
-        are those of the reference temperature. Lever arms and the delay, which need the motion, are not applied:
-        see `apply_to_session`.
+        readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in
+        a stream it follows the thermometer with temperature.lag); without it they are those of the reference
+        temperature. Lever arms and the delay, which need the motion, are not applied: see `apply_to_session`.
 
         Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
         of a frame whose names say another unit, and temperatures that are not in kelvin."""
@@ -212,6 +223,11 @@ class Calibration:
             return reframed(self, frame_of(frame))
         except InputError as error:
             raise CalibrationError(str(error)) from error
+
+    def _lag(self) -> dict[str, float]:
+        """The lag of the sensors behind the thermometer, s, where it is known."""
+        found = [p.value for p in self.parameters if p.name == "temperature.lag"]
+        return {"lag": found[0]} if found else {}
 
     def _with_further(self, kind: str, content: dict[str, Any] | None) -> dict[str, Any] | None:
         """The model of a kind of sensor, and beside it the values of the groups beyond it."""
@@ -268,7 +284,7 @@ class Calibration:
             "groups": [_group_content(group) for group in self.groups],
             "prediction": None if self.prediction is None else asdict(self.prediction),
             "axes": {kind: [list(axis) for axis in axes] for kind, axes in self.axes.items()},
-            "temperature": {"reference": self.reference_temperature},
+            "temperature": {"reference": self.reference_temperature, "range": self.temperature_range} | self._lag(),
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],
@@ -295,6 +311,7 @@ class Calibration:
                 }
                 for launch in self.launches
             ],
+            "together": [member_content(member) for member in self.together],
             "provenance": dict(self.provenance),
         }
 
@@ -455,6 +472,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
             )
             for launch in content.get("launches", ())
         ),
+        together=tuple(map(member_from, content.get("together", ()))),
         provenance={text_from(key): text_from(value) for key, value in content["provenance"].items()},
     )
 

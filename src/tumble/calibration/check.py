@@ -31,8 +31,9 @@ from tumble.calibration.results import Parameter
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
-from tumble.estimation.likelihood import Scatter, variables_of
+from tumble.estimation.likelihood import Scatter
 from tumble.estimation.prediction import prediction
+from tumble.estimation.variables import variables_of
 from tumble.files import FilePath
 from tumble.recording.session import Session, session_from
 from tumble.reduction.observations import Observations

@@ -146,7 +146,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         turns=(),
         fits={},
         site=_common([run.calibration.site for run in runs]),
-        circumstances=_together([run.calibration.circumstances for run in runs]),
+        circumstances=circumstances_of_all([run.calibration.circumstances for run in runs]),
         programme=_common([run.calibration.programme for run in runs]),
         notes=(
             *(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
@@ -173,7 +173,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
     )
 
 
-def _together(each: Sequence[Circumstances]) -> Circumstances:
+def circumstances_of_all(each: Sequence[Circumstances]) -> Circumstances:
     """What is the same in all launches, all their equipment, and the date of the last."""
     dates = [one.date for one in each if one.date is not None]
     return Circumstances(
@@ -341,13 +341,21 @@ def _mean_reference(runs: Sequence[Run]) -> float | None:
 
 
 def _to_temperature(run: Run, names: list[str], reference: float | None) -> Array:
-    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes they have."""
+    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes and
+    curvatures they have."""
     out, own = np.eye(len(names)), run.calibration.reference_temperature
     if reference is None or own is None:
         return out
+    warmer = reference - own
     for i, name in enumerate(names):
-        if sensor_kind(name) != "mag" and group_of(name).variable == "temperature":
-            out[names.index(name.rpartition(".")[0]), i] = reference - own
+        variable = None if sensor_kind(name) == "mag" else group_of(name).variable
+        base = name.rpartition(".")[0]
+        if variable == "temperature":
+            out[names.index(base), i] = warmer
+        elif variable == "temperature²":
+            out[names.index(base), i] = warmer**2
+            if f"{base}.t1" in names:
+                out[names.index(f"{base}.t1"), i] = 2.0 * warmer
     return out
 
 

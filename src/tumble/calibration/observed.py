@@ -26,6 +26,8 @@ from tumble.reduction.blocks import Reduction, reduce_log
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.together import held, in_parts
+from tumble.units import IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
 """Gives the chunks of a log, to show how far reading is or to keep samples on the way."""
@@ -112,6 +114,29 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...
 def observations_for_calibration(observed: Observed) -> Observations | Outcome:
     """The observations of the positions of a session's programme, or of all rests where it has none; or why there is
     nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
+    found = _matched(observed)
+    if isinstance(found, Outcome):
+        return found
+    reduction, match = found
+    session = observed.session
+    whole = match.rests == observed.segmentation.rests and not session.excluded
+    if observed.observations is not None and whole:
+        return replace(observed.observations, programme=match.programme, position=match.position)
+    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+
+
+def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] | Outcome:
+    """The same with rests that warm in parts, and the number of the rest that each part is of."""
+    found = _matched(observed)
+    if isinstance(found, Outcome):
+        return found
+    reduction, session = found[0], observed.session
+    match, numbers = in_parts(reduction, found[1])
+    return held(observe(reduction, match, session.accel_block, session.gyro_block, session.site)), numbers
+
+
+def _matched(observed: Observed) -> tuple[Reduction, Match] | Outcome:
+    """The rests of a session's programme, or all, and the reduction without the turns that are left out."""
     if observed.faults:
         return Outcome(reasons=observed.faults)
     session = observed.session
@@ -119,8 +144,4 @@ def observations_for_calibration(observed: Observed) -> Observations | Outcome:
     if not match.rests:
         return no_rests(observed.segmentation)
     reduction = exclusion.without_turns(observed.reduction, match, session.excluded)
-    match = exclusion.without_rests(match, session.excluded)
-    whole = match.rests == observed.segmentation.rests and not session.excluded
-    if observed.observations is not None and whole:
-        return replace(observed.observations, programme=match.programme, position=match.position)
-    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    return reduction, exclusion.without_rests(match, session.excluded)

@@ -116,6 +116,45 @@ class Launch:
     circumstances: Circumstances = UNKNOWN
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Member:
+    """One of several sessions in one estimate: its name and the SHA-256 of its log, how many rests and turns it has,
+    those that warm counted part by part, the lowest and the highest temperature of its rests, °C, and the parameters
+    that it has of its own."""
+
+    session: str
+    log_sha256: str
+    rests: int
+    turns: int
+    temperatures: tuple[float, float]
+    parameters: tuple[Parameter, ...] = ()
+
+
+def member_content(member: Member) -> dict[str, Any]:
+    """A session of several as the file has it."""
+    return {
+        "session": member.session,
+        "log_sha256": member.log_sha256,
+        "rests": member.rests,
+        "turns": member.turns,
+        "temperatures": list(member.temperatures),
+        "parameters": [parameter_content(p) for p in member.parameters],
+    }
+
+
+def member_from(content: Mapping[str, Any]) -> Member:
+    """A session of several of the file."""
+    low, high = map(float, content["temperatures"])
+    return Member(
+        session=text_from(content["session"]),
+        log_sha256=text_from(content["log_sha256"]),
+        rests=int(content["rests"]),
+        turns=int(content["turns"]),
+        temperatures=(low, high),
+        parameters=tuple(map(parameter_from, content["parameters"])),
+    )
+
+
 def parameter_content(parameter: Parameter) -> dict[str, Any]:
     """A parameter as the file has it."""
     content = {"name": parameter.name, "value": parameter.value, "u": parameter.u, "unit": parameter.unit}

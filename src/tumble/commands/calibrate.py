@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Of joint: all groups of parameters, or bias, scale factor and axis angles alone.",
 )
+@click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
 @click.option("--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder.")
 @click.option("--force", is_flag=True, help="Replace a calibration file that came from another log or method.")
 @click.option("--truth", type=FILE, help="truth.json of a simulated session: show true values beside the result.")
@@ -46,6 +47,7 @@ def calibrate(
     iterations: int | None,
     frame: Frame,
     terms: Terms,
+    together: bool,
     out: Path | None,
     force: bool,
     truth: Path | None,
@@ -54,9 +56,11 @@ def calibrate(
     """Calibrate the device of SESSION, a folder with session.toml and a log.
 
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
-    launch to launch, and --out is required. Several methods are compared: the first one's result is the one written.
+    launch to launch, and --out is required. With --together they are one estimate by the method joint, with
+    coefficients over temperature. Several methods are compared: the first one's result is the one written.
     """
     from tumble.calibration.launches import calibrate_launches
+    from tumble.calibration.together import calibrate_together
     from tumble.recording.session import read_session
     from tumble.simulation.session import read_truth
     from tumble.terminal.calibration import calibration_report
@@ -66,13 +70,21 @@ def calibrate(
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
+    if together and (list(methods) != METHOD_NAMES[:1] or iterations is not None or terms != "full"):
+        raise InputError(
+            f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
+        )
     known = read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
     result, *others = (
-        calibrate_launches(
-            described, method=method, iterations=iterations, frame=frame, terms=terms, progress=with_progress
-        )
-        for method in dict.fromkeys(methods)
+        [calibrate_together(described, frame=frame, progress=with_progress)]
+        if together
+        else [
+            calibrate_launches(
+                described, method=method, iterations=iterations, frame=frame, terms=terms, progress=with_progress
+            )
+            for method in dict.fromkeys(methods)
+        ]
     )
     target = out or Path(described[0].name) / "calibration.json"
     result.write(target, force=force)

@@ -526,8 +526,8 @@ def _misfits(estimate: Estimate, observations: Observations) -> Iterator[str]:
     rests = observations.rests
     for i in np.flatnonzero(estimate.rest_sigmas > FIT_SIGMAS):
         yield (
-            f"rest {i + 1} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) does not fit: {estimate.rest_sigmas[i]:.1f} "
-            f"sigma, residual {estimate.rest_residual[i]:.2g} m/s^2"
+            f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) does not fit: "
+            f"{estimate.rest_sigmas[i]:.1f} sigma, residual {estimate.rest_residual[i]:.2g} m/s^2"
         )
     if observations.turns is None:
         return
@@ -540,7 +540,8 @@ def _turn_named(observations: Observations, k: int) -> str:
     turns, rests = observations.turns, observations.rests
     assert turns is not None
     a, b = turns.first[k], turns.last[k]
-    return f"the turn from rest {a + 1} to rest {b + 1} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
+    before, after = observations.rest_named(int(a)), observations.rest_named(int(b)).rpartition(": ")[2]
+    return f"the turn from {before} to {after} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
 
 
 # What is missing

@@ -63,6 +63,9 @@ _DIMENSIONS: Mapping[str, Mapping[str, int]] = {
     "degC": {"degreecelsius": 1},
     "%": {"percent": 1},
     "hPa": {"hecto\\pascal": 1},
+    "m/s^2/K^2": {"metre": 1, "second": -2, "kelvin": -2},
+    "rad/s/K^2": {"radian": 1, "second": -1, "kelvin": -2},
+    "1/K^2": {"kelvin": -2},
 }
 _CONFORMITY: Mapping[str, str] = {
     "pass": "pass",

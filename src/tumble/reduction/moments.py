@@ -21,8 +21,8 @@ the delay, is left out of the columns: it is of second order, and gone when the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -299,15 +299,39 @@ def _short(moments: Moments) -> BoolArray:
 
 def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
     """Moments of whole turns, of which every batch holds at most one piece each, in order of time."""
+    whole = _nothing(turns, compensation, own)
+    for pieces in batches:
+        _add(whole, pieces, moments_of(pieces, compensation, own))
+    return whole
+
+
+def integrate_each(
+    batches: Iterable[Pieces], compensations: Sequence[Compensation], own: OwnAxes = NO_OWN_AXES
+) -> Moments:
+    """The same with a compensation for each turn."""
+    whole = _nothing(len(compensations), compensations[0], own)
+    for pieces in batches:
+        for i, turn in enumerate(pieces.turn):
+            one = replace(
+                pieces, turn=pieces.turn[i : i + 1], start=pieces.start[i : i + 1], stop=pieces.stop[i : i + 1]
+            )
+            _add(whole, one, moments_of(one, compensations[turn], own))
+    return whole
+
+
+def _nothing(turns: int, compensation: Compensation, own: OwnAxes) -> Moments:
+    """Moments of turns without samples."""
     none = np.zeros(turns, dtype=np.int64)
     nothing = Pieces(rates=NO_AXES, forces=NO_AXES, intervals=np.empty(0), turn=none, start=none, stop=none)
-    whole = moments_of(nothing, compensation, own)
-    for pieces in batches:
-        before = Moments(**{f.name: getattr(whole, f.name)[pieces.turn] for f in fields(Moments)})
-        joined = combined(before, moments_of(pieces, compensation, own))
-        for f in fields(Moments):
-            getattr(whole, f.name)[pieces.turn] = getattr(joined, f.name)
-    return whole
+    return moments_of(nothing, compensation, own)
+
+
+def _add(whole: Moments, pieces: Pieces, moments: Moments) -> None:
+    """Join pieces to what there is of their turns, in place."""
+    before = Moments(**{f.name: getattr(whole, f.name)[pieces.turn] for f in fields(Moments)})
+    joined = combined(before, moments)
+    for f in fields(Moments):
+        getattr(whole, f.name)[pieces.turn] = getattr(joined, f.name)
 
 
 # Columns -------------------------------------------------------------------------------------------------------
