@@ -243,7 +243,7 @@ def readings_of(way: Way, t: Array, truth: dict[str, float], off: Departure) -> 
     rate = np.einsum("sji,sj->si", L, turning + np.array(earth_rate(LATITUDE)))
     felt = np.einsum("sji,sj->si", L, push + np.array([0.0, GRAVITY, 0.0]))
     G = np.array([[truth[f"gyro.g_sensitivity.{p}{q}"] for q in "xyz"] for p in "xyz"])
-    bent = rate * (1.0 + off.nonlinearity * (rate / (10.0 * DEGREE)) ** 2)
+    bent = rate + (_of(truth, "gyro.cubic") + off.nonlinearity / (10.0 * DEGREE) ** 2) * rate**3
     asymmetry = _of(truth, "gyro.asymmetry") + off.gyro_asymmetry
     return w, bent @ gyro.matrix.T + gyro.bias + felt @ G.T + asymmetry * np.abs(rate), force
 

@@ -440,22 +440,9 @@ def _products(session: _Session) -> Iterator[_Columns]:
 
 def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Columns]:
     """What only turns show."""
-    n, m = gyro.size, session.accel.size
-    square = about.moments.body_rates[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
-    rest, turn = session.nothing(n)
-    phi, V = (
-        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
-    )
-    turn[:, :3] = phi
-    session.put_velocity(turn, V)
-    yield _Columns(
-        name="gyro nonlinearity",
-        concerns="gyro",
-        rest=rest,
-        turn=turn,
-        unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
-        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate",
-    )
+    if "gyro.cubic" not in session.problem.instrument.members:
+        yield _gyro_nonlinearity(session, about, gyro)
+    m = session.accel.size
     rest, turn = session.nothing(m)
     left_inverse = np.asarray(np.linalg.pinv(session.accel.axes), dtype=float)
     late = single_delay_columns(about.moments, left_inverse, session.accel.axes)
@@ -467,6 +454,26 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
         turn=turn,
         unit=(1e-6, "µs"),
         sentence="accelerometers late by different times, {size}: read them at one instant",
+    )
+
+
+def _gyro_nonlinearity(session: _Session, about: TurnsAbout, gyro: Block) -> _Columns:
+    """Scale factors with the square of the rate, of an estimate that has no such parameters."""
+    n = gyro.size
+    square = about.moments.body_rates[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
+    rest, turn = session.nothing(n)
+    phi, V = (
+        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
+    )
+    turn[:, :3] = phi
+    session.put_velocity(turn, V)
+    return _Columns(
+        name="gyro nonlinearity",
+        concerns="gyro",
+        rest=rest,
+        turn=turn,
+        unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
+        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate",
     )
 
 

@@ -138,6 +138,8 @@ def g_sensitivity(block: Block) -> Array:
 _MASS = ((MICRO_G, "µg"), (1e3 * MICRO_G, "mg"))
 _PARTS = ((1e-6, "ppm"),)
 _TURN_RATE = ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s"))
+_AT_TEN = 1e-6 / (10.0 * DEGREE) ** 2
+"""s²/rad²: what changes the scale factor by 1 ppm at 10 °/s."""
 _PER_G = tuple((size / G_STANDARD, f"{name}/g") for size, name in _TURN_RATE)
 
 
@@ -207,6 +209,25 @@ FURTHER: list[ParameterGroup] = [
         shown=_PARTS,
         usual=_grades(10e-6, 100e-6, 500e-6, 1000e-6),
         regressors=_own(OWN_SIZE),
+    ),
+    ParameterGroup(
+        name="gyro.cubic",
+        kind="gyro",
+        unit="s^2/rad^2",
+        words="cubic nonlinearity of the gyros: their scale factors with the square of the rate",
+        suffixes=_every_sensor,
+        limit=1e-2 / (10.0 * DEGREE) ** 2,
+        shown=((_AT_TEN, "ppm at 10 °/s"),),
+        usual={
+            grade: ppm * 1e-6 / (at * DEGREE) ** 2
+            for grade, (ppm, at) in {
+                "navigation": (10.0, 10.0),
+                "tactical": (50.0, 30.0),
+                "mems": (200.0, 100.0),
+                "consumer": (500.0, 100.0),
+            }.items()
+        },
+        regressors=_own(OWN_CUBE),
     ),
     ParameterGroup(
         name="gyro.g_sensitivity",
