@@ -17,6 +17,7 @@ from tumble.calibration.coverage import MANY_DEGREES, with_degrees
 from tumble.calibration.observed import Observed, Progress, inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
+from tumble.estimation.common_errors import by_time_base
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
@@ -179,12 +180,22 @@ def _estimated(
     if isinstance(observations, Outcome):
         return observations
     usual, said = _usual(observed.session, observations, terms)
-    observations = replace(observations, start=start, usual=usual, notes=observations.notes + said)
+    clock_u = observed.session.log.gyro_clock_u
+    notes = observations.notes + said
+    observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u)
     try:
-        return method(observations), observations
+        return _with_time_base(method(observations), observations), observations
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(broken,))
+
+
+def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
+    """An estimate with the uncertainty of the time base, which the method joint counts itself."""
+    change = by_time_base(estimate.names, observations.clock_u)
+    if estimate.method == "joint" or not change.any():
+        return estimate
+    return replace(estimate, covariance=estimate.covariance + np.outer(change, change))
 
 
 def _provenance(log_sha256: str) -> dict[str, str]:

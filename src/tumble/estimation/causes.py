@@ -473,7 +473,8 @@ def _gyro_nonlinearity(session: _Session, about: TurnsAbout, gyro: Block) -> _Co
         rest=rest,
         turn=turn,
         unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
-        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate",
+        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate, "
+        "or make them parameters by gyro_cubic in [device.prior]",
     )
 
 
@@ -556,29 +557,23 @@ def _chance(projection: Projection, scatter: Scatter, fall: float, q: int) -> fl
 
 
 COARSE = 0.5
-"""Noise of a sample, in steps of its channel, below which rounding no longer averages out."""
-
-GRID_SAMPLES = 4000
-"""So many samples show the steps of a channel."""
+"""What rounding does to the mean of a rest, in parts of its noise, from which on it is a cause."""
 
 
 def _quantisation(session: _Session) -> Iterator[Cause]:
-    """Channels whose steps the noise does not cover, where the rounding of a mean, about
-    LSB e^(−2π²σ²/LSB²)/π at most, is not small beside its noise."""
-    samples, rests = session.observations.turn_samples, session.observations.rests
-    if samples is None:
-        return
-    count = min(samples.samples.count, GRID_SAMPLES)
-    rates, forces, intervals = samples.samples.read(0, count)
-    root = np.sqrt(1.0 / np.median(intervals))
-    for (kind, block), values in zip(_kinds(session), (forces, rates), strict=False):
-        step = max(_step(column) for column in values.T)
-        if not block.triad or step == 0.0:
+    """Channels whose steps the noise does not cover, where what rounding does to a mean is not small beside its
+    noise."""
+    rests = session.observations.rests
+    for kind, _ in _kinds(session):
+        found = session.observations.rounding.get(kind)
+        if found is None or not found.common_u.any():
             continue
-        noise = float(np.median(getattr(rests, f"{kind}_noise")))
-        mean = float(np.median(noise / np.sqrt(rests.stop - rests.start)))
-        rounding = step / np.pi * np.exp(-2.0 * (np.pi * noise * root / step) ** 2)
-        if noise * root < COARSE * step and rounding > COARSE * mean:
+        covariance = getattr(rests, f"{kind}_covariance")
+        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0) - found.of_rest**2
+        coarse = found.common_u > COARSE * np.sqrt(np.maximum(variance, 0.0))
+        if coarse.any():
+            worst = int(np.argmax(np.where(coarse, found.common_u, 0.0)))
+            step, error = float(found.step[worst]), float(found.common_u[worst])
             scale, unit = _UNITS[kind]
             yield Cause(
                 name="quantisation",
@@ -586,7 +581,7 @@ def _quantisation(session: _Session) -> Iterator[Cause]:
                 probability=0.0,
                 damage=0.0,
                 sentence=f"steps of the {_WORDS[kind]} of {step / scale:.2g} {unit} that the noise does not cover, "
-                f"{noise * root / step:.2g} of one: the mean of a rest errs by up to {rounding / scale:.2g} {unit}; "
+                f"{found.noise[worst] / step:.2g} of one: the mean of a rest errs by up to {error / scale:.2g} {unit}; "
                 "log with more digits, or use a smaller range",
             )
 
@@ -616,16 +611,6 @@ def _held(session: _Session) -> Iterator[Cause]:
 
 
 FEWEST_HELD = 3
-
-
-def _step(values: Array) -> float:
-    """The step of the grid that values lie on; 0 where they lie on none."""
-    apart = np.diff(np.unique(values))
-    apart = apart[apart > 1e-9 * max(float(np.abs(values).max(initial=0.0)), 1e-300)]
-    if len(apart) < 2 or len(apart) > 0.5 * len(values):
-        return 0.0
-    step = float(apart.min())
-    return step if np.all(np.abs(apart / step - np.round(apart / step)) < 0.05) else 0.0
 
 
 def _lost(session: _Session, projection: Projection) -> Cause:

@@ -176,6 +176,8 @@ class Observations:
     """Resolution of the accelerometers, "accel", and of the gyros, "gyro", and what it does to their means."""
     notes: tuple[str, ...] = ()
     """What is remarkable in the log, in words."""
+    clock_u: float = 0.0
+    """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
 

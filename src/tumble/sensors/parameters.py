@@ -50,7 +50,7 @@ class ParameterGroup:
     `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what
     reports call it. `suffixes` makes the names of its parameters for a block. `limit`, SI, is how far from nominal a
     value may reasonably be; `usual` the standard deviation over instruments of a grade, the prior where a parameter
-    has one. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where
+    has one; a grade that is not there has the group only where a data sheet says so. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where
     `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
     `variable`."""
 
@@ -217,16 +217,8 @@ FURTHER: list[ParameterGroup] = [
         words="cubic nonlinearity of the gyros: their scale factors with the square of the rate",
         suffixes=_every_sensor,
         limit=1e-2 / (10.0 * DEGREE) ** 2,
-        shown=((_AT_TEN, "ppm at 10 °/s"),),
-        usual={
-            grade: ppm * 1e-6 / (at * DEGREE) ** 2
-            for grade, (ppm, at) in {
-                "navigation": (10.0, 10.0),
-                "tactical": (50.0, 30.0),
-                "mems": (200.0, 100.0),
-                "consumer": (500.0, 100.0),
-            }.items()
-        },
+        shown=((0.01 * _AT_TEN, "ppm at 100 °/s"), (_AT_TEN, "ppm at 10 °/s")),
+        usual={"navigation": 10.0 * _AT_TEN, "tactical": 20.0 * _AT_TEN},
         regressors=_own(OWN_CUBE),
     ),
     ParameterGroup(
