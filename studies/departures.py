@@ -449,12 +449,13 @@ def said_of(setting: Setting, off: Departure, seed: int) -> Said:
     """What is said of one session."""
     observations, truth = session(setting, off, seed)
     estimate = joint(observations)
-    found = misfit(estimate, observations)
+    outcome = verdict(estimate, observations)
+    found = misfit(estimate, observations) if outcome.verdict == "accepted with scatter" else None
     count = len(ACCEL.names) + len(GYRO.names)
     true = np.array([truth[name] for name in estimate.names[:count]])
     return Said(
         error=(estimate.values[:count] - true) / estimate.u[:count],
-        outcome=verdict(estimate, observations),
+        outcome=outcome,
         causes=() if found is None else found.causes,
     )
 
