@@ -473,8 +473,8 @@ def _gyro_nonlinearity(session: _Session, about: TurnsAbout, gyro: Block) -> _Co
         rest=rest,
         turn=turn,
         unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
-        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate, "
-        "or make them parameters by gyro_cubic in [device.prior]",
+        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one "
+        "rate, or make them parameters by gyro_cubic in [device.prior]",
     )
 
 

@@ -22,7 +22,6 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name
 from tumble.units import Array
 
-
 _HARMONICS = np.arange(1, 40)
 
 

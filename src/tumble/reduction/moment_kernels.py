@@ -7,7 +7,7 @@ instructions. A pass that did everything at once would not be: beyond some fifty
 
     _fill  readings of nominal sensors and dt          → rows y_g (3), y_a (3), dt
     _compensate  sensor model, delay                   → rows ω (3), f (3), dt
-    _regress  products with dt                         → `right`: dt, ω, f, f f, ω ω and |a·x|, (a·x)³ of x = ω, f, times dt
+    _regress  products with dt                         → `right`: dt, ω, f, f f, ω ω and |a·ω|, (a·ω)³, |a·f|, (a·f)³
     _turn  the step (A1) with the attitude C_m in its middle → `left`: C_m, and C_m × V by columns
     _turn_about  C_m [ω×] dt                           → `swept`
     _add_products  left ⊗ right                        → `sums`
