@@ -50,9 +50,9 @@ class ParameterGroup:
     `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what
     reports call it. `suffixes` makes the names of its parameters for a block. `limit`, SI, is how far from nominal a
     value may reasonably be; `usual` the standard deviation over instruments of a grade, the prior where a parameter
-    has one; a grade that is not there has the group only where a data sheet says so. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where
-    `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
-    `variable`."""
+    has one; a grade that is not there has the group only where a data sheet says so. `regressors` is None for bias,
+    scale and axis angles, whose derivative `Block.jacobian` has, and where `motion` says how a turn sees the group, or
+    where the group is the change of another, its `base`, with a `variable`."""
 
     name: str
     kind: SensorKind
