@@ -30,8 +30,7 @@ from math import erfc, inf, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import stdtridf
-from scipy.stats import chi2
+from scipy import special
 
 from tumble.calibration.results import Parameter, coverage_factor
 from tumble.estimation.estimate import Fit
@@ -118,7 +117,9 @@ def degrees_of_mean(
 
 def _degrees_behind(factor: float) -> float | None:
     """The degrees of freedom with a coverage factor; None: known."""
-    degrees = float(stdtridf(1.0 - 0.5 * erfc(sqrt(2.0)), factor)) if factor > coverage_factor(MANY_DEGREES) else inf
+    degrees = (
+        float(special.stdtridf(1.0 - 0.5 * erfc(sqrt(2.0)), factor)) if factor > coverage_factor(MANY_DEGREES) else inf
+    )
     return degrees if degrees < MANY_DEGREES else None
 
 
@@ -175,7 +176,8 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
 
 def _hidden(fit: Fit) -> float:
     """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
-    return sqrt(max(fit.chi_square / float(chi2.ppf(UNSEEN, fit.degrees)) - 1.0, 0.0))
+    least = 2.0 * float(special.gammaincinv(0.5 * fit.degrees, UNSEEN))
+    return sqrt(max(fit.chi_square / least - 1.0, 0.0))
 
 
 def _of_fits(fits: Mapping[str, Fit], name: str) -> float | None:
