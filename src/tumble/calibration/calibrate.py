@@ -19,6 +19,7 @@ from tumble.calibration.observed import Progress, inspect_session, observations_
 from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
+from tumble.estimation.common_errors import by_time_base
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
@@ -35,9 +36,10 @@ from tumble.recording.log import Log
 from tumble.recording.session import Channels, Session, session_from
 from tumble.reduction import exclusion
 from tumble.reduction.observations import Observations
+from tumble.rotation import rotation_vector
 from tumble.sensors.frames import Convention, Frame, convert
 from tumble.sensors.grades import guessed_grade
-from tumble.sensors.parameters import sensor_kind, usual_sizes
+from tumble.sensors.parameters import group_name, sensor_kind, usual_sizes
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
 DEFAULT_METHOD = "joint"
@@ -195,12 +197,21 @@ def estimated(
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
     usual, said = _usual(session, observations, terms)
-    observations = replace(observations, start=start, usual=usual, notes=observations.notes + said)
+    notes, clock_u = observations.notes + said, session.log.gyro_clock_u
+    observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u)
     try:
-        return method(observations), observations
+        return _with_time_base(method(observations), observations), observations
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(broken,))
+
+
+def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
+    """An estimate with the uncertainty of the time base, which the method joint counts itself."""
+    change = by_time_base(estimate.names, observations.clock_u)
+    if estimate.method == "joint" or not change.any():
+        return estimate
+    return replace(estimate, covariance=estimate.covariance + np.outer(change, change))
 
 
 def provenance_of(log_sha256: str) -> dict[str, str]:
@@ -213,6 +224,8 @@ def provenance_of(log_sha256: str) -> dict[str, str]:
 
 
 _GAPS_SHOWN = 5
+ONE_RATE = 1.2
+"""The largest mean rate of the turns, in parts of the smallest, where they count as one rate."""
 
 
 def bridged_in(found: Sequence[Gap]) -> tuple[str, ...]:
@@ -255,6 +268,20 @@ def _unchecked(estimate: Estimate) -> tuple[str, ...]:
     if fit.degrees >= 0.5 or estimate.unobservable:
         return ()
     return ("as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed",)
+
+
+def _one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
+    """Where all turns have about one rate, what the scale factors of the gyros are, as a note."""
+    turns = observations.turns
+    if turns is None or not len(turns) or any(group_name(name) == "gyro.cubic" for name in estimate.names):
+        return ()
+    rates = np.linalg.norm(rotation_vector(turns.C), axis=1) / turns.duration
+    if not 0.0 < rates.max() < ONE_RATE * rates.min():
+        return ()
+    return (
+        f"all turns have about {rates.mean() / DEGREE:.2g} °/s: scale factors of the gyros are those at this rate; "
+        "what they are at others, turns at two rates show, or gyro_cubic in [device.prior] puts into u",
+    )
 
 
 def without_result(
@@ -410,6 +437,7 @@ def result_of(
         + exclusion.said(session.excluded)
         + observations.notes
         + _unchecked(estimate)
+        + _one_rate(estimate, observations)
         + notes_over_temperature
         + _aligned(case),
         provenance=provenance,

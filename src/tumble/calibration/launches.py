@@ -2,8 +2,8 @@
 
 The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
 their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
-uncertainty of gravity is common to all launches of a site, and what is wrong with a prior to all launches: both
-are taken out of either and do not average out (`tumble.calibration.coverage`).
+uncertainty of gravity is common to all launches of a site, and what is wrong with a prior or the time base to all
+launches: they are taken out of either and do not average out (`tumble.calibration.coverage`).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_grav
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
 from tumble.errors import InputError
+from tumble.estimation.common_errors import by_time_base
 from tumble.estimation.ellipsoid import TRIAD
 from tumble.estimation.estimate import GroupFinding, Outcome
 from tumble.estimation.methods.magnetometer import NAMES
@@ -229,8 +230,10 @@ def _covariance(
     whole = [move @ _own(run, names) @ move.T for run, move in zip(runs, moves, strict=True)]
     gravity = _gravity_in_common(runs, names, whole)
     by_prior = [_by_prior(run, names, covariance) for run, covariance in zip(runs, whole, strict=True)]
-    own = [c - np.outer(gravity, gravity) - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
-    common = np.outer(gravity, gravity) + np.mean(by_prior, axis=0)
+    clock = by_time_base(names, min(run.session.log.gyro_clock_u for run in runs))
+    of_site = np.outer(gravity, gravity) + np.outer(clock, clock)
+    own = [c - of_site - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
+    common = of_site + np.mean(by_prior, axis=0)
     covariance = np.sum(own, axis=0) / count**2 + common
     degrees: list[float | None] = []
     for i, name in enumerate(names):

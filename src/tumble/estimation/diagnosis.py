@@ -13,6 +13,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, normal_gravity
 from tumble.estimation.causes import Concerns
+from tumble.estimation.common_errors import common_covariance
 from tumble.estimation.estimate import FIT_SIGMAS, SEEN, Estimate, Outcome
 from tumble.estimation.misfit import misfit
 from tumble.estimation.observability import faces_and_edges, most_telling, standing
@@ -554,8 +555,10 @@ def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]
     order count."""
     linear = _linear(estimate)
     spread = limits_of(linear)
-    m = len(linear)
-    variance, vectors = np.linalg.eigh(estimate.covariance[:m, :m] / np.outer(spread, spread))
+    m, covariance = len(linear), estimate.covariance
+    if estimate.instrument is not None:  # what is common to all rests no further rest would show
+        covariance = covariance - common_covariance(observations, estimate.instrument)
+    variance, vectors = np.linalg.eigh(covariance[:m, :m] / np.outer(spread, spread))
     angles = np.array([".bias." not in name for name in linear])  # biases are linear
     squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
     poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]

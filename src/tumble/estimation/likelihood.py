@@ -655,12 +655,12 @@ def _turn_noise(problem: Problem, unseen: float) -> Array:
     T = turns.duration[:, None, None]
     rotation = turns.covariance + T**2 * unseen * np.eye(3)
     across = skew(-0.5 * turns.velocity)
-    third = np.einsum("k,kab->kab", np.trace(rotation, axis1=1, axis2=2) / 3.0, across @ np.swapaxes(across, 1, 2))
+    by_rotation = across @ rotation @ np.swapaxes(across, 1, 2)
     out = np.zeros((len(turns), 6, 6))
     out[:, :3, :3] = rotation
     out[:, 3:, :3] = across @ rotation
     out[:, :3, 3:] = np.swapaxes(out[:, 3:, :3], 1, 2)
-    out[:, 3:, 3:] = turns.velocity_covariance + 4.0 / 3.0 * third
+    out[:, 3:, 3:] = turns.velocity_covariance + 4.0 / 3.0 * by_rotation
     if not problem.instrument.in_velocities:
         out = out[:, :3, :3]
     if readings is None:

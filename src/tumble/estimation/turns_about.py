@@ -65,7 +65,7 @@ class TurnsAbout:
         accel, gyro = instrument.accel, instrument.gyro
         assert gyro is not None
         rate, force = instrument.coefficients(gyro, values), _compensable(accel, instrument.coefficients(accel, values))
-        rate[:, PRODUCTS], rate[:, OWN_CUBE] = 0.0, 0.0
+        rate[:, PRODUCTS] = 0.0
         late = instrument.delay(values)
 
         def compensation(rate: Array, force: Array) -> Compensation:
@@ -89,15 +89,15 @@ class TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
         accelerometers."""
         to_rate, to_force = lefts
-        own_gyro = np.zeros((len(moments), 3, to_rate.shape[1])), np.zeros((len(moments), 3, to_rate.shape[1]))
-        if moments.Phi_gyro.shape[-1]:
-            own_gyro = _own(moments.Phi_gyro, to_rate), _own(moments.Psi_gyro, to_rate)
         by_force = _paths(moments.Phi, to_force)
-        if moments.Phi_accel.shape[-1]:
-            by_force[..., OWN_SIZE] = _own(moments.Phi_accel[..., 0, :], to_force)
-            by_force[..., OWN_CUBE] = _own(moments.Phi_accel[..., 1, :], to_force)
         by_phi, by_velocity = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
-        by_phi[..., OWN_SIZE], by_velocity[..., OWN_SIZE] = own_gyro
+        for by, own, to_body in (
+            (by_force, moments.Phi_accel, to_force),
+            (by_phi, moments.Phi_gyro, to_rate),
+            (by_velocity, moments.Psi_gyro, to_rate),
+        ):
+            if own.shape[-1]:
+                by[..., OWN_SIZE], by[..., OWN_CUBE] = _own(own[..., 0, :], to_body), _own(own[..., 1, :], to_body)
         return TurnsAbout(
             rate=about[0],
             force=about[1],

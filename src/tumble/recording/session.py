@@ -132,7 +132,8 @@ class Magnetometer:
 class LogSpec:
     """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
     `rate`, Hz. `clock`: the times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever
-    their times are; `dialect`: how text files are written, None for CSV files with their names in the first line."""
+    their times are; `dialect`: how text files are written, None for CSV files with their names in the first line;
+    `clock_u`: the relative standard uncertainty of the time base."""
 
     files: tuple[Path | Samples, ...]
     time: str | None
@@ -145,6 +146,12 @@ class LogSpec:
     clock: bool = False
     regular: bool = False
     dialect: Dialect | None = None
+    clock_u: float = 0.0
+
+    @property
+    def gyro_clock_u(self) -> float:
+        """The uncertainty of the time base as far as it makes gyros wrong: increments are angles already."""
+        return 0.0 if self.gyro is None or self.gyro.unit.kind == "increment" else self.clock_u
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -420,6 +427,7 @@ def _log(log: LogTable, folder: Path) -> LogSpec:
         clock=log.time_unit == CLOCK,
         regular=bool(log.regular),
         dialect=log.dialect(),
+        clock_u=1e-6 * (log.clock_ppm_u or 0.0),
     )
 
 

@@ -228,6 +228,7 @@ class LogTable(SessionTable):
     time_unit: str | None = Field(default=None, description=f"one of {', '.join([*TIME_UNITS, CLOCK])}")
     rate_hz: float | None = Field(default=None, gt=0, description="a positive number")
     regular: bool | None = Field(default=None, description="true or false")
+    clock_ppm_u: float | None = Field(default=None, ge=0, description="a number that is not negative")
     delimiter: str | None = Field(default=None, description="a character, or a blank for one or more blanks")
     decimal: str | None = Field(default=None, description='"." or ","')
     comment: str | None = Field(

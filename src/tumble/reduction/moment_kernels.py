@@ -7,7 +7,7 @@ instructions. A pass that did everything at once would not be: beyond some fifty
 
     _fill  readings of nominal sensors and dt          → rows y_g (3), y_a (3), dt
     _compensate  sensor model, delay                   → rows ω (3), f (3), dt
-    _regress  products with dt                         → `right`: dt, ω, f, f f, ω ω and |a·ω|, |a·f|, (a·f)³, times dt
+    _regress  products with dt                         → `right`: dt, ω, f, f f, ω ω and |a·ω|, (a·ω)³, |a·f|, (a·f)³
     _turn  the step (A1) with the attitude C_m in its middle → `left`: C_m, and C_m × V by columns
     _turn_about  C_m [ω×] dt                           → `swept`
     _add_products  left ⊗ right                        → `sums`
@@ -376,14 +376,15 @@ def _regress(tile: Array, steps: int, lanes: int, right: Array, state: Array) ->
 
 @_part_of_compiled(error_model="numpy")
 def _regress_own(tile: Array, steps: int, own_axes: tuple[Array, Array], right: Array) -> None:
-    """|a_p·ω| of the gyros, then |a_p·f| and then (a_p·f)³ of the accelerometers, times dt."""
+    """|a_p·ω| and then (a_p·ω)³ of the gyros, then |a_p·f| and then (a_p·f)³ of the accelerometers, times dt."""
     gyros, accels = own_axes
     n, m = len(gyros), len(accels)
     for p in range(n):
         _magnitude(tile, tile[6 * ROW :], steps * LANES, gyros[p], right[(COMMON + p) * ROW :])
+        _cube(tile, tile[6 * ROW :], steps * LANES, gyros[p], right[(COMMON + n + p) * ROW :])
     for p in range(m):
-        _magnitude(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + n + p) * ROW :])
-        _cube(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + n + m + p) * ROW :])
+        _magnitude(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + 2 * n + p) * ROW :])
+        _cube(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + 2 * n + m + p) * ROW :])
 
 
 @_part_of_compiled(error_model="numpy", fastmath={"contract"})

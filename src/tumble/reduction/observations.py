@@ -200,6 +200,8 @@ class Observations:
     """The course of the temperature, where there is a thermometer."""
     together: Together | None = None
     """Where these are several sessions."""
+    clock_u: float = 0.0
+    """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
 

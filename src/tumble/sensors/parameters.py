@@ -50,9 +50,9 @@ class ParameterGroup:
     `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what
     reports call it. `suffixes` makes the names of its parameters for a block. `limit`, SI, is how far from nominal a
     value may reasonably be; `usual` the standard deviation over instruments of a grade, the prior where a parameter
-    has one. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where
-    `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
-    `variable`, or the lag, which has no base."""
+    has one; a grade that is not there has the group only where a data sheet says so. `regressors` is None for bias,
+    scale and axis angles, whose derivative `Block.jacobian` has, and where `motion` says how a turn sees the group, or
+    where the group is the change of another, its `base`, with a `variable`, or the lag, which has no base."""
 
     name: str
     kind: SensorKind
@@ -152,6 +152,8 @@ def g_sensitivity(block: Block) -> Array:
 _MASS = ((MICRO_G, "µg"), (1e3 * MICRO_G, "mg"))
 _PARTS = ((1e-6, "ppm"),)
 _TURN_RATE = ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s"))
+_AT_TEN = 1e-6 / (10.0 * DEGREE) ** 2
+"""s²/rad²: what changes the scale factor by 1 ppm at 10 °/s."""
 _PER_G = tuple((size / G_STANDARD, f"{name}/g") for size, name in _TURN_RATE)
 
 
@@ -221,6 +223,16 @@ FURTHER: list[ParameterGroup] = [
         shown=_PARTS,
         usual=_grades(10e-6, 100e-6, 500e-6, 1000e-6),
         regressors=_own(OWN_SIZE),
+    ),
+    ParameterGroup(
+        name="gyro.cubic",
+        kind="gyro",
+        unit="s^2/rad^2",
+        words="cubic nonlinearity of the gyros: their scale factors with the square of the rate",
+        suffixes=_every_sensor,
+        limit=1e-2 / (10.0 * DEGREE) ** 2,
+        shown=((0.01 * _AT_TEN, "ppm at 100 °/s"), (_AT_TEN, "ppm at 10 °/s")),
+        regressors=_own(OWN_CUBE),
     ),
     ParameterGroup(
         name="gyro.g_sensitivity",

@@ -43,6 +43,7 @@ import numpy as np
 from scipy import special
 
 from tumble.earth import EARTH_RATE
+from tumble.estimation.common_errors import common_covariance
 from tumble.estimation.elimination import carry
 from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, GroupFinding, OwnEstimate
 from tumble.estimation.likelihood import (
@@ -773,7 +774,8 @@ def _again(problem: Problem, fitted: _Fitted, out: _Out) -> _Fitted:
 def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array, turn_sigmas: Array) -> Estimate:
     problem, instrument = fitted.problem, fitted.problem.instrument
     observations, linear = problem.observations, instrument.linear_count
-    values, covariance = fitted.solved.point.values, fitted.solved.step.covariance[1:, 1:]
+    values, last = fitted.solved.point.values, fitted.solved.last
+    covariance = fitted.solved.step.covariance[1:, 1:] + common_covariance(observations, instrument)
     spread = problem.spread[:linear]
     variance, combinations = np.linalg.eigh(covariance[:linear, :linear] / np.outer(spread, spread))
     observable = np.ones(len(values), dtype=bool)
@@ -806,7 +808,7 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
             values,
             covariance,
             gravity=observations.site.gravity,
-            rate=_usual_rate(fitted.solved.last.about),
+            rate=_usual_rate(last.about),
         ),
         linearised=None if observations.together is not None else _linearised(fitted),
         own=_own(fitted),
