@@ -39,7 +39,7 @@ class Bench:
     def run(self, seconds: float) -> None:
         """Let so much log time pass."""
         for _ in range(round(seconds / 0.2)):
-            self.file.write("".join(self.table._line() for _ in range(20)))
+            self.file.write("".join(self.table.line() for _ in range(20)))
             self.file.flush()
             self.station.step()
 

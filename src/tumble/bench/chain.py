@@ -136,7 +136,7 @@ class Chain:
             found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
             for usual in (usual_sizes(self._grade, session.device.prior), {}):  # few rests bear the linear model alone
                 with contextlib.suppress(np.linalg.LinAlgError):
-                    return joint(replace(found, usual=usual))
+                    return joint(replace(found, usual=usual), quick=True)
         return None
 
 

@@ -41,6 +41,7 @@ from tumble.bench.course import (
 from tumble.bench.follow import BRIDGED, Clock, Follower
 from tumble.bench.intake import Intake
 from tumble.bench.sources import LineSource
+from tumble.bench.warm_up import warm_up
 from tumble.bench.watch import Watch
 from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, rest_wishes, wishes
 from tumble.errors import TumbleError
@@ -135,6 +136,7 @@ class Station:
 
     def start(self) -> None:
         """Begin to record and to follow."""
+        self._worker.submit(warm_up)
         self._record()
         self._thread.start()
 
@@ -768,6 +770,8 @@ def _residuals(estimate: Estimate) -> list[dict[str, float]]:
 
 def _cause(estimate: Estimate, spans: tuple[RestSpan, ...]) -> str:
     """What does not fit, and what may be the cause."""
+    if not estimate.converged:
+        return "the readings contradict each other: are the axes, their senses and the units right?"
     rest, turn = np.nan_to_num(estimate.rest_sigmas), np.nan_to_num(estimate.turn_sigmas)
     if len(rest) and rest.max() > FIT_SIGMAS:
         k = int(np.argmax(rest))

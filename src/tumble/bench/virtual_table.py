@@ -133,10 +133,11 @@ class VirtualTable:
         if due <= self._sample:
             time.sleep(min(timeout, 0.02))
             return b""
-        lines = [self._line() for _ in range(min(due - self._sample, 4096))]
+        lines = [self.line() for _ in range(min(due - self._sample, 4096))]
         return "".join(lines).encode("ascii")
 
-    def _line(self) -> str:
+    def line(self) -> str:
+        """The next sample as a line; empty where it does not arrive."""
         middle = self._sample + 0.5
         L, rate = self._move.attitude(middle), self._move.rate(middle)
         force = L.T @ (GRAVITY * AXES["U"])
