@@ -79,7 +79,7 @@ class Judged:
 
 
 _NO_ESTIMATE: dict[str, Any] = {
-    "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "seconds": 0.0
+    "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0, "seconds": 0.0
 }  # fmt: skip
 
 
@@ -171,6 +171,11 @@ class Station:
         with self._changed:
             self.state = state
             self._changed.notify_all()
+
+    @property
+    def followed(self) -> int:
+        """Bytes of the log that are in the state."""
+        return self._follower.at
 
     def wait(self, before: Mapping[str, Any], timeout: float) -> dict[str, Any]:
         """The state, as soon as it is another one than that of `before`."""
@@ -550,7 +555,7 @@ class Station:
     def _made(
         self, chain: Chain, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
     ) -> dict[str, Any]:
-        began = time.monotonic()
+        began = time.thread_time()
         estimate = chain.estimate(reduction, spans, excluded)
         if estimate is None:
             return _NO_ESTIMATE | {"rests": len(spans)}
@@ -566,7 +571,8 @@ class Station:
             "gains": left.tolist(),
             "next": f"{_upwards(DIRECTIONS[best])}: accelerometers to {100.0 * left[best]:.0f} % of u",
             "cause": _cause(estimate, spans),
-            "seconds": time.monotonic() - began,
+            "unknowns": len(estimate.names),
+            "seconds": time.thread_time() - began,
         }
 
     # -------------------- what the operator says --------------------
