@@ -32,21 +32,23 @@ from tumble.bench.course import (
     grouped,
     nearest_positions,
     position_fault,
+    put_down_fault,
     rest_of,
     scatter_now,
     turn_fault,
     turned_between,
     verticals,
+    warmed_fault,
 )
 from tumble.bench.follow import BRIDGED, Clock, Follower
 from tumble.bench.intake import Intake
 from tumble.bench.sources import LineSource
 from tumble.bench.warm_up import warm_up
 from tumble.bench.watch import Watch
-from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, rest_wishes, wishes
+from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, rest_wishes, temperature_limit, wishes
 from tumble.errors import TumbleError
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate
-from tumble.programme.positions import ANY_MOVE, Programme, from_attitudes
+from tumble.programme.positions import ANY_MOVE, Move, Programme, from_attitudes
 from tumble.programme.positions import programme as built_in
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
 from tumble.recording.session import Exclusion, Session
@@ -58,6 +60,9 @@ log = logging.getLogger(__name__)
 
 STEP_SECONDS = 0.2
 SHORTEST_REST = 4.0
+STILL_TURNING = 3.0 * DEGREE
+"""s⁻¹: a turn that is nearly done and goes on more slowly is a unit put down with movement."""
+NEARLY = 10.0 * DEGREE
 NOTHING_MORE = 0.93
 """Where twice the time leaves more than this of u, longer gives nothing."""
 _WINDOW = 1200
@@ -97,6 +102,7 @@ class Station:
         self.folder, self._listen, self._grade = folder, listen, grade
         self.wanted = wishes(wanted, grade)
         self.rest_wanted = rest_wishes(self.wanted, grade)
+        self._temperature_limit = temperature_limit(self.wanted, grade)
         self._changed = threading.Condition()
         self._guard = threading.RLock()
         self._stop = threading.Event()
@@ -386,7 +392,7 @@ class Station:
             "picture": f"picture/{index}.svg?{hashlib.sha256(position.attitude.encode()).hexdigest()[:8]}",
         }
 
-    def _move(self, index: int) -> Any:
+    def _move(self, index: int) -> Move:
         ordered = self.programme is not None and self.programme.ordered and 0 < index <= len(self.programme.moves)
         return self.programme.moves[index - 1] if ordered and self.programme is not None else ANY_MOVE
 
@@ -442,9 +448,12 @@ class Station:
             done = float(turned @ (before.matrix.T @ move.axis))
         label = "to any new position" if index is None else f"to position {index + 1}"
         early = not self._judge(last).enough
+        slow = None if rate is None or turned is None else float(np.linalg.norm(rate))
+        arrived = done is not None and slow is not None and slow < STILL_TURNING and _arrived(move, done)
+        headline = "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}"
         return {
             "screen": "turn",
-            "headline": f"Turn now {label}",
+            "headline": headline,
             "rest": {"number": at + 1, "of": None if self.programme is None else len(self.programme.positions)},
             "position": self._position(index, at),
             "early": f"rest {at} was left before the wanted u" if early else "",
@@ -478,7 +487,12 @@ class Station:
 
     def _fault(self, blocks: Blocks, groups: list[list[Rest]], current: Rest | None) -> Fault | None:
         """The first fault that is not answered."""
-        every = [*self._faults, *self._knocks(groups, current), *self._misplaced(blocks, groups, current)]
+        every = [
+            *self._faults,
+            *self._knocks(groups, current),
+            *self._misplaced(blocks, groups, current),
+            *self._unsteady(blocks, groups, current),
+        ]
         return next((fault for fault in every if _key(fault) not in self._answered), None)
 
     def _knocks(self, groups: list[list[Rest]], current: Rest | None) -> list[Fault]:
@@ -490,6 +504,15 @@ class Station:
         said = f"knock at {before.stop:.1f} s, {before.stop - before.start:.0f} s into this rest"
         choices = ("again", "keep_first", "go_on")
         return [Fault(kind="knock", said=said, start=before.start, stop=before.stop, kept=True, choices=choices)]
+
+    def _unsteady(self, blocks: Blocks, groups: list[list[Rest]], current: Rest | None) -> list[Fault]:
+        """A rest put down with movement, and a temperature that has drifted since the first rest."""
+        if not groups:
+            return []
+        moved = None
+        if current is not None:
+            moved = put_down_fault(blocks, current, len(groups), self.rest_wanted[0])
+        return [fault for fault in (moved, warmed_fault(blocks, groups[0][0], self._temperature_limit)) if fault]
 
     def _misplaced(self, blocks: Blocks, groups: list[list[Rest]], current: Rest | None) -> list[Fault]:
         listed = self.programme
@@ -608,8 +631,9 @@ class Station:
         if fault is None:
             return "nothing is wrong"
         self._answered.add(_key(fault))
-        self._leave_out(fault.start, fault.said, until_moved=fault.kind != "knock")
-        return "left out; take it again"
+        here = fault.kind in ("knock", "movement")
+        self._leave_out(fault.start, fault.said, until_moved=not here)
+        return "left out; hold still, this rest begins anew" if here else "left out; take it again"
 
     def _do_keep_first(self, _: str) -> str:
         fault = self._present_fault()
@@ -745,6 +769,11 @@ def _programme_of(session: Session) -> Programme | None:
     if spec is None:
         return None
     return built_in(spec.name) if spec.name is not None else from_attitudes([p.attitude for p in spec.positions])
+
+
+def _arrived(move: Move, done: float) -> bool:
+    """Whether a turn has gone so far that it may be over."""
+    return abs(done - move.angle) < NEARLY if move.angle is not None else done > 2.0 * NEARLY
 
 
 def _key(fault: Fault) -> tuple[str, int]:

@@ -26,6 +26,7 @@ OFF = 1.0 * DEGREE
 GRAVITY = 9.81579
 KNOCK = 3.0
 """m/s², for a tenth of a second."""
+ROCKING = 1.0 * DEGREE
 FULL_SCALE = 300.0 * DEGREE
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.array([0.0, 0.0, 1.0])}
 
@@ -57,11 +58,12 @@ class VirtualTable:
 
     unordered = False
 
-    def __init__(self, programme_name: str, *, seed: int = 1) -> None:
+    def __init__(self, programme_name: str, *, seed: int = 1, temperature: bool = False) -> None:
         name, _, speed = programme_name.partition("@")
         self.programme: Programme = programme(name or "rough-table")
         self.name = f"simulator:{self.programme.name}"
         self.trouble: str | None = None
+        self.temperature = temperature
         try:
             self.speed = float(speed.removesuffix("x")) if speed else 1.0
         except ValueError:
@@ -78,6 +80,8 @@ class VirtualTable:
         self._begun: float | None = None
         self._move = _Move(vector=np.zeros(3), start=self._near(self.programme.positions[0].matrix), first=0, samples=1)
         self._knocked = self._lost = self._stuck = -1
+        self._rocking: tuple[int, int] | None = None
+        self._warming: tuple[int, float] | None = None
         self._last_row: list[float] = []
 
     def skip_to(self, at: float) -> None:
@@ -126,6 +130,14 @@ class VirtualTable:
         """A channel that repeats itself."""
         self._stuck = self._sample + round(seconds * SAMPLE_RATE)
 
+    def rock(self, seconds: float = 1.5) -> None:
+        """A unit put down with movement when the turn under way ends: it comes to rest slowly."""
+        self._rocking = self._move.first + self._move.samples, round(seconds * SAMPLE_RATE)
+
+    def warm(self, rate: float = 1.0) -> None:
+        """The temperature drifts from now on, K/s, where it is sent."""
+        self._warming = self._sample, rate
+
     def read(self, timeout: float) -> bytes:
         if self._begun is None:
             self._begun = time.monotonic() - self._sample / SAMPLE_RATE / self.speed
@@ -139,7 +151,8 @@ class VirtualTable:
     def line(self) -> str:
         """The next sample as a line; empty where it does not arrive."""
         middle = self._sample + 0.5
-        L, rate = self._move.attitude(middle), self._move.rate(middle)
+        still, rocking = self._rocked(middle)
+        L, rate = still @ self._move.attitude(middle), still @ self._move.rate(middle) + rocking
         force = L.T @ (GRAVITY * AXES["U"])
         if self._sample < self._knocked:
             force = force + KNOCK * self._rng.standard_normal(3)
@@ -154,7 +167,21 @@ class VirtualTable:
             row[1] = self._last_row[1]
         self._last_row, self._sample = row, self._sample + 1
         lost = self._sample < self._lost
+        row += [self._degrees()] if self.temperature else []
         return "" if lost else ",".join(f"{value:.9g}" for value in [self._sample / SAMPLE_RATE, *row]) + "\n"
+
+    def _rocked(self, sample: float) -> tuple[Array, Array]:
+        """How far the unit still is from where it will lie, and how fast it goes there, rad/s."""
+        if self._rocking is None:
+            return np.eye(3), np.zeros(3)
+        first, samples = self._rocking
+        left = 1.0 - (sample - first) / samples
+        rate = -ROCKING * SAMPLE_RATE / samples if 0.0 <= left <= 1.0 else 0.0
+        return rotation_matrix(ROCKING * min(max(left, 0.0), 1.0) * AXES["N"]), rate * AXES["N"]
+
+    def _degrees(self) -> float:
+        since, rate = self._warming or (self._sample, 0.0)
+        return 25.0 + rate * (self._sample - since) / SAMPLE_RATE
 
     def close(self) -> None:
         """Nothing is open."""
