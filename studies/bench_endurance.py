@@ -37,8 +37,6 @@ GRAVITY = 9.81579
 NOISE = np.array([3e-3] * 3 + [1e-3] * 3 + [0.1] * 3)
 FIELD = np.array([18.0, -46.0, 3.0])  # µT: N, U, E
 MEMORY = 400.0  # MB
-LATENCY = 0.5  # s
-ESTIMATE = 1.0  # s
 AHEAD = 8 << 20  # bytes that may be sent and not yet followed
 REAL_TIME = 10.0  # s
 COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
@@ -76,7 +74,10 @@ class Unit:
 
     def _text(self, L: Array, rate: Array) -> list[str]:
         earth = np.array(earth_rate(LATITUDE_DEG * DEGREE))
-        seen = [np.einsum("kij,ki->kj", L, np.broadcast_to(x, rate.shape)) for x in (GRAVITY * np.eye(3)[1], rate + earth, FIELD)]
+        seen = [
+            np.einsum("kij,ki->kj", L, np.broadcast_to(x, rate.shape))
+            for x in (GRAVITY * np.eye(3)[1], rate + earth, FIELD)
+        ]
         values = np.concatenate(seen, axis=1) + NOISE * self._rng.standard_normal((len(rate), 9))
         return [",".join(f"{x:.6g}" for x in row) for row in values.tolist()]
 
@@ -162,13 +163,13 @@ def main() -> None:
     with (folder / "launch" / "log.csv").open("rb") as file:
         rows = sum(piece.count(b"\n") for piece in iter(lambda: file.read(1 << 20), b"")) - 1
     shutil.rmtree(folder)
-    estimate = state["estimate"] or {}
+    estimate, received = state["estimate"], state["received"]
     print(f"{seconds / 3600.0:.2f} h of log in {passed / 60.0:.1f} min, {spent:.0f} s of processor time")
-    print(f"{unit.sent} samples sent, {rows} in the log, {state['received']['lost']} lost, {state['received']['refused']} refused")
+    print(f"{unit.sent} samples sent, {rows} in the log, {received['lost']} lost, {received['refused']} refused")
     print(f"memory {memory():.0f} MB at most, {before:.0f} MB before the first sample")
-    print(f"estimate of {estimate.get('rests')} rests, {estimate.get('unknowns')} unknowns: {estimate.get('seconds', 0.0):.2f} s of processor time")
+    print(f"{estimate['rests']} rests, {estimate['unknowns']} unknowns: {estimate['seconds']:.2f} s for their estimate")
     print(f"from a sample to the state with it: {np.median(late):.2f} s in the middle, {late.max():.2f} s at most")
-    kept = rows == unit.sent and state["received"]["lost"] == 0 and memory() < MEMORY
+    kept = rows == unit.sent and received["lost"] == 0 and memory() < MEMORY
     print("Does the bench last a day? " + ("Yes: no sample is lost, in less than 400 MB" if kept else "No"))
     sys.exit(0 if kept else 1)
 

@@ -156,7 +156,7 @@ class Lines:
 
 
 def numbers_in(data: bytes, columns: int) -> Array | None:
-    """Rows of numbers in whole lines that are nothing but numbers between commas; None where a line is anything else."""
+    """Rows of whole lines that are nothing but numbers between commas; None where a line is anything else."""
     text = np.frombuffer(data, dtype=np.uint8)
     if not len(data) or not _OF_NUMBERS[text].all():
         return None

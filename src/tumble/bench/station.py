@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.bench import ending
 from tumble.bench import folder as folders
 from tumble.bench.chain import Blocks, Chain, Known
 from tumble.bench.course import (
@@ -84,7 +85,8 @@ class Judged:
 
 
 _NO_ESTIMATE: dict[str, Any] = {
-    "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0, "seconds": 0.0
+    "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0,
+    "seconds": 0.0,
 }  # fmt: skip
 
 
@@ -98,8 +100,10 @@ class Station:
         *,
         wanted: tuple[str, ...] = (),
         grade: str = "mems",
+        registry: str | None = None,
     ) -> None:
-        self.folder, self._listen, self._grade = folder, listen, grade
+        """`registry` is where the button registers, None for the user's."""
+        self.folder, self._listen, self._grade, self._registry = folder, listen, grade, registry
         self.wanted = wishes(wanted, grade)
         self.rest_wanted = rest_wishes(self.wanted, grade)
         self._temperature_limit = temperature_limit(self.wanted, grade)
@@ -680,37 +684,29 @@ class Station:
         return "recording goes on"
 
     def _do_calibrate(self, _: str) -> str:
-        from tumble.calibration.calibrate import calibrate
-        from tumble.recording.session import read_session
-
         self._do_stop("")
-        calibration = calibrate(read_session(self.folder))
-        calibration.write(self.folder / "calibration.json", force=True)
+        calibration = ending.calibrated(self.folder)
         self._result = {
             "accepted": calibration.outcome.accepted,
             "reasons": list(calibration.outcome.reasons),
             "parameters": len(calibration.parameters),
-            "files": ["calibration.json"],
+            "files": [ending.CALIBRATION_FILE],
+            "registered": "",
         }
         return "calibrated: accepted" if calibration.outcome.accepted else "calibrated: not accepted"
 
     def _do_report(self, _: str) -> str:
-        from tumble.report.write import write_report
-
-        write_report([self.folder / "calibration.json"], self.folder / "report.html")
-        return self._filed("report.html")
+        return self._filed(ending.report_of(self.folder))
 
     def _do_export(self, to: str) -> str:
-        from tumble.calibration.calibration_file import read_calibration
-        from tumble.export import export_calibration
-        from tumble.files import whole_file
+        return self._filed(ending.exported(self.folder, to))
 
-        exported = export_calibration(read_calibration(self.folder / "calibration.json"), to)
-        ending = {"c": ".h", "px4": ".params", "ardupilot": ".parm", "csv": ".csv", "mat": ".mat", "dcc": ".xml"}
-        name = f"export-{to}{ending.get(to, '.txt')}"
-        with whole_file(self.folder / name) as temporary:
-            temporary.write_bytes(exported.content)
-        return self._filed(name)
+    def _do_register(self, _: str) -> str:
+        if self._result is None:
+            return "nothing is calibrated yet"
+        said = ending.registered(self.folder, self._registry)
+        self._result = self._result | {"registered": said}
+        return said
 
     def _filed(self, name: str) -> str:
         if self._result is not None and name not in self._result["files"]:

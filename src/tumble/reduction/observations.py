@@ -138,7 +138,7 @@ class TurnSamples:
             yield self._pieces(parts, count)
 
     def _pieces(self, parts: list[tuple[int, int, int, int]], count: int) -> Pieces:
-        """So many samples in parts of turns: a turn, the first sample to be read, the first of the part, and its end."""
+        """So many samples in parts of turns: turn, first sample to be read, first of the part, and its end."""
         rates, forces, intervals = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
         pieces, done = [], 0
         for turn, first, at, end in parts:
