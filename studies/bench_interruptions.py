@@ -4,7 +4,7 @@ Sessions of several grades and programmes are sent to a bench in pieces of rando
 the result must be that of `tumble calibrate` for the recording that was sent, to the last digit. Then benches are
 killed (SIGKILL) at random moments and started again on the same folder, while a session is sent to them, until it is
 whole. After every kill the log must be a beginning of what was sent, with every row that was acknowledged: a row counts
-as received when the bench asks for the next. In the end the log must be what was sent, and its result that of the batch.
+as received when the bench asks for the next. In the end the log must be what was sent, its result that of the batch.
 
     python studies/bench_interruptions.py [--short]
 """
