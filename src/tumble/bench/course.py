@@ -7,6 +7,7 @@ that is started again says the same.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from tumble.bench.chain import Blocks
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Move, Position, Programme
 from tumble.reduction.matching import POSITION_LIMIT, SAME_ATTITUDE, TURN_LIMIT
+from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.units import DEGREE, G_STANDARD, Array, BoolArray
 
 CALM_BLOCKS = 5
@@ -133,10 +135,15 @@ def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
 
 
 def _still(blocks: Blocks, before: Rest, after: Rest) -> bool:
-    apart = float(np.arccos(np.clip(before.vertical @ after.vertical, -1.0, 1.0)))
-    level = None if before.rate is None or after.rate is None else 0.5 * (before.rate + after.rate)
-    turned = turned_between(blocks, before.last, after.first, level)
-    return apart < SAME_ATTITUDE and (turned is None or float(np.linalg.norm(turned)) < SAME_ATTITUDE)
+    if float(np.arccos(np.clip(before.vertical @ after.vertical, -1.0, 1.0))) >= SAME_ATTITUDE:
+        return False
+    if blocks.rate is None or before.rate is None or after.rate is None:
+        return True
+    between = slice(before.last, after.first)
+    seconds = np.diff(blocks.edges[before.last : after.first + 1])[:, None]
+    turns = rotation_matrix((blocks.rate[between] - 0.5 * (before.rate + after.rate)) * seconds)
+    back = reduce(np.matmul, turns, np.eye(3))
+    return float(np.linalg.norm(rotation_vector(back))) < SAME_ATTITUDE
 
 
 def put_down_fault(blocks: Blocks, rest: Rest, number: int, wanted: float) -> Fault | None:

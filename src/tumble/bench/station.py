@@ -64,6 +64,8 @@ SHORTEST_REST = 4.0
 STILL_TURNING = 3.0 * DEGREE
 """s⁻¹: a turn that is nearly done and goes on more slowly is a unit put down with movement."""
 NEARLY = 10.0 * DEGREE
+KNOCK_SECONDS = 5.0
+"""A rest that was left for longer has been left for another position, and come back to."""
 NOTHING_MORE = 0.93
 """Where twice the time leaves more than this of u, longer gives nothing."""
 _WINDOW = 1200
@@ -503,7 +505,7 @@ class Station:
         if current is None or not groups or len(groups[-1]) < 2:
             return []
         before = groups[-1][-2]
-        if self._judge(before).enough:
+        if self._judge(before).enough or current.start - before.stop > KNOCK_SECONDS:
             return []
         said = f"knock at {before.stop:.1f} s, {before.stop - before.start:.0f} s into this rest"
         choices = ("again", "keep_first", "go_on")

@@ -23,6 +23,8 @@ from tumble.usual_setup import LATITUDE_DEG
 RATE = 45.0 * DEGREE
 SAMPLE_RATE = 100.0
 OFF = 1.0 * DEGREE
+NEAR = 20.0 * DEGREE
+"""From where a turn of the programme begins: from elsewhere the shortest way is taken."""
 GRAVITY = 9.81579
 KNOCK = 3.0
 """m/s², for a tenth of a second."""
@@ -107,7 +109,8 @@ class VirtualTable:
         vector = rotation_vector(target @ self._now().T)
         if move is not None and move.axis is not None and move.angle is not None and np.linalg.norm(vector) > 1.0:
             whole = move.angle * move.axis
-            vector = whole + rotation_vector(rotation_matrix(-whole) @ target @ self._now().T)
+            rest = rotation_vector(rotation_matrix(-whole) @ target @ self._now().T)
+            vector = whole + rest if np.linalg.norm(rest) < NEAR else vector
         self._start(vector, rate)
 
     def _start(self, vector: Array, rate: float) -> None:
