@@ -45,7 +45,7 @@ class Shown:
             self.browser.press(key)
             eventually(lambda: self.browser.text("#message") not in ("", "nothing is wrong"))
             self.bench.run(0.2)
-            eventually(lambda: self.bench.station.state["fault"] is None and not self.browser.text("#fault"))
+            eventually(lambda: said not in self.browser.text("#fault"))
 
     def look(self, name: str) -> None:
         """What is wrong with the page as it is."""
