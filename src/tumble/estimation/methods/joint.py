@@ -311,9 +311,7 @@ def _fitted(problem: Problem, start: _At, out: _Out, most: int = ALL_STEPS) -> _
         if (found == scatter and wider is wide) or steps >= most:
             break
         wide, scatter = wider, found
-        at = _At(
-            point=solved.last.point, about=solved.last.about, rows=linearise(wide, solved.last.point, solved.last.about)
-        )
+        at = _At.of(wide, solved.last.point, solved.last.about)
         solved = _iterated(wide, at, out, scatter, most - steps)  # the last step again, with scatter
         increments, steps = increments[:-1] + solved.increments, steps + len(solved.increments)
     after = _left(wide, solved, out, scatter)
