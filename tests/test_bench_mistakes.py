@@ -42,8 +42,9 @@ class Shown:
         eventually(lambda: said in self.browser.text("#fault") + self.browser.text("h1"))
         self.look(name)
         if key:
+            answered = len(self.bench.station._answered)
             self.browser.press(key)
-            eventually(lambda: self.browser.text("#message") not in ("", "nothing is wrong"))
+            eventually(lambda: len(self.bench.station._answered) > answered)
             self.bench.run(0.2)
             eventually(lambda: said not in self.browser.text("#fault"))
 

@@ -455,7 +455,9 @@ class Station:
         label = "to any new position" if index is None else f"to position {index + 1}"
         early = not self._judge(last).enough
         slow = None if rate is None or turned is None else float(np.linalg.norm(rate))
-        arrived = done is not None and slow is not None and slow < STILL_TURNING and _arrived(move, done)
+        calm = self._limits is not None and calm_since(blocks, self._limits) is not None
+        slowly = slow is not None and slow < STILL_TURNING and not calm
+        arrived = slowly and done is not None and _arrived(move, done)
         headline = "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}"
         return {
             "screen": "turn",
