@@ -153,11 +153,15 @@ def _without_date(path: Path) -> dict[str, object]:
 
 
 def test_the_result_after_a_replay_is_that_of_the_batch(recorded: Path, tmp_path: Path) -> None:
-    station = station_of(tmp_path / "launch", f"replay:{recorded}@max", site=SITE)
+    registry = str(tmp_path / "registry.sqlite")
+    station = station_of(tmp_path / "launch", f"replay:{recorded}@max", site=SITE, registry=registry)
     station.start()
     try:
         eventually(lambda: station.state["received"]["ended"] and station.state["screen"] == "done", 120.0)
+        assert station.command("register") == "nothing is calibrated yet"
         station.command("calibrate")
+        assert station.command("register") == "registered as record 1; no limits are set for it"
+        assert station.command("register").startswith("registered before: it is record 1")
     finally:
         station.stop()
     assert (tmp_path / "launch" / "log.csv").read_bytes() == (recorded / "log.csv").read_bytes()
