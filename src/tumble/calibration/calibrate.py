@@ -14,6 +14,7 @@ from tumble import __version__
 from tumble.calibration.calibration_file import Calibration, SensingAxes, read_calibration
 from tumble.calibration.case import CaseAlignment, estimate_in
 from tumble.calibration.coverage import MANY_DEGREES, with_degrees
+from tumble.calibration.field_dip import exchanged_columns
 from tumble.calibration.observed import Observed, Progress, inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
@@ -251,6 +252,7 @@ def _without_result(observed: Observed, method: str, outcome: Outcome, provenanc
         gyro=None,
         outcome=outcome,
         site=session.site,
+        circumstances=observed.circumstances,
         readings=_readings_of(session),
         notes=_bridged(observed.gaps),
         provenance=provenance,
@@ -382,6 +384,7 @@ def _result(
         turns=turns,
         fits=estimate.fits,
         site=observations.site,
+        circumstances=observed.circumstances,
         programme=None if observations.programme is None else observations.programme.name,
         readings=_readings_of(session),
         notes=_bridged(observed.gaps)
@@ -430,29 +433,30 @@ def _learned(estimate: Estimate) -> dict[str, dict[str, float]]:
 
 
 def _with_magnetometer(calibration: Calibration, session: Session, observations: Observations) -> Calibration:
-    """A calibration with the parameters of the session's magnetometer, where it has one."""
-    spec = session.log.magnetometer
+    """A calibration with the parameters of the session's magnetometer, where it has one; where that cannot be
+    calibrated, without them, and a note says why."""
+    spec, covariance = session.log.magnetometer, calibration.covariance
     if spec is None:
         return calibration
-    found, outcome = magnetometer(observations, spec.unit), calibration.outcome
-    missing = MAGNETOMETER_NAMES if found.values is None else ()
-    parameters, covariance = calibration.parameters, calibration.covariance
-    if found.values is not None and found.covariance is not None and covariance is not None:
-        u, units = np.sqrt(np.diag(found.covariance)), (spec.unit,) * 3 + ("1",) * 3 + ("rad",) * 3
-        parameters += tuple(
-            Parameter(name=name, value=float(value), u=float(each), unit=unit)
-            for name, value, each, unit in zip(MAGNETOMETER_NAMES, found.values, u, units, strict=True)
-        )
-        apart = np.zeros((len(covariance), 9))
-        covariance = np.block([[covariance, apart], [apart.T, found.covariance]])
+    found = magnetometer(observations, spec.unit)
+    if found.reasons or found.values is None or found.covariance is None or covariance is None:
+        why = "; ".join(found.reasons) or "magnetometer: nothing says how well it is known"
+        said = (f"{why}; the rest of the session is calibrated without it",)
+        missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + MAGNETOMETER_NAMES)
+        return replace(calibration, outcome=missing, notes=calibration.notes + said)
+    u, units = np.sqrt(np.diag(found.covariance)), (spec.unit,) * 3 + ("1",) * 3 + ("rad",) * 3
+    parameters = tuple(
+        Parameter(name=name, value=float(value), u=float(each), unit=unit)
+        for name, value, each, unit in zip(MAGNETOMETER_NAMES, found.values, u, units, strict=True)
+    )
+    apart = np.zeros((len(covariance), 9))
     return replace(
         calibration,
-        parameters=parameters,
-        covariance=covariance,
+        parameters=calibration.parameters + parameters,
+        covariance=np.block([[covariance, apart], [apart.T, found.covariance]]),
         mag=found.model,
-        outcome=replace(outcome, reasons=outcome.reasons + found.reasons, unobservable=outcome.unobservable + missing),
         fits=dict(calibration.fits) | found.fits,
-        notes=calibration.notes + found.notes,
+        notes=calibration.notes + found.notes + exchanged_columns(calibration.accel, found.model, observations, spec),
     )
 
 

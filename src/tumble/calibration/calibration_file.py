@@ -44,6 +44,7 @@ from tumble.estimation.estimate import Fit, GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
 from tumble.recording.arrays import celsius_of, numbers_of
+from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_content, circumstances_from
 from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
@@ -98,6 +99,8 @@ class Calibration:
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     reference_temperature: float | None = None
     """°C, at which parameters that change with temperature have their values."""
+    circumstances: Circumstances = UNKNOWN
+    """When, by whom, with what and in what air it was recorded."""
 
     @property
     def compensator(self) -> Compensator:
@@ -196,7 +199,8 @@ class Calibration:
         gyros is missing, and for more than three of them."""
         if frame == self.frame:
             return self
-        missing = self.outcome.unobservable or (() if self.accel is not None else ("those of accelerometers",))
+        missing = tuple(name for name in self.outcome.unobservable if sensor_kind(name) != "mag")
+        missing = missing or (() if self.accel is not None else ("those of accelerometers",))
         if missing:
             raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
         try:
@@ -263,6 +267,7 @@ class Calibration:
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],
             "site": None if self.site is None else asdict(self.site),
+            "session": circumstances_content(self.circumstances),
             "programme": self.programme,
             "readings": {kind: asdict(readings) for kind, readings in self.readings.items()},
             "rests": [asdict(rest) for rest in self.rests],
@@ -276,6 +281,7 @@ class Calibration:
                     "covariance": None if launch.covariance is None else launch.covariance.tolist(),
                     "log_sha256": launch.log_sha256,
                     "site": None if launch.site is None else asdict(launch.site),
+                    "circumstances": circumstances_content(launch.circumstances),
                     "rests": [asdict(rest) for rest in launch.rests],
                     "turns": [asdict(turn) for turn in launch.turns],
                     "fits": fits_content(launch.fits),
@@ -422,6 +428,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         turns=tuple(map(turn_from, content.get("turns", ()))),
         fits=fits_from(content),
         site=site_from(content),
+        circumstances=circumstances_from(content.get("session", {})),
         programme=optional(text_from, content.get("programme")),
         readings={kind: readings_from(each) for kind, each in content.get("readings", {}).items()},
         notes=tuple(map(text_from, content.get("notes", ()))),
@@ -432,6 +439,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
                 covariance=covariance_from(launch["covariance"], len(launch["parameters"])),
                 log_sha256=text_from(launch.get("log_sha256", "")),
                 site=site_from(launch),
+                circumstances=circumstances_from(launch.get("circumstances", {})),
                 rests=tuple(map(rest_from, launch.get("rests", ()))),
                 turns=tuple(map(turn_from, launch.get("turns", ()))),
                 fits=fits_from(launch),

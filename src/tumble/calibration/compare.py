@@ -21,8 +21,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.special import chdtrc, fdtrc
 
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, expanded_of, remarks, shared_gravity, welch_satterthwaite
@@ -181,10 +180,10 @@ def _chi_square(
     correlation = covariance / np.outer(u, u)
     scaled = differences / u
     rank = int(np.linalg.matrix_rank(correlation, hermitian=True))
-    chi_square = float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled)
+    chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
     if fewest is None:
-        return chi_square, rank, float(chi2.sf(chi_square, rank))
-    return chi_square, rank, float(fisher.sf(chi_square / rank, rank, fewest))
+        return chi_square, rank, float(chdtrc(rank, chi_square))
+    return chi_square, rank, float(fdtrc(rank, fewest, chi_square / rank))
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:

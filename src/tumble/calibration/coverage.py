@@ -28,7 +28,7 @@ from math import inf, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from tumble.calibration.results import Parameter, coverage_factor
 from tumble.estimation.estimate import Fit
@@ -167,7 +167,8 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
 
 def _hidden(fit: Fit) -> float:
     """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
-    return sqrt(max(fit.chi_square / float(chi2.ppf(UNSEEN, fit.degrees)) - 1.0, 0.0))
+    least = 2.0 * float(special.gammaincinv(0.5 * fit.degrees, UNSEEN))
+    return sqrt(max(fit.chi_square / least - 1.0, 0.0))
 
 
 def _of_fits(fits: Mapping[str, Fit], name: str) -> float | None:

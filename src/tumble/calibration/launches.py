@@ -28,6 +28,7 @@ from tumble.estimation.estimate import GroupFinding, Outcome
 from tumble.estimation.methods.magnetometer import NAMES
 from tumble.estimation.prediction import Prediction, prediction
 from tumble.files import FilePath
+from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.log import Log
 from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, Frame, frame_of
@@ -145,6 +146,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         turns=(),
         fits={},
         site=_common([run.calibration.site for run in runs]),
+        circumstances=_together([run.calibration.circumstances for run in runs]),
         programme=_common([run.calibration.programme for run in runs]),
         notes=(
             *(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
@@ -157,6 +159,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
                 covariance=run.calibration.covariance,
                 log_sha256=digest,
                 site=run.calibration.site,
+                circumstances=run.calibration.circumstances,
                 rests=run.calibration.rests,
                 turns=run.calibration.turns,
                 fits=run.calibration.fits,
@@ -167,6 +170,17 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         prediction=_prediction(runs, common, values.mean(axis=0), covariance),
         reference_temperature=reference,
         provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
+    )
+
+
+def _together(each: Sequence[Circumstances]) -> Circumstances:
+    """What is the same in all launches, all their equipment, and the date of the last."""
+    dates = [one.date for one in each if one.date is not None]
+    return Circumstances(
+        date=max(dates, default=None),
+        operator=_common([one.operator for one in each]),
+        air=_common([one.air for one in each]) or AirConditions(),
+        equipment=tuple(dict.fromkeys(item for one in each for item in one.equipment)),
     )
 
 

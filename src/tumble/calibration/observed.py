@@ -17,6 +17,7 @@ import numpy as np
 from tumble.estimation.diagnosis import no_rests, recording_faults, sense_faults
 from tumble.estimation.estimate import Outcome
 from tumble.files import FilePath
+from tumble.recording.circumstances import Circumstances
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session, session_from
@@ -47,6 +48,14 @@ class Observed:
     observations: Observations | None
     trial: Observations | None
     faults: tuple[str, ...]
+    recorded: str | None = None
+    """When, ISO 8601, by the log's own times."""
+
+    @property
+    def circumstances(self) -> Circumstances:
+        """Those of the session, with the date of the log where it states none."""
+        stated = self.session.circumstances
+        return stated if stated.date is not None else replace(stated, date=self.recorded)
 
     @property
     def rate(self) -> float:
@@ -88,6 +97,7 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
         observations=observations,
         trial=trial,
         faults=tuple(faults),
+        recorded=log.recorded,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tumble.estimation.estimate import Fit
+from tumble.recording.circumstances import UNKNOWN, Circumstances
 from tumble.recording.session import Site
 from tumble.units import Array
 
@@ -112,6 +113,7 @@ class Launch:
     rests: tuple[RestResult, ...] = ()
     turns: tuple[TurnResult, ...] = ()
     fits: Mapping[str, Fit] = field(default_factory=dict)
+    circumstances: Circumstances = UNKNOWN
 
 
 def parameter_content(parameter: Parameter) -> dict[str, Any]:
@@ -223,6 +225,7 @@ def site_from(content: Mapping[str, Any]) -> Site | None:
         gravity=float(site["gravity"]),
         gravity_u=float(site["gravity_u"]),
         field=optional(float, site.get("field")),
+        gravity_is_unit=bool(site.get("gravity_is_unit", False)),
     )
 
 

@@ -6,18 +6,23 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, with_progress
 
 
 @click.command()
 @click.argument("session", type=EXISTING_FOLDER)
-def inspect(session: Path) -> None:
+@click.option("--plot", "picture", type=FILE, help="Draw the recording with its rests into .svg, .png or .pdf.")
+def inspect(session: Path, picture: Path | None) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
     from tumble.calibration.observed import inspect_session
+    from tumble.report.recording_picture import plot
     from tumble.terminal.inspection import inspection_report
     from tumble.terminal.text import print_report
 
     observed = inspect_session(session, progress=with_progress)
+    if picture is not None:
+        plot(observed, picture)
+        click.echo(f"written to {picture}", err=True)
     print_report(inspection_report(observed))
     for fault in observed.faults:
         click.echo(f"fault: {fault}", err=True)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tumble.recording.circumstances import Circumstances, circumstances_content
 from tumble.recording.dialect import Dialect
 from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site
 from tumble.recording.session_keys import CLOCK
@@ -32,7 +34,16 @@ def description_of(session: Session) -> dict[str, Any]:
         "site": _site(session.site),
         "log": _log(session.log),
     }
-    return content | ({} if session.programme is None else {"programme": _programme(session.programme)})
+    content |= {} if session.programme is None else {"programme": _programme(session.programme)}
+    return content | _circumstances(session.circumstances)
+
+
+def _circumstances(given: Circumstances) -> dict[str, Any]:
+    """The table [session], where there is anything to say."""
+    stated = circumstances_content(given)
+    if given.date is not None:
+        stated["date"] = datetime.fromisoformat(given.date) if "T" in given.date else given.day
+    return {"session": stated} if stated else {}
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,9 +21,11 @@ from pydantic import ValidationError
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath, whole_file
+from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
 from tumble.recording.dialect import Dialect
 from tumble.recording.session_keys import (
     CLOCK,
+    CircumstancesTable,
     ExcludeTable,
     LogTable,
     MagnetometerTable,
@@ -77,6 +79,8 @@ class Site:
     field: float | None = None
     gravity_confirmed: bool = False
     """That gravity is meant, however far it is from normal gravity."""
+    gravity_is_unit: bool = False
+    """That gravity at the place, whatever it is, is the unit, and `gravity` stands for it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -201,6 +205,7 @@ class Session:
     log: LogSpec
     programme: ProgrammeSpec | None
     excluded: tuple[Exclusion, ...] = ()
+    circumstances: Circumstances = UNKNOWN
 
     @property
     def name(self) -> str:
@@ -361,7 +366,12 @@ def _session(document: SessionDocument, folder: Path | None) -> Session:
         log=_log(document.log, place),
         programme=None if document.programme is None else _programme(document.programme),
         excluded=tuple(_exclusion(given) for given in document.exclude),
+        circumstances=_circumstances(document.session),
     )
+
+
+def _circumstances(given: CircumstancesTable) -> Circumstances:
+    return circumstances_from(given.model_dump())
 
 
 def _exclusion(given: ExcludeTable) -> Exclusion:

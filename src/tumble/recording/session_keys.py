@@ -11,6 +11,8 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import date as date_type
+from datetime import datetime
 from difflib import get_close_matches
 from typing import Any, ClassVar, Literal, Self
 
@@ -333,6 +335,28 @@ class ProgrammeTable(SessionTable):
         return self
 
 
+class ConditionsTable(SessionTable):
+    """session.conditions"""
+
+    temperature_degC: float | None = Field(  # noqa: N815
+        default=None, ge=-90, le=200, description="a number from -90 to 200 (°C)"
+    )
+    temperature_u: float | None = Field(default=None, ge=0, description="a number, not negative (K)")
+    humidity_percent: float | None = Field(default=None, ge=0, le=100, description="a number from 0 to 100 (%)")
+    pressure_hPa: float | None = Field(  # noqa: N815
+        default=None, gt=0, le=1200, description="a number from 0 to 1200 (hPa)"
+    )
+
+
+class CircumstancesTable(SessionTable):
+    """[session]"""
+
+    date: datetime | date_type | None = Field(default=None, description="a date, or a date with a time, without quotes")
+    operator: str | None = Field(default=None, min_length=1, description="a name, a string")
+    conditions: ConditionsTable = Field(default_factory=ConditionsTable, description="a table of conditions")
+    equipment: list[str] = Field(default_factory=list, description="a list of strings")
+
+
 class ExcludeTable(SessionTable):
     """[[exclude]]"""
 
@@ -366,6 +390,7 @@ class SessionDocument(SessionTable):
     site: SiteTable = Field(default_factory=SiteTable, description="the table [site]")
     log: LogTable = Field(description="the table [log]")
     programme: ProgrammeTable | None = Field(default=None, description="the table [programme]")
+    session: CircumstancesTable = Field(default_factory=CircumstancesTable, description="the table [session]")
     exclude: list[ExcludeTable] = Field(default_factory=list, description="tables [[exclude]]")
 
     @model_validator(mode="after")
@@ -394,6 +419,8 @@ TABLES: Mapping[str, type[SessionTable]] = {
     "temperature": TemperatureTable,
     "programme": ProgrammeTable,
     "position": PositionTable,
+    "session": CircumstancesTable,
+    "conditions": ConditionsTable,
 }
 """The table behind every key that is one."""
 
