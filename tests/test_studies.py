@@ -15,6 +15,8 @@ PICTURES = {"gallery.py", "readme_picture.py"}
 """Studies that draw what the documentation shows, and are asked nothing."""
 
 ANSWERS = {
+    "bench_endurance.py": "Does the bench last a day? Yes",
+    "bench_interruptions.py": "on when the bench is killed? No.",
     "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",
     "coverage_of_limits.py": "Does a device at its limit pass in 2.5 % at most? Yes",
     "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",

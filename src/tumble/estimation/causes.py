@@ -650,8 +650,8 @@ def _ratio_chance(one: tuple[float, Array], other: tuple[float, Array]) -> float
     (above, first), (below, second) = one, other
     if min(first.sum(), second.sum(), below) <= 0.0:
         return 1.0
-    degrees = [float(w.sum() ** 2 / (w**2).sum()) for w in (first, second)]
-    return float(special.fdtrc(*degrees, above / first.sum() * second.sum() / below))
+    m, n = (float(w.sum() ** 2 / (w**2).sum()) for w in (first, second))
+    return float(special.fdtrc(m, n, above / first.sum() * second.sum() / below))
 
 
 def _joined(wide: Array) -> Array:

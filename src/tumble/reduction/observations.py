@@ -134,26 +134,30 @@ class TurnSamples:
         return self._gathered()
 
     def _gathered(self) -> Iterator[Pieces]:
-        parts: list[tuple[Array, Array, Array]] = []
-        pieces: list[tuple[int, int, int]] = []
+        parts: list[tuple[int, int, int, int]] = []
         count = 0
         for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True)):
             for at in range(int(start), int(stop), BATCH_SAMPLES):
                 end, ahead = min(at + BATCH_SAMPLES, int(stop)), min(AHEAD, at)
-                parts.append(self.samples.read(at - ahead, end))
-                pieces.append((turn, count + ahead, count + ahead + end - at))
+                parts.append((turn, at - ahead, at, end))
                 count += end - at + ahead
                 if count >= BATCH_SAMPLES:
-                    yield _pieces(parts, pieces)
-                    parts, pieces, count = [], [], 0
-        if pieces:
-            yield _pieces(parts, pieces)
+                    yield self._pieces(parts, count)
+                    parts, count = [], 0
+        if parts:
+            yield self._pieces(parts, count)
 
-
-def _pieces(parts: list[tuple[Array, Array, Array]], pieces: list[tuple[int, int, int]]) -> Pieces:
-    rates, forces, intervals = (np.concatenate(part) for part in zip(*parts, strict=True))
-    turn, start, stop = np.array(pieces).T
-    return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turn, start=start, stop=stop)
+    def _pieces(self, parts: list[tuple[int, int, int, int]], count: int) -> Pieces:
+        """So many samples in parts of turns: turn, first sample to be read, first of the part, and its end."""
+        rates, forces, intervals = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+        pieces, done = [], 0
+        for turn, first, at, end in parts:
+            into = slice(done, done + end - first)
+            rates[into], forces[into], intervals[into] = self.samples.read(first, end)
+            pieces.append((turn, done + at - first, done + end - first))
+            done += end - first
+        turns, start, stop = np.array(pieces).T
+        return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turns, start=start, stop=stop)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -85,6 +85,9 @@ SCATTER_PROBABILITY = 0.25
 median would find scatter in most sessions that have none, and give intervals that cover too much; a strict one would
 miss scatter that is there."""
 ROUNDS = 6
+ALL_STEPS = MAX_ITERATIONS * (ROUNDS + 2)  # more than there can be
+QUICK_STEPS = 20
+"""Steps that the fit of a quick estimate may take: that of a sound session takes ten."""
 SCATTER_STEPS = 40
 SCATTER_CONVERGED = 0.02  # of the standard deviation of a component of variance
 WIDENING_STEPS = 50
@@ -113,11 +116,18 @@ TOTAL = "noise within rests"
 
 
 def joint(
-    observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool = False, instrument: Instrument | None = None
+    observations: Observations,
+    *,
+    prior: Prior = NO_PRIOR,
+    robust: bool = False,
+    instrument: Instrument | None = None,
+    quick: bool = False,
 ) -> Estimate:
     """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
     where None, the groups whose usual size the observations know. With `robust`, the estimate is that without the
-    rests and turns that do not fit; their sigmas say which they are."""
+    rests and turns that do not fit; their sigmas say which they are. A `quick` one ends after
+    QUICK_STEPS, settled or not, and then does not look for what does not fit: it is for a page that follows a session
+    and cannot wait for one that contradicts itself."""
     accel, gyro = observations.accel_block, observations.gyro_block
     variables, own = set(variables_of(observations)), None
     if observations.together is not None:
@@ -126,8 +136,8 @@ def joint(
     problem = Problem.of(observations, prior, instrument=instrument, own=own, usual=observations.usual)
     at, first = _started(problem)
     at = _with_lag(problem, at)
-    everything = _fitted(problem, at, _Out.nothing(problem))
-    fitting = _fitting(everything)
+    everything = _fitted(problem, at, _Out.nothing(problem), QUICK_STEPS if quick else ALL_STEPS)
+    fitting = everything if quick and not everything.settled else _fitting(everything)
     shown = _with_posterior(fitting if robust else everything)
     return _estimate(shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
 
@@ -292,8 +302,8 @@ class _Solved:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Fitted:
     """The solution of a problem, whose priors are as wide as the data ask for: with its scatter and what was left out,
-    what it leaves of the residuals with scatter and what without, the weights of both, and the covariance of the
-    variances of the scatter."""
+    what it leaves of the residuals with scatter and what without, the weights of both, the covariance of the
+    variances of the scatter, and whether it `settled` within its steps."""
 
     problem: Problem
     solved: _Solved
@@ -305,23 +315,24 @@ class _Fitted:
     out: _Out
     fits: Mapping[str, Fit]
     increments: tuple[Array, ...]
+    settled: bool
 
 
-def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
-    """The solution with the scatter that it shows."""
+def _fitted(problem: Problem, start: _At, out: _Out, most: int = ALL_STEPS) -> _Fitted:
+    """The solution with the scatter that it shows, after so many steps at most."""
     scatter, components, wide = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem
-    solved = _iterated(problem, start, out, scatter)
-    increments = solved.increments
+    solved = _iterated(problem, start, out, scatter, most)
+    increments, steps = solved.increments, len(solved.increments)
     without = _left(problem, solved, out, scatter)
     for _ in range(ROUNDS):
         found, components = _scattered(wide, solved.last.rows, out, scatter)
         wider = _widened(wide, solved.last, out, found)
-        if found == scatter and wider is wide:
+        if (found == scatter and wider is wide) or steps >= most:
             break
         wide, scatter = wider, found
         at = _At.of(wide, solved.last.point, solved.last.about)
-        solved = _iterated(wide, at, out, scatter)  # the last step again, with scatter
-        increments = increments[:-1] + solved.increments
+        solved = _iterated(wide, at, out, scatter, most - steps)  # the last step again, with scatter
+        increments, steps = increments[:-1] + solved.increments, steps + len(solved.increments)
     after = _left(wide, solved, out, scatter)
     return _Fitted(
         problem=wide,
@@ -334,6 +345,7 @@ def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
         out=out,
         fits=_fits(wide, after[0], scatter, without[0]),
         increments=increments,
+        settled=steps < most,
     )
 
 
@@ -342,15 +354,15 @@ def _left(problem: Problem, solved: _Solved, out: _Out, scatter: Scatter) -> tup
     return left(problem, solved.step), out.noise(problem, solved.last.rows).weights(scatter)
 
 
-def _iterated(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> _Solved:
-    """Gauss–Newton with this scatter."""
+def _iterated(problem: Problem, at: _At, out: _Out, scatter: Scatter, most: int = MAX_ITERATIONS) -> _Solved:
+    """Gauss–Newton with this scatter, by so many steps at most."""
     increments: list[Array] = []
     while True:
         step = solve(problem, at.rows, out.noise(problem, at.rows).weights(scatter))
         point, change = moved(problem, at.point, step)
         increments.append(change)
         about = integrated(problem, point, at.about)
-        if (_negligible(problem, step) and about is at.about) or len(increments) == MAX_ITERATIONS:
+        if (_negligible(problem, step) and about is at.about) or len(increments) == min(most, MAX_ITERATIONS):
             return _Solved(point=point, last=at, step=step, increments=tuple(increments))
         at = _At.of(problem, point, about)
 
@@ -799,7 +811,7 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
         turn_sigmas=turn_sigmas,
         increments=increments,
         fits=fitted.fits,
-        converged=_negligible(problem, fitted.solved.step),
+        converged=fitted.settled and _negligible(problem, fitted.solved.step),
         instrument=instrument,
         groups=findings,
         degrees=_degrees(fitted, covariance),
