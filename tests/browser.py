@@ -55,7 +55,9 @@ class Browser:
         eventually(lambda: port.exists() and len(port.read_text().split()) == 2, 60.0)
         number, path = port.read_text().split()
         self._open = ExitStack()
-        self._socket = self._open.enter_context(connect(f"ws://127.0.0.1:{number}{path}", max_size=None))
+        self._socket = self._open.enter_context(
+            connect(f"ws://127.0.0.1:{number}{path}", max_size=None, ping_interval=None)
+        )
         self._number = 0
         target = self._send("Target.createTarget", {"url": "about:blank"})["targetId"]
         self._session = self._send("Target.attachToTarget", {"targetId": target, "flatten": True})["sessionId"]

@@ -39,6 +39,20 @@ def allan_sums(phase: Array, sizes: IntArray) -> Array:
     return np.array([np.sum((phase[2 * m :] - 2 * phase[m:-m] + phase[: -2 * m]) ** 2) for m in sizes])
 
 
+def levinson(autocovariance: Array) -> tuple[list[Array], Array]:
+    """Prediction-error filters and innovation variances of every order: see `tumble.reduction.kernels.levinson`."""
+    filters, powers = [np.array([1.0])], [autocovariance[0]]
+    for order in range(1, len(autocovariance)):
+        previous = filters[-1]
+        reflection = -(previous @ autocovariance[order:0:-1]) / powers[-1]
+        if reflection**2 > 1.0 - 1e-9:
+            break
+        padded = np.append(previous, 0.0)
+        filters.append(padded + reflection * padded[::-1])
+        powers.append(powers[-1] * (1.0 - reflection**2))
+    return filters, np.array(powers)
+
+
 def fit_statics(readings: Array, gravity: float, steps: int) -> tuple[Array, Array]:
     """Values (9,) and variances (9,) of one triad from its mean readings (N, 3): see
     `tumble.campaigns.triads.fit_statics`."""

@@ -36,8 +36,8 @@ def _moments(
     n, m = len(own.gyro), len(own.accel)
     C, V = Rotation.identity(), np.zeros(3)
     Phi, Psi, W, sweep = np.zeros((3, 3, 13)), np.zeros((3, 3, 7)), np.zeros((3, 3, 6)), np.zeros((3, 3, 3))
-    Phi_gyro, Psi_gyro, Phi_accel = np.zeros((3, 3, n)), np.zeros((3, 3, n)), np.zeros((3, 3, 2, m))
-    body, body_rates, body_gyro, body_accel = np.zeros(13), np.zeros(6), np.zeros(n), np.zeros((2, m))
+    Phi_gyro, Psi_gyro, Phi_accel = np.zeros((3, 3, 2, n)), np.zeros((3, 3, 2, n)), np.zeros((3, 3, 2, m))
+    body, body_rates, body_gyro, body_accel = np.zeros(13), np.zeros(6), np.zeros((2, n)), np.zeros((2, m))
     f_dt: list[Array] = []
     jumps = 0.0
     for k in range(start, stop):
@@ -56,7 +56,7 @@ def _moments(
         )
         beta = np.array([1.0, *omega, *f, *(f[a] * f[b] for a, b in PAIRS)])
         rates = np.array([omega[a] * omega[b] for a, b in PAIRS])
-        own_gyro = np.abs(own.gyro @ omega)
+        own_gyro = np.array([np.abs(own.gyro @ omega), (own.gyro @ omega) ** 3])
         own_accel = np.array([np.abs(own.accel @ f), (own.accel @ f) ** 3])
         increment = np.multiply.outer(middle, beta) * dt
         own_increment = np.multiply.outer(middle, own_gyro) * dt

@@ -18,11 +18,16 @@ from tumble.errors import InputError
 from tumble.estimation.estimate import GroupFinding
 from tumble.sensors.instrument import Instrument, readings
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import Variable, group_of
-from tumble.units import ZERO_CELSIUS, Array
+from tumble.sensors.parameters import ParameterGroup, Variable, group_of
+from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
 N = 500
-AT_REST: tuple[Variable, ...] = ("temperature",)
+AT_REST: tuple[Variable, ...] = ("temperature", "temperature²")
+
+
+def _usual(group: ParameterGroup) -> float:
+    """The usual size of a group in MEMS devices; for one that has none, 100 ppm at 100 °/s."""
+    return group.usual.get("mems", 1e-4 / (100.0 * DEGREE) ** 2)
 
 
 def larger(
@@ -35,7 +40,7 @@ def larger(
     every = Instrument.of(*blocks, variables=AT_REST)
     instrument = Instrument.of(*blocks, [g.name for g in every.further if g.name not in leave], variables=AT_REST)
     count, rng = instrument.linear_count, np.random.default_rng(3)
-    sizes = [group_of(name).usual["mems"] for name in instrument.names[count:]]
+    sizes = [_usual(group_of(name)) for name in instrument.names[count:]]
     further = np.array(sizes) * rng.uniform(-1.0, 1.0, len(sizes))
     more = tuple(
         Parameter(name=n, value=float(v), u=0.1 * s, unit=group_of(n).unit, prior=s, learned=0.99)
@@ -51,7 +56,7 @@ def larger(
         parameters=made.parameters + more,
         covariance=covariance,
         groups=tuple(
-            GroupFinding(name=g.name, kept=True, prior=g.usual["mems"], widened=1.0, learned=(0.99,) * 3)
+            GroupFinding(name=g.name, kept=True, prior=_usual(g), widened=1.0, learned=(0.99,) * 3)
             for g in instrument.further
         ),
         axes={kind: tuple(map(tuple, axes.tolist())) for kind, axes in zip(("accel", "gyro"), nominal, strict=True)},
@@ -72,8 +77,8 @@ def read(instrument: Instrument, values: Array, force: Array, rate: Array, celsi
     for i in range(len(force)):
         at = values.copy()
         for own, base, variable in instrument.changes:
-            assert variable == "temperature"
-            at[base] += values[own] * (0.0 if celsius is None else celsius[i] - 20.0)
+            power = {"temperature": 1, "temperature²": 2}[variable]
+            at[base] += values[own] * (0.0 if celsius is None else celsius[i] - 20.0) ** power
         blocks = (instrument.accel, instrument.gyro)
         f, w = force[i : i + 1], rate[i : i + 1]
         rows.append([readings(block, instrument.coefficients(block, at), f, w)[0] for block in blocks])
@@ -147,7 +152,7 @@ def instrument_groups() -> list[str]:
 
 def test_lever_arms_are_undone_in_a_log_with_rates_whatever_its_pieces(tmp_path: Path) -> None:
     """A smooth motion at 200 Hz: what is left is the error of central differences, and each row is there."""
-    made, instrument, values = larger(leave=("accel.delay", "accel.cubic"))
+    made, instrument, values = larger(leave=("accel.delay", "accel.cubic", "gyro.cubic"))
     t = 0.005 * np.arange(N)
     force = np.column_stack([9.8 * np.sin(t), 9.8 * np.cos(t), 3.0 * np.sin(2 * t)])
     rate = np.column_stack([3.0 * np.sin(3 * t), 2.0 * np.cos(2 * t), np.sin(t)])
@@ -208,3 +213,37 @@ def test_a_log_with_a_thermometer_is_corrected_at_its_temperatures(tmp_path: Pat
     assert np.flatnonzero(lost).tolist() == [200]
     np.testing.assert_allclose(out.select(names[:3]).to_numpy()[~lost], force[~lost], atol=1e-8)
     np.testing.assert_allclose(out.select(names[3:6]).to_numpy()[~lost], rate[~lost], atol=2e-9)
+
+
+def test_a_log_is_corrected_at_the_temperatures_of_sensors_that_lag(tmp_path: Path) -> None:
+    """They follow the thermometer over the tables of a file, in either direction of time."""
+    made, instrument, values = larger()
+    force, rate = truth()
+    celsius = 20.0 + 15.0 * np.sin(np.arange(N) / 60.0)
+    names = ["ax", "ay", "az", "p", "q", "r", "T"]
+    for lag in (1.5, -1.5):
+        behind, a = celsius.copy(), np.exp(-0.01 / 1.5)
+        for k in range(1, N):  # what follows, in steps of a straight line
+            change = celsius[k] - celsius[k - 1]
+            behind[k] = a * behind[k - 1] + celsius[k] - a * celsius[k - 1] - change / 0.01 * 1.5 * (1.0 - a)
+        sensors = behind if lag > 0.0 else 2.0 * celsius - behind
+        accel, gyro = read(instrument, values, force, rate, sensors)
+        table = pl.DataFrame(
+            {"t": 0.01 * np.arange(1, N + 1), **dict(zip(names, [*accel.T, *gyro.T, celsius], strict=True))}
+        )
+        log = {
+            "time": "t",
+            "accel": {"columns": names[:3], "unit": "m/s^2"},
+            "gyro": {"columns": names[3:6], "unit": "rad/s"},
+            "temperature": {"columns": ["T"], "unit": "degC"},
+        }
+        folder = tmp_path / f"{lag}"
+        folder.mkdir()
+        session_of(folder, table.write_csv(), log)
+        late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s", prior=200.0, learned=0.99)
+        lagging = replace(made, parameters=(*made.parameters, late), covariance=None)
+        apply_to_session(lagging, folder, folder / "out.parquet")
+        out = pl.read_parquet(folder / "out.parquet")
+        np.testing.assert_allclose(out.select(names[:3]).to_numpy(), force, atol=1e-8)
+        np.testing.assert_allclose(out.select(names[3:6]).to_numpy(), rate, atol=2e-9)
+        assert any(f"with a lag of {lag:.0f} s" in said for said in applied(lagging, folder))

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from tumble.bench.folder import begin, begin_next, leave_out, session_to_record, take_back
 from tumble.bench.intake import Intake
-from tumble.bench.lines import MOTIONCAL_COLUMNS, Lines, Row
+from tumble.bench.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
 from tumble.bench.mavlink import Mavlink, line_of
 from tumble.bench.order import Order
 from tumble.bench.recorder import Recorder
@@ -75,6 +75,18 @@ def test_rows_do_not_depend_on_how_the_bytes_are_cut(cuts: list[int]) -> None:
         at += cut
     assert [r.text for r in found] == [row(k) for k in range(1, 20)]
     assert parser.refused == 0
+
+
+@given(st.lists(st.sampled_from("0123456789.,+-eE\n ax"), max_size=60))
+def test_numbers_read_together_are_those_read_line_by_line(characters: list[str]) -> None:
+    text = "0.5,1,2\n" + "".join(characters) + "\n"
+    together = numbers_in(text.encode(), 3)
+    parser = lines(("t", "ax", "ay"))
+    one_by_one = parser.feed(text.encode())
+    if together is not None:
+        assert parser.refused == 0
+        assert [r.text for r in one_by_one] == text.split("\n")[:-1]
+        assert [[float(value) for value in r.text.split(",")] for r in one_by_one] == together.tolist()
 
 
 @given(st.binary(max_size=200))

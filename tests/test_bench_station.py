@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_driver import SITE, Bench
 from browser import eventually
 
 from tumble.bench.opening import station_of
 from tumble.bench.sources import source_of
 from tumble.bench.station import Station
-from tumble.bench.virtual_table import VirtualTable
 from tumble.bench.watch import Watch
 from tumble.bench.wishes import wishes
 from tumble.calibration.calibrate import calibrate
@@ -22,56 +22,6 @@ from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
 from tumble.simulation.session import simulate_session
-
-SITE = {"latitude_deg": 56.84}
-
-
-class Bench:
-    """A station at the virtual table, whose clock is driven by the test: a step is a fifth of a second of log time."""
-
-    def __init__(self, folder: Path, programme: str = "nine") -> None:
-        self.table = VirtualTable(f"{programme}@1000x")
-        station_of(folder, f"simulator:{programme}", site=SITE)
-        self.station = Station(folder, None, wanted=("accel.bias=1mg", "gyro.bias=100deg/h"))
-        self.file = (folder / "log.csv").open("a")
-        self.file.write("t,ax,ay,az,gx,gy,gz\n")
-
-    def run(self, seconds: float) -> None:
-        """Let so much log time pass."""
-        for _ in range(round(seconds / 0.2)):
-            self.file.write("".join(self.table._line() for _ in range(20)))
-            self.file.flush()
-            self.station.step()
-
-    def until(self, what: Callable[[], bool], seconds: float = 30.0) -> float:
-        """Let time pass until something is so; how long it took."""
-        passed = 0.0
-        while not what():
-            assert passed < seconds, f"it did not happen: {self.screen}, {self.said}"
-            self.run(0.2)
-            passed += 0.2
-        return passed
-
-    def close(self) -> None:
-        """End it."""
-        self.station.stop()
-        self.file.close()
-
-    @property
-    def screen(self) -> str:
-        return str(self.station.state["screen"])
-
-    @property
-    def said(self) -> str:
-        fault = self.station.state["fault"]
-        return str(fault["said"]) if fault else str(self.station.state["headline"])
-
-    def take(self, position: int) -> None:
-        """Go into a position and stay until the page wants the next."""
-        self.table.go_to(position - 1)
-        self.until(lambda: not self.table.moving)
-        self.until(lambda: self.screen in ("rest", "fault"))
-        self.until(lambda: self.screen != "rest")
 
 
 @pytest.fixture
@@ -203,11 +153,15 @@ def _without_date(path: Path) -> dict[str, object]:
 
 
 def test_the_result_after_a_replay_is_that_of_the_batch(recorded: Path, tmp_path: Path) -> None:
-    station = station_of(tmp_path / "launch", f"replay:{recorded}@max", site=SITE)
+    registry = str(tmp_path / "registry.sqlite")
+    station = station_of(tmp_path / "launch", f"replay:{recorded}@max", site=SITE, registry=registry)
     station.start()
     try:
         eventually(lambda: station.state["received"]["ended"] and station.state["screen"] == "done", 120.0)
+        assert station.command("register") == "nothing is calibrated yet"
         station.command("calibrate")
+        assert station.command("register") == "registered as record 1; no limits are set for it"
+        assert station.command("register").startswith("registered before: it is record 1")
     finally:
         station.stop()
     assert (tmp_path / "launch" / "log.csv").read_bytes() == (recorded / "log.csv").read_bytes()

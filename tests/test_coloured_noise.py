@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,7 +16,8 @@ from hypothesis import strategies as st
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
+from tumble.reduction import kernels as _kernels
+from tumble.reduction.coloured_noise import NEGLIGIBLE, ColouredNoise, fit_coloured_noise
 from tumble.units import Array
 
 CHANNELS = 3
@@ -259,3 +261,32 @@ def test_short_rests_have_a_reduced_chi_square_of_one(rests: int, blocks: int) -
     """3 to 8 s of white noise, 80 sets of three channels: a standard error of about 0.03."""
     seen, said = variances(white, rests, blocks, 80, seed=44)
     assert (seen / said).mean() == pytest.approx(1.03, abs=0.17)
+
+
+# -------------------- compiled loops --------------------
+
+
+@pytest.mark.parametrize("edge", [0.3, 1.0])
+def test_levinsons_recursion_is_that_of_its_plain_twin(edge: float) -> None:
+    """Of the autocovariances of a process, and of numbers that stop being those of one."""
+    autocovariance = 2.0 * 0.7 ** np.arange(20.0) + 0.2 * np.cos(np.arange(20.0))
+    autocovariance[12] += 5.0 * (edge - 0.3)
+    filters, powers = np.zeros((20, 20)), np.zeros(20)
+    count = _kernels.levinson(autocovariance, filters, powers)
+    expected, expected_powers = naive.levinson(autocovariance)
+    assert count == len(expected) == (20 if edge == 0.3 else 12)
+    np.testing.assert_allclose(powers[:count], expected_powers, rtol=1e-11)
+    for row, wanted in zip(filters, expected, strict=False):
+        np.testing.assert_allclose(row[: len(wanted)], wanted, rtol=0, atol=1e-11)
+        assert not row[len(wanted) :].any()
+
+
+def test_autocovariances_are_continued_by_the_recursion_until_nothing_is_left() -> None:
+    prediction = np.array([1.0, -1.2, 0.5, -0.1])
+    found = np.zeros(3000)
+    found[:4] = 1.0, 0.9, 0.7, 0.5
+    _kernels.continue_autocovariance(found, prediction, NEGLIGIBLE)
+    end = int(np.flatnonzero(found)[-1])
+    np.testing.assert_allclose(np.convolve(found[: end + 1], prediction)[4 : end + 1], 0.0, atol=1e-15)
+    assert 64 <= end < 1000
+    assert np.abs(found[end - 3 : end + 1]).max() < NEGLIGIBLE

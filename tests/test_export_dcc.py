@@ -22,6 +22,7 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.certificate import read_certificate
 from tumble.export.dcc import d_si
+from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session import Site
 
 NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -205,6 +206,67 @@ def test_gravity_is_an_influence_condition() -> None:
     assert ET.fromstring(content(calibration())).find(".//dcc:influenceCondition", NAMESPACES) is None
 
 
+# -------------------- what ISO/IEC 17025 asks for --------------------
+
+
+def full(folder: Path) -> bytes:
+    """A certificate with everything that one may have, of a laboratory in a file of its own."""
+    (folder / "laboratory.toml").write_text(TOML[TOML.index("[laboratory]") : TOML.index("[customer]")], "utf-8")
+    persons = TOML[TOML.index("[[person]]") :]
+    (folder / "laboratory.toml").write_text((folder / "laboratory.toml").read_text("utf-8") + persons, "utf-8")
+    parameter = calibration().parameters[0]
+    assert parameter.u is not None
+    limit = f'"{parameter.name}" = {{ max = "{parameter.value + parameter.u!r} m/s^2" }}'
+    (folder / "limits.toml").write_text(f"format = 1\n[incoming]\n{limit}\n", "utf-8")
+    customer = TOML[TOML.index("[customer]") : TOML.index("[[person]]")]
+    path = certificate_file(
+        folder,
+        'number = "2026-0042"\ncountry = "DE"\nlaboratory = "laboratory.toml"\nreceived = 2026-05-01\n'
+        'issued = 2026-05-07\nstate = "as-left"\nprocedure = "IMU-7, issue 3"\nlimits = "limits.toml"\n'
+        'agreed = "order 4711"\nreplaces = "2026-0041"\nremarks = ["a remark"]\n'
+        'traceability = ["gravity: point 1234 of the national network"]\n' + customer,
+    )
+    circumstances = Circumstances(
+        date="2026-05-04T09:30:00",
+        operator="O. O.",
+        air=AirConditions(temperature=22.5, temperature_u=0.5, humidity=40.0, pressure=1008.0),
+        equipment=("turntable T-12, no. 7",),
+    )
+    made = replace(calibration(), site=SITE, circumstances=circumstances)
+    return export_calibration(made, "dcc", certificate=read_certificate(path)).content
+
+
+def test_a_certificate_with_everything_is_valid_and_says_it(schema: Any, tmp_path: Path) -> None:
+    text = full(tmp_path).decode()
+    assert [str(error.reason) for error in schema.iter_errors(text, use_location_hints=False)] == []
+    root = ET.fromstring(text)
+
+    def said(path: str) -> list[str]:
+        return [(element.text or "").strip() for element in root.findall(path, NAMESPACES)]
+
+    assert said(".//dcc:beginPerformanceDate") == ["2026-05-04"]  # of the recording, not of computing
+    assert (said(".//dcc:receiptDate"), said(".//dcc:issueDate")) == (["2026-05-01"], ["2026-05-07"])
+    assert said(".//dcc:replacedUniqueIdentifier") == ["2026-0041"]
+    assert said(".//dcc:measuringEquipment/dcc:name/dcc:content") == ["turntable T-12, no. 7"]
+    units = said(".//dcc:influenceCondition//si:unit")
+    assert units == [r"\metre\second\tothe{-2}", r"\degreecelsius", r"\percent", r"\hecto\pascal"]
+    types = {element.get("refType") for element in root.iter() if element.get("refType")}
+    assert {"basic_measuredValue", "basic_conformity", "basic_metrologicallyTraceableToSI"} < types
+    assert any("national network" in each for each in said(".//dcc:statement/dcc:declaration/dcc:content"))
+    assert any("relates only to the item" in each for each in said(".//dcc:statement/dcc:declaration/dcc:content"))
+    assert said(".//dcc:measurementResult/dcc:measurementMetaData/dcc:metaData/dcc:conformity") == ["conditionalPass"]
+    assert said(".//dcc:quantity/dcc:measurementMetaData/dcc:metaData/dcc:conformity") == ["conditionalPass"]
+    assert any("order 4711" in each for each in said(".//dcc:metaData/dcc:description/dcc:content"))
+    assert said(".//dcc:item/dcc:description/dcc:content") == ["as left: calibrated after adjustment"]
+    assert said(".//dcc:respPerson/dcc:mainSigner") == ["true", "false"]
+
+
+def test_a_certificate_without_any_date_is_refused(tmp_path: Path) -> None:
+    undated = certificate_file(tmp_path, TOML.replace("begin = 2026-05-04\nend = 2026-05-05\n", ""))
+    with pytest.raises(InputError, match="expected the day of the calibration, found none"):
+        export_calibration(calibration(), "dcc", certificate=undated)
+
+
 # -------------------- the certificate file --------------------
 
 
@@ -216,6 +278,8 @@ def test_gravity_is_an_influence_condition() -> None:
         ("end = 2026-05-05", "end = 2026-05-03", "expected a day not before the begin, 2026-05-04, found 2026-05-03"),
         ("[[person]]", "[[persona]]", "person"),
         ("begin =", "begin", "expected TOML"),
+        ("end = 2026-05-05", 'state = "adjusted"', "state: Input should be 'as-found', 'as-left' or 'unchanged'"),
+        ("end = 2026-05-05", 'as_found = "before.json"', 'expected only with state = "as-left", found'),
         ('code = "D-K-00000"', 'mark = "x"', "laboratory.mark: Extra inputs are not permitted"),
     ],
 )

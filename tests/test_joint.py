@@ -20,12 +20,13 @@ from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Prior, Problem, Scatter, linearise, solve, weights
 from tumble.estimation.methods import joint as method
-from tumble.estimation.methods.joint import TOTAL, joint
+from tumble.estimation.methods.joint import QUICK_STEPS, TOTAL, joint
 from tumble.estimation.methods.staged.method import staged
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
-from tumble.reduction.observations import Observations
+from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.observations import Observations, TurnSamples
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block
 from tumble.simulation.observations import simulate_observations
@@ -200,6 +201,24 @@ def test_headings_of_rests_without_turns_are_free() -> None:
     assert np.abs(z[:12]).max() < 5.0
     assert np.all(found.u[9:12] < 0.02 * DEGREE_PER_HOUR)
     assert np.all(found.u[12:] > 1e-5)
+
+
+def test_a_quick_estimate_is_the_same_and_ends_where_readings_contradict_each_other() -> None:
+    sound = observed(scenario(SETUP, 1), 1)
+    np.testing.assert_array_equal(joint(sound, quick=True).values, joint(sound).values)
+    samples, sense = sound.turn_samples, np.array([1.0, 1.0, -1.0])
+    assert samples is not None
+    rates, forces, intervals = samples.samples.read(0, samples.samples.count)
+    wrong = MotionSamples()
+    wrong.append(rates * sense, forces, intervals)
+    contradictory = replace(
+        sound,
+        rests=replace(sound.rests, gyro=sound.rests.gyro * sense),
+        turn_samples=TurnSamples(samples=wrong, start=samples.start, stop=samples.stop),
+    )
+    found = joint(contradictory, quick=True)
+    assert len(found.increments) <= QUICK_STEPS + 1 < len(joint(contradictory).increments)
+    assert not found.converged
 
 
 def test_scatter_is_found_where_there_is_some() -> None:

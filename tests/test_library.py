@@ -129,6 +129,7 @@ CALLS = {
     "budget": "budget",
     "calibrate": "calibrate_launches",
     "campaign": "campaign",
+    "check": "check_calibration",
     "compare": "compare_calibrations",
     "ellipsoid": "calibrate_table",
     "export": "export_calibration",

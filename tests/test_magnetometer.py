@@ -185,26 +185,59 @@ def test_a_disturbed_rest_is_left_out_and_named(tmp_path: Path) -> None:
     assert np.abs((values(found) - TRUTH) / us(found)).max() < 5.0
 
 
-def test_a_field_that_changes_everywhere_is_refused(tmp_path: Path) -> None:
+def test_a_field_that_changes_everywhere_leaves_the_rest_of_the_session_alone(tmp_path: Path) -> None:
     folder = write(tmp_path)
     log = pl.read_parquet(folder / "log.parquet")
     rng = np.random.default_rng(3)
     disturbed = {name: log[name] + over_time(4.0 * rng.standard_normal((18, 1)))[:, 0] for name in ("mx", "my", "mz")}
     log.with_columns(**disturbed).write_parquet(folder / "log.parquet")
     found = calibrate(folder)
-    assert any(reason.startswith("magnetometer: the rests scatter by") for reason in found.outcome.reasons)
-    assert "[log.magnetometer] out" in found.outcome.reasons[0]
+    said = next(note for note in found.notes if note.startswith("magnetometer: the rests scatter by"))
+    assert "[log.magnetometer] out" in said
+    assert said.endswith("the rest of the session is calibrated without it")
+    assert found.mag is None
+    alone = calibrate(write(tmp_path / "alone", changes={"log.magnetometer": None, "site.field": None}))
+    assert found.outcome.accepted
+    assert [p.value for p in found.parameters] == pytest.approx([p.value for p in alone.parameters], rel=1e-9)
+    assert found.in_frame("symmetric").accel is not None
 
 
-def test_a_dead_channel_is_refused_and_its_parameters_are_named(tmp_path: Path) -> None:
+def test_a_dead_channel_leaves_the_rest_of_the_session_alone_and_its_parameters_are_named(tmp_path: Path) -> None:
     folder = write(tmp_path)
     pl.read_parquet(folder / "log.parquet").with_columns(mz=pl.lit(1.0)).write_parquet(folder / "log.parquet")
     found = calibrate(folder)
-    assert not found.outcome.accepted
+    assert found.outcome.accepted
     assert found.outcome.unobservable == NAMES
-    assert found.outcome.reasons[0].startswith("magnetometer: ")
+    assert any(note.startswith("magnetometer: ") for note in found.notes)
     assert found.mag is None
     assert found.accel is not None
+
+
+@pytest.mark.parametrize(
+    ("columns", "latitude", "said"),
+    [
+        (["my", "mx", "mz"], 48.0, "with (mx, my, mz) in place of (my, mx, mz)"),
+        (["my", "mx", "mz"], None, "with (mx, my, mz) or (−mx, −my, −mz) in place of (my, mx, mz)"),
+        (["mx", "my", "mw"], 48.0, "with (mx, my, −mw) in place of (mx, my, mw)"),
+        (["mz", "mx", "my"], -48.0, "with (−mx, −my, −mz) in place of (mz, mx, my)"),
+    ],
+)
+def test_exchanged_and_mirrored_columns_are_named_by_the_dip_angle(
+    tmp_path: Path, columns: list[str], latitude: float | None, said: str
+) -> None:
+    changes = {"log.magnetometer.columns": columns} | ({} if latitude is None else {"site.latitude_deg": latitude})
+    folder = write(tmp_path, changes=changes)
+    log = pl.read_parquet(folder / "log.parquet").with_columns(mw=-pl.col("mz"))
+    log.write_parquet(folder / "log.parquet")
+    found = calibrate(folder, method="ellipsoid")
+    assert found.outcome.accepted
+    assert any(said in note for note in found.notes), found.notes
+
+
+def test_columns_in_order_are_not_doubted(tmp_path: Path) -> None:
+    for seed in range(3):
+        found = calibrate(write(tmp_path / str(seed), seed, noise=0.5), method="ellipsoid")
+        assert not any("dip angle" in note for note in found.notes)
 
 
 def test_the_calibration_file_keeps_the_magnetometer(tmp_path: Path) -> None:

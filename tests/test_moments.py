@@ -305,7 +305,8 @@ def readings(device: Device, motion: Motion, hertz: float, offset: float) -> tup
     """Readings of the gyros (S, n) and accelerometers (S, m) `offset` seconds from the middle of every interval."""
     rate, force, _ = moved(motion, hertz, offset)
     along = rate @ device.gyro_axes.T
-    gyro = along + regressors(rate, force) @ device.gyro_terms.T + device.gyro_own[:, 0] * np.abs(along)
+    own = device.gyro_own[:, 0] * np.abs(along) + device.gyro_own[:, 1] * along**3
+    gyro = along + regressors(rate, force) @ device.gyro_terms.T + own
     accel = np.empty((len(rate), len(device.accel_axes)))
     for p, axis in enumerate(device.accel_axes):
         rate, force, gradient = moved(motion, hertz, offset - float(device.delays[p]))
@@ -445,12 +446,10 @@ def test_own_axis_columns_are_the_derivatives_of_a_simulated_turn(array: str) ->
             found = by_simulation(lambda x, w=w: replace(start, accel_own=x * w), 1e-5, CALM, HERTZ)  # type: ignore[misc]
             V = accel_own_columns(moments, s, w[..., None])
             np.testing.assert_allclose(found[1], V[0, :, 0], atol=tolerance * np.abs(V).max())
-        w = np.zeros((n, 2))
-        w[p, 0] = 1.0
-        found = by_simulation(lambda x, w=w: replace(start, gyro_own=x * w), 1e-5, CALM, HERTZ)  # type: ignore[misc]
-        phi, V = gyro_own_columns(moments, s, w[:, :1])
-        np.testing.assert_allclose(found[0], phi[0, :, 0], atol=2e-6 * np.abs(phi).max())
-        np.testing.assert_allclose(found[1], V[0, :, 0], atol=2e-6 * np.abs(V).max())
+            found = by_simulation(lambda x, w=w: replace(start, gyro_own=x * w), 1e-5, CALM, HERTZ)  # type: ignore[misc]
+            phi, V = gyro_own_columns(moments, s, w[..., None])
+            np.testing.assert_allclose(found[0], phi[0, :, 0], atol=tolerance * np.abs(phi).max())
+            np.testing.assert_allclose(found[1], V[0, :, 0], atol=tolerance * np.abs(V).max())
 
 
 @pytest.mark.parametrize("array", sorted(ARRAYS))
@@ -550,11 +549,13 @@ def test_columns_of_nonlinear_terms_are_the_derivatives_of_the_kernel() -> None:
 
             check(by_kernel(pieces, about, 1e-6), np.zeros(3), columns[0, :, power])
 
-        def about_gyro(x: float, p: int = p) -> Compensation:
-            return replace(start, gyro=replace(start.gyro, terms=x * np.outer(np.eye(4)[p], [0.0, 0.0, 1.0])))
+        phi, V = gyro_own_columns(moments, s, own)
+        for power in (1, 2):
 
-        phi, V = gyro_own_columns(moments, s, np.eye(4)[:, [p]])
-        check(by_kernel(pieces, about_gyro, 1e-5), phi[0, :, 0], V[0, :, 0])
+            def about_gyro(x: float, p: int = p, power: int = power) -> Compensation:
+                return replace(start, gyro=replace(start.gyro, terms=x * np.outer(np.eye(4)[p], np.eye(3)[power])))
+
+            check(by_kernel(pieces, about_gyro, 1e-5), phi[0, :, power], V[0, :, power])
     check(by_kernel(pieces, lambda x: replace(start, delay=x), 1e-5), np.zeros(3), delay_column(moments)[0])
 
 

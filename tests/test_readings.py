@@ -239,6 +239,136 @@ def test_gyros_at_a_constant_rate_and_magnetometers_are_the_same_problem(tmp_pat
     assert [p.value for p in mag.parameters] == pytest.approx(values, abs=1e-11)
 
 
+# -------------------- what a table is worth --------------------
+
+
+def test_rows_that_are_pasted_twice_count_once(tmp_path: Path) -> None:
+    once, twice = (written(tmp_path, values, name=name) for name, values in pasted().items())
+    alone, doubled = (calibrate_table(path, scale=[-2.4]) for path in (once, twice))
+    assert doubled.calibration.covariance == pytest.approx(alone.calibration.covariance, rel=1e-9)
+    assert [p.dof for p in doubled.calibration.parameters] == [5.0] * 9
+    note = next(note for note in doubled.calibration.notes if "to the last digit" in note)
+    assert "repeat others to the last digit: 14 (line 16 as line 2, line 17 as line 3, line 18 as line 4, 11" in note
+    assert not any("to the last digit" in note for note in alone.calibration.notes)
+
+
+def pasted() -> dict[str, Array]:
+    values = volts(noise=1.5e-5)
+    return {"once.csv": values, "twice.csv": np.vstack([values, values])}
+
+
+def test_nine_rows_pasted_twice_have_no_uncertainty(tmp_path: Path) -> None:
+    nine = readings(np.vstack([cube(1), cube(2)[[0, 1, 4]]]))
+    found = calibrate_table(written(tmp_path, np.vstack([nine, nine])), scale=[-2.4]).calibration
+    assert all(p.u is None for p in found.parameters)
+    assert any("nothing checks the fit" in note for note in found.notes)
+
+
+def test_no_reading_is_known_better_than_its_last_digit(tmp_path: Path) -> None:
+    """Noiseless readings scatter by their rounding: u is not less than of the last digit."""
+    fine, coarse = (volts().round(digits) for digits in (4, 2))
+    u = []
+    for name, values, step in (("fine", fine, 1e-4), ("coarse", coarse, 1e-2)):
+        path = tmp_path / f"{name}.csv"
+        np.savetxt(path, values, delimiter=",", header=HEADER, comments="", fmt="%.5g" if step < 1e-3 else "%.2f")
+        table = read_table(path)
+        assert table.steps == pytest.approx(np.full(3, step))
+        found = calibrate_table(table, scale=[-2.4]).calibration
+        u.append(np.array([p.u for p in found.parameters]))
+        least = step / np.sqrt(12.0) / 2.4 * G_STANDARD
+        assert u[-1][:3].min() > 0.2 * least
+    assert np.median(u[1] / u[0]) == pytest.approx(100.0, rel=0.7)
+
+
+def test_readings_better_than_their_digits_have_the_u_of_the_digits(tmp_path: Path) -> None:
+    """Six edges and eight corners whose readings are exact in four digits."""
+    values = volts().round(4)
+    found = [calibrate_table(written(tmp_path, values, name=f"{i}.csv"), scale=[-2.4]).calibration for i in range(2)]
+    assert found[0].covariance == pytest.approx(found[1].covariance)
+    exact = readings(FOURTEEN)
+    path = tmp_path / "exact.csv"
+    np.savetxt(path, exact, delimiter=",", header=HEADER, comments="", fmt="%.12f")
+    plain = calibrate_table(path, scale=[-2.4])
+    assert plain.fit is not None
+    assert plain.fit.scatter == 0.0
+    assert any("no larger than the last digit" in note for note in plain.calibration.notes)
+    least = 1e-12 / np.sqrt(12.0) / 2.4 * G_STANDARD
+    assert 0.2 * least < min(p.u or 0.0 for p in plain.calibration.parameters[:3]) < 3.0 * least
+    assert all(p.k == 2.0 for p in plain.calibration.parameters)
+
+
+def test_blocks_of_rows_are_positions_with_the_scatter_of_a_mean(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    noise, rows, z, u = 2e-4, 50, [], []
+    for seed in range(12):
+        true = np.repeat(volts(seed), rows, axis=0)
+        path = written(tmp_path, true + noise * rng.standard_normal(true.shape), name=f"{seed}.csv")
+        result = calibrate_table(path, scale=[-2.4], rows_per_position=rows)
+        assert result.fit is not None
+        assert len(result.fit.residual) == 14
+        form = paper_form(result)
+        assert form.covariance is not None
+        u.append(np.sqrt(form.covariance[6, 6]))
+        z.append((np.concatenate([form.k - K, form.theta - THETA, form.b - B])) / np.sqrt(np.diag(form.covariance)))
+    assert np.median(u) == pytest.approx(noise / 2.4 / np.sqrt(rows) * np.sqrt(3.0 / 14.0), rel=0.3)
+    # 108 values of about unit variance: six standard errors of the rms, and more for those with scatter
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.45)
+
+
+def test_blocks_that_do_not_go_into_the_table_are_refused(tmp_path: Path) -> None:
+    refused = run(written(tmp_path, volts()), "--rows-per-position", "4")
+    assert refused.exit_code == 2
+    assert "--rows-per-position: expected a number that goes into the 14 rows" in refused.stderr
+
+
+def test_the_uncertainty_of_gravity_is_in_all_scale_factors(tmp_path: Path) -> None:
+    path = written(tmp_path, volts(noise=1.5e-5))
+    exact, known = (calibrate_table(path, scale=[-2.4], gravity=9.81, gravity_u=u).calibration for u in (0.0, 0.002))
+    assert known.covariance is not None
+    assert exact.covariance is not None
+    more = known.covariance - exact.covariance
+    sizes = np.array([1.0 + p.value if p.name.startswith("accel.scale") else 0.0 for p in known.parameters])
+    assert more == pytest.approx(np.outer(sizes, sizes) * (0.002 / 9.81) ** 2, abs=1e-13)
+    assert known["accel.bias.x"].dof == 5.0
+    assert known["accel.scale.x"].dof is None  # hardly anything of it is estimated
+    assert known.site is not None
+    assert known.site.gravity_u == 0.002
+
+
+def test_gravity_that_is_not_stated_is_the_unit_and_that_is_said(tmp_path: Path) -> None:
+    path = written(tmp_path, volts(noise=1.5e-5))
+    found = run(path, "--scale", NEGATIVE)
+    assert "gravity is not stated: g at the place of the readings is the unit" in " ".join(found.stdout.split())
+    calibration = read_calibration(tmp_path / "readings.calibration.json")
+    assert calibration.site is not None
+    assert calibration.site.gravity_is_unit
+    stated = calibrate_table(path, scale=[-2.4], gravity=9.81).calibration
+    assert stated.site is not None
+    assert not stated.site.gravity_is_unit
+    assert stated.site.gravity_u == 3e-4  # never none
+    assert any("gravity 9.81 m/s^2 with u = 0.0003 m/s^2" in note for note in stated.notes)
+
+
+def test_the_uncertainty_of_the_field_is_in_the_scale_factors(tmp_path: Path) -> None:
+    values = np.array([0.3, -0.2, 0.1, 1e-3, 2e-3, -1e-3, 1e-3, -2e-3, 3e-3])
+    rng = np.random.default_rng(5)
+    seen = TRIAD.model(values).predict(50.0 * placed(FOURTEEN, rng)) + 0.01 * rng.standard_normal((14, 3))
+    path = written(tmp_path, seen)
+    options = ["--sensor", "mag", "--unit", "uT", "--modulus", "50"]
+    assert "the uncertainty of the field is not stated" in run(path, *options).stdout
+    run(path, *options, "--modulus-u", "0.5", "--force")
+    mag = read_calibration(tmp_path / "readings.calibration.json")
+    assert mag["mag.scale.x"].u == pytest.approx(0.01, rel=0.05)
+    assert (mag["mag.axis.yx"].u or 1.0) < 1e-3
+
+
+def test_many_rows_of_few_positions_are_refused_in_little_memory(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    values = np.repeat(readings(cube(1)), 7000, axis=0) + 1e-4 * rng.standard_normal((42_000, 3))
+    found = calibrate_table(written(tmp_path, values), scale=[-2.4])
+    assert "only 6 of them distinct" in found.calibration.outcome.reasons[0]
+
+
 # -------------------- accepted or not --------------------
 
 
@@ -383,6 +513,13 @@ def test_a_byte_order_mark_blank_lines_and_spaces_do_no_harm(tmp_path: Path) -> 
         (["--gravity", "nan"], "--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found nan"),
         (["--gravity", "981.594"], "--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found 981.594"),
         (["--modulus", "1"], "--modulus: expected --gravity for accelerometers"),
+        (["--gravity-u", "1e-5"], "--gravity-u: expected --gravity with it, found it alone"),
+        (["--gravity", "9.81", "--gravity-u", "-1"], "--gravity-u: expected a number from 0 to 0.1 (m/s^2), found -1"),
+        (["--sensor", "mag", "--unit", "uT", "--modulus", "50", "--gravity", "9.81"], "--gravity: expected --modulus"),
+        (
+            ["--sensor", "mag", "--unit", "uT", "--modulus", "50", "--modulus-u", "nan"],
+            "--modulus-u: expected a number from 0 to 0.5 of the modulus, found nan",
+        ),
         (["--sensor", "gyro"], "--modulus: expected the rate of the table for --sensor gyro, found none"),
         (["--sensor", "mag", "--unit", "uT"], "--modulus: expected the field"),
         (["--sensor", "mag", "--unit", "uT", "--modulus", "-1"], "--modulus: expected a positive number, found -1"),

@@ -66,6 +66,7 @@ MARKUP = '#panic("x") $x^2$ *b* _i_ `c` \\ ]#[ {{ 7*7 }} {% raise %} --> & <img 
 SECTIONS = (
     "Result",
     "Limits and verdict",
+    "Notes",
     "How to apply it",
     "The frame",
     "Site",

@@ -15,14 +15,18 @@ PICTURES = {"gallery.py", "readme_picture.py"}
 """Studies that draw what the documentation shows, and are asked nothing."""
 
 ANSWERS = {
+    "bench_endurance.py": "Does the bench last a day? Yes",
+    "bench_interruptions.py": "on when the bench is killed? No.",
     "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",
     "coverage_of_limits.py": "Does a device at its limit pass in 2.5 % at most? Yes",
     "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",
     "damaged_inputs.py": "Does a damaged input end otherwise than it should? No.",
     "departures.py": "accepted without a word? Only what no turn of the session shows.",
+    "field_check.py": "Does a check find these changes in 90 %, and in 1 % one that is none? Yes",
     "formulas_against_simulation.py": "Do the formulas predict the simulation? yes",
     "joint_bound.py": "Does the joint estimate reach the bound? yes",
     "kalman_filter.py": "Does the Kalman filter win? In accuracy",
+    "over_temperature.py": "Is u over temperature honest, and does a warm-up cost little? Yes",
     "paper_device.py": "Do the published tables come out? Mostly.",
     "platform_drift.py": "Does the drift of the platform win? No",
     "registry_interruptions.py": "Does a registry lose anything when its writer is killed? No.",

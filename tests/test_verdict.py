@@ -23,6 +23,7 @@ from tumble.estimation.likelihood import Scatter
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.misfit import misfit
 from tumble.reduction.observations import Observations
+from tumble.units import DEGREE
 
 
 @cache
@@ -39,11 +40,15 @@ def study() -> ModuleType:
 
 
 @cache
-def estimated(departure: str, size: float = 1.0, setting: int = 0, seed: int = 0) -> tuple[Estimate, Observations]:
-    """The estimate of a session with a departure of the study."""
+def estimated(
+    departure: str, size: float = 1.0, setting: int = 0, seed: int = 0, *, cubic: float | None = None
+) -> tuple[Estimate, Observations]:
+    """The estimate of a session with a departure of the study, and with `gyro.cubic` where its usual size is given."""
     s = study()
     off = {each.name: each for each in (s.CLEAN, *s.DEPARTURES)}[departure].times(size)
     observations, _ = s.session(s.SETTINGS[setting], off, seed)
+    if cubic is not None:
+        observations = replace(observations, usual={**observations.usual, "gyro.cubic": cubic})
     return joint(observations), observations
 
 
@@ -82,6 +87,23 @@ def test_gyros_that_are_not_linear_leave_the_accelerometers() -> None:
     outcome = verdict(*estimated("gyro nonlinearity 20 ppm at 10 °/s", 3.0))
     assert outcome.gyro.verdict == "not accepted"
     assert outcome.accel.accepted
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_gyros_that_are_not_linear_are_accepted_where_the_model_has_it(size: float) -> None:
+    """20 and 60 ppm at 10 °/s, of which turns at one rate show next to nothing, stand in u of the scale factors."""
+    usual = 10e-6 / (10.0 * DEGREE) ** 2
+    estimate, observations = estimated("gyro nonlinearity 20 ppm at 10 °/s", size, cubic=usual)
+    assert verdict(estimate, observations).verdict == "accepted"
+    _, truth = study().session(study().SETTINGS[0], study().CLEAN, 0)
+    where = [estimate.names.index(f"gyro.scale.{axis}") for axis in "xyz"]
+    error = estimate.values[where] - [truth[f"gyro.scale.{axis}"] for axis in "xyz"]
+    assert np.all(np.abs(error) < 4.0 * estimate.u[where])
+    assert np.all(estimate.u[where] > 3e-6)
+    assert estimate.prediction is not None
+    assert estimate.prediction.rate_u is not None
+    assert estimate.prediction.at_rate is not None
+    assert estimate.prediction.rate_u < estimate.prediction.at_rate * estimate.u[where].min()
 
 
 def test_hysteresis_of_accelerometers_leaves_the_gyros() -> None:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from tumble.calibration.calibrate import calibrate as calibrate
     from tumble.calibration.calibration_file import Calibration as Calibration
     from tumble.calibration.calibration_file import read_calibration as read_calibration
+    from tumble.calibration.check import FieldCheck as FieldCheck
+    from tumble.calibration.check import check_calibration as check_calibration
     from tumble.calibration.compare import Comparison as Comparison
     from tumble.calibration.compare import compare_calibrations as compare_calibrations
     from tumble.calibration.from_readings import ReadingsCalibration as ReadingsCalibration
@@ -46,9 +48,11 @@ if TYPE_CHECKING:
     from tumble.calibration.quiet_samples import RecordedNoise as RecordedNoise
     from tumble.calibration.quiet_samples import noise as noise
     from tumble.calibration.results import Launch as Launch
+    from tumble.calibration.results import Member as Member
     from tumble.calibration.results import Parameter as Parameter
     from tumble.calibration.results import RestResult as RestResult
     from tumble.calibration.results import TurnResult as TurnResult
+    from tumble.calibration.together import calibrate_together as calibrate_together
     from tumble.calibration.verify import Positions as Positions
     from tumble.calibration.verify import Verification as Verification
     from tumble.calibration.verify import positions_of as positions_of
@@ -122,6 +126,7 @@ _PUBLIC = {
     "read_calibration": "calibration.calibration_file",
     "Parameter": "calibration.results",
     "Launch": "calibration.results",
+    "Member": "calibration.results",
     "RestResult": "calibration.results",
     "TurnResult": "calibration.results",
     "Estimate": "estimation.estimate",
@@ -135,10 +140,13 @@ _PUBLIC = {
     "Run": "calibration.launches",
     "calibrate_launches": "calibration.launches",
     "mean_of_launches": "calibration.launches",
+    "calibrate_together": "calibration.together",
     "calibrate_table": "calibration.from_readings",
     "ReadingsCalibration": "calibration.from_readings",
     "Comparison": "calibration.compare",
     "compare_calibrations": "calibration.compare",
+    "FieldCheck": "calibration.check",
+    "check_calibration": "calibration.check",
     "Positions": "calibration.verify",
     "Verification": "calibration.verify",
     "positions_of": "calibration.verify",

@@ -53,7 +53,7 @@ def _in_one_line() -> Iterator[None]:
 
 GROUPS = {
     "From a recording to a calibration": (
-        "new", "inspect", "calibrate", "ellipsoid", "verify", "compare", "apply", "noise", "bench",
+        "new", "inspect", "calibrate", "ellipsoid", "verify", "check", "compare", "apply", "noise", "bench",
     ),
     "Before anything is recorded": ("programme", "plan", "budget", "require", "simulate"),
     "To pass on and to keep": ("report", "export", "registry"),
@@ -73,6 +73,7 @@ EXAMPLES = {
         "tumble calibrate imu-7 --json",
     ),
     "campaign": ("tumble campaign methods.toml -o methods",),
+    "check": ("tumble check imu-7/calibration.json today -o today.json",),
     "compare": ("tumble compare last-year.json imu-7/calibration.json",),
     "ellipsoid": ("tumble ellipsoid positions.csv --unit g", "tumble ellipsoid compass.csv --sensor mag --unit uT"),
     "export": ("tumble export imu-7/calibration.json --to px4 -o imu-7.params",),

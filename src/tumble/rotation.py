@@ -107,7 +107,7 @@ def axes_angles(axes: Array) -> Array:
 def tangent_basis(unit: Array) -> Array:
     """Two unit vectors orthogonal to each unit vector and to each other, shape (..., 2, 3)."""
     u = np.asarray(unit, dtype=float)
-    helper = np.eye(3)[np.argmin(np.abs(u), axis=-1)]
-    first = np.cross(u, helper)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return np.stack([first, np.cross(u, first)], axis=-2)
+    across = skew(u)  # its columns are u × e_k
+    first = np.take_along_axis(across, np.argmin(np.abs(u), axis=-1)[..., None, None], axis=-1)
+    first /= np.linalg.norm(first, axis=-2, keepdims=True)
+    return np.swapaxes(np.concatenate([first, across @ first], axis=-1), -1, -2)

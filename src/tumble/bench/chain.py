@@ -68,7 +68,7 @@ class Chain:
         )
         self._gaps: list[Gap] = []
         block = [session.accel_block, session.gyro_block]
-        self._to_body = [np.linalg.pinv(b.axes).T if b is not None else np.empty((0, 3)) for b in block]
+        self._to_body = [None if b is None else np.asarray(np.linalg.pinv(b.axes).T) for b in block]
 
     def feed(self, samples: SoundSamples) -> tuple[Array, Array | None]:
         """Add samples; what the accelerometers (m, n) and gyros (m, n) read, in SI."""
@@ -97,8 +97,8 @@ class Chain:
         file = reduction.files[-1]
         return Blocks(
             edges=file.edges,
-            force=file.accel @ self._to_body[0],
-            rate=None if file.gyro is None else file.gyro @ self._to_body[1],
+            force=_in_body(file.accel, self._to_body[0]),
+            rate=None if file.gyro is None else _in_body(file.gyro, self._to_body[1]),
             temperature=file.temperature,
         )
 
@@ -136,8 +136,13 @@ class Chain:
             found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
             for usual in (usual_sizes(self._grade, session.device.prior), {}):  # few rests bear the linear model alone
                 with contextlib.suppress(np.linalg.LinAlgError):
-                    return joint(replace(found, usual=usual))
+                    return joint(replace(found, usual=usual), quick=True)
         return None
+
+
+def _in_body(series: Array, to_body: Array | None) -> Array:
+    """Readings in the body."""
+    return series if to_body is None or np.array_equal(to_body, np.eye(3)) else series @ to_body
 
 
 def _from(file: FileBlocks, first: int) -> FileBlocks:

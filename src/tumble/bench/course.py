@@ -7,6 +7,7 @@ that is started again says the same.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -14,13 +15,18 @@ from tumble.bench.chain import Blocks
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Move, Position, Programme
 from tumble.reduction.matching import POSITION_LIMIT, SAME_ATTITUDE, TURN_LIMIT
-from tumble.units import DEGREE, Array
+from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.units import DEGREE, G_STANDARD, Array, BoolArray
 
 CALM_BLOCKS = 5
 """Half a second without movement is a rest that begins."""
+_LOOKED_AT = 256
 WRONG_WAY = 30.0 * DEGREE
 """A turn that has gone so far against its sense is wrong, before it ends."""
 BIAS_LIMIT = 0.15
+PUT_DOWN_BLOCKS = 7
+"""Of the beginning and of the end of a rest, which are to agree."""
+PUT_DOWN_SIGMAS = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -82,22 +88,31 @@ def scatter_now(blocks: Blocks) -> float:
 def calm_since(blocks: Blocks, limits: StillLimits, most: int = 100_000) -> int | None:
     """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together."""
     last = len(blocks)
-    if last < CALM_BLOCKS or not _calm(blocks, last - CALM_BLOCKS, limits):
-        return None
-    first = last - CALM_BLOCKS
-    while first > max(0, last - most) and _calm(blocks, first - 1, limits):
-        first -= 1
-    return first
+    first = last
+    while first > max(0, last - most):
+        start = max(0, first - _LOOKED_AT)
+        moving = np.flatnonzero(~_calm(blocks, start, min(first + CALM_BLOCKS - 1, last), limits))
+        if len(moving):
+            first = start + int(moving[-1]) + 1
+            break
+        first = start
+    return first if last - first >= CALM_BLOCKS else None
 
 
-def _calm(blocks: Blocks, first: int, limits: StillLimits) -> bool:
-    window = slice(first, first + CALM_BLOCKS)
-    if np.sqrt(blocks.force[window].var(axis=0).sum()) > limits.scatter:
-        return False
+def _calm(blocks: Blocks, start: int, stop: int, limits: StillLimits) -> BoolArray:
+    """Whether each CALM_BLOCKS in a row of blocks start … stop − 1 are calm."""
+    if stop - start < CALM_BLOCKS:
+        return np.empty(0, dtype=bool)
+    calm = np.sqrt(_windows(blocks.force[start:stop]).var(axis=-1).sum(axis=-1)) <= limits.scatter
     if blocks.rate is None or limits.rate is None or limits.level is None:
-        return True
+        return np.asarray(calm)
     wide = limits.rate + 2.0 * EARTH_RATE
-    return float(np.linalg.norm(blocks.rate[window].mean(axis=0) - limits.level)) < 1.5 * wide
+    off = _windows(blocks.rate[start:stop]).mean(axis=-1) - limits.level
+    return np.asarray(calm & (np.linalg.norm(off, axis=-1) < 1.5 * wide))
+
+
+def _windows(series: Array) -> Array:
+    return np.lib.stride_tricks.sliding_window_view(series, CALM_BLOCKS, axis=0)
 
 
 def turned_between(blocks: Blocks, first: int, last: int, level: Array | None) -> Array | None:
@@ -120,10 +135,49 @@ def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
 
 
 def _still(blocks: Blocks, before: Rest, after: Rest) -> bool:
-    apart = float(np.arccos(np.clip(before.vertical @ after.vertical, -1.0, 1.0)))
-    level = None if before.rate is None or after.rate is None else 0.5 * (before.rate + after.rate)
-    turned = turned_between(blocks, before.last, after.first, level)
-    return apart < SAME_ATTITUDE and (turned is None or float(np.linalg.norm(turned)) < SAME_ATTITUDE)
+    if float(np.arccos(np.clip(before.vertical @ after.vertical, -1.0, 1.0))) >= SAME_ATTITUDE:
+        return False
+    if blocks.rate is None or before.rate is None or after.rate is None:
+        return True
+    between = slice(before.last, after.first)
+    seconds = np.diff(blocks.edges[before.last : after.first + 1])[:, None]
+    turns = rotation_matrix((blocks.rate[between] - 0.5 * (before.rate + after.rate)) * seconds)
+    back = reduce(np.matmul, turns, np.eye(3))
+    return float(np.linalg.norm(rotation_vector(back))) < SAME_ATTITUDE
+
+
+def put_down_fault(blocks: Blocks, rest: Rest, number: int, wanted: float) -> Fault | None:
+    """Whether a rest began while the unit still moved slowly: its first blocks differ from its last ones by more than
+    their scatter allows, and by enough to move its mean by more than the `wanted` u, m/s²."""
+    n, force = rest.last - rest.first, blocks.force[rest.first : rest.last]
+    if n < 2 * PUT_DOWN_BLOCKS:
+        return None
+    apart = np.abs(force[:PUT_DOWN_BLOCKS].mean(axis=0) - force[-PUT_DOWN_BLOCKS:].mean(axis=0))
+    scatter = np.sqrt(0.5 * (np.diff(force[PUT_DOWN_BLOCKS // 2 :], axis=0) ** 2).mean(axis=0))
+    seen = apart > PUT_DOWN_SIGMAS * scatter * np.sqrt(2.0 / PUT_DOWN_BLOCKS)
+    effect = float(np.max(apart * seen)) * PUT_DOWN_BLOCKS / n
+    if effect <= wanted:
+        return None
+    off = float(np.max(apart)) / G_STANDARD * 1e3
+    said = f"rest {number} was put down with movement: it began {off:.2g} mg from where it is now"
+    return Fault(kind="movement", said=said, start=rest.start, stop=rest.stop)
+
+
+def warmed_fault(blocks: Blocks, first: Rest, limit: float) -> Fault | None:
+    """Whether the temperature has changed since the first rest by more than the `limit`, K; named again each time that
+    it has changed by as much more."""
+    if blocks.temperature is None:
+        return None
+    reference = float(blocks.temperature[first.first : first.last].mean())
+    change = blocks.temperature - reference
+    now = float(change[-CALM_BLOCKS:].mean())
+    steps = int(abs(now) / limit)
+    if steps == 0:
+        return None
+    since = float(blocks.edges[int(np.argmax(np.abs(change) >= steps * limit))])
+    warmer = f"{abs(now):.2g} K {'warmer' if now > 0.0 else 'colder'} than at the first rest"
+    said = f"drift of temperature: {warmer}; wait until it is steady, or go on: the change is then one more unknown"
+    return Fault(kind="temperature", said=said, start=since, stop=float(blocks.edges[-1]), choices=("go_on",))
 
 
 def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:

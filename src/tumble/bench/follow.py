@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.bench.lines import Lines
+from tumble.bench.lines import Lines, numbers_in
 from tumble.recording.session import LogSpec
 from tumble.units import Array
 
@@ -16,12 +16,13 @@ PIECE_BYTES = 1 << 20
 
 @dataclass(kw_only=True, slots=True)
 class Follower:
-    """Reads whole lines of a growing text log: `columns` are those of the session, in its order."""
+    """Reads whole lines of a growing text log: `columns` are those of the session, in its order; `at` is where the next
+    begins."""
 
     path: Path
     columns: tuple[str, ...]
     clock: str | None
-    _at: int = 0
+    at: int = 0
     _lines: Lines | None = None
 
     @staticmethod
@@ -32,10 +33,10 @@ class Follower:
     def rows(self) -> Array:
         """Rows (m, columns) that have come since the last time, at most those of a piece of the file."""
         with self.path.open("rb") as file:
-            file.seek(self._at)
+            file.seek(self.at)
             data = file.read(PIECE_BYTES)
         data = data[: data.rfind(b"\n") + 1]
-        self._at += len(data)
+        self.at += len(data)
         if not data:
             return np.empty((0, len(self.columns)))
         if self._lines is None:
@@ -43,6 +44,10 @@ class Follower:
         return self._parsed(self._lines, data)
 
     def _parsed(self, lines: Lines, data: bytes) -> Array:
+        if lines.in_order:
+            numbers = numbers_in(data, len(self.columns))
+            if numbers is not None:
+                return numbers
         rows = lines.feed(data)
         text = ",".join(row.text for row in rows)
         return np.fromstring(text, sep=",").reshape(-1, len(self.columns))

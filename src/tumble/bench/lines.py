@@ -9,12 +9,18 @@ from __future__ import annotations
 import json
 import math
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
+
+from tumble.units import Array
 
 LONGEST_LINE = 1 << 14
 MOTIONCAL = "Raw:"
 MOTIONCAL_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
+_OF_NUMBERS = np.isin(np.arange(256), np.frombuffer(b"0123456789.,+-eE\n", dtype=np.uint8))
 _MAGNETIC_COUNTS = 10.0  # a µT, as MotionCal has them
 
 
@@ -51,15 +57,26 @@ class Lines:
             self._refuse(self._rest, "half a line")
         self._rest, self._order, self._expected = b"", list(range(len(self.columns))), len(self.columns)
 
+    @property
+    def in_order(self) -> bool:
+        """Whether lines have the columns of the log and no others, in its order."""
+        return self._expected == len(self.columns) and self._order == list(range(self._expected))
+
     def feed(self, data: bytes) -> list[Row]:
         """The rows in what is received next."""
+        return self.rows(self.cut(data))
+
+    def cut(self, data: bytes) -> bytes:
+        """The whole lines in what is received next."""
         whole, newline, rest = (self._rest + data).rpartition(b"\n")
         self._rest = rest
         if len(self._rest) > LONGEST_LINE:
             self._refuse(self._rest, "no end of a line")
             self._rest = b""
-        if not newline:
-            return []
+        return whole + newline
+
+    def rows(self, whole: bytes) -> list[Row]:
+        """The rows in whole lines."""
         rows = (self._row(line) for line in whole.split(b"\n"))
         return [row for row in rows if row is not None]
 
@@ -136,3 +153,21 @@ class Lines:
         self.last_refused = why
         self.refuse(raw[:LONGEST_LINE])
         return None
+
+
+def numbers_in(data: bytes, columns: int) -> Array | None:
+    """Rows of whole lines that are nothing but numbers between commas; None where a line is anything else."""
+    text = np.frombuffer(data, dtype=np.uint8)
+    if not len(data) or not _OF_NUMBERS[text].all():
+        return None
+    ends = np.flatnonzero(text == ord("\n"))
+    commas = np.searchsorted(np.flatnonzero(text == ord(",")), ends)
+    if np.any(np.diff(commas, prepend=0) != columns - 1):
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            found = np.fromstring(data.replace(b"\n", b",")[:-1].decode("ascii"), sep=",")
+        except (DeprecationWarning, ValueError):
+            return None
+    return found.reshape(-1, columns) if len(found) == len(ends) * columns and np.isfinite(found).all() else None

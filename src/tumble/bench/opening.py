@@ -26,13 +26,14 @@ def station_of(
     programme: str | None = None,
     wanted: tuple[str, ...] = (),
     grade: str = "mems",
+    registry: str | None = None,
 ) -> Station:
     """The bench of a session folder and of what stands after --listen. Raises InputError."""
     if programme is not None:
         built_in(programme)
     if listen is not None and not (folder / SESSION_FILE).exists():
         _make(folder, listen, serial, site, programme)
-    return Station(folder, None if listen is None else _Once(listen), wanted=wanted, grade=grade)
+    return Station(folder, None if listen is None else _Once(listen), wanted=wanted, grade=grade, registry=registry)
 
 
 def _make(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any], programme: str | None) -> None:

@@ -8,7 +8,10 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from tumble.bench.lines import Row
+from tumble.units import Array
 
 WAIT_SECONDS = 0.1
 MOST_WAITING = 256
@@ -49,6 +52,17 @@ class Order:
                 self._take(row.time, row.text, out)
         self._release(out)
         return out
+
+    def passes(self, times: Array) -> bool:
+        """Let rows pass whose times rise, after those before; False, and nothing is done, where one by one must be
+        looked at."""
+        if self.unordered or self._waiting or len(times) < 2 or not np.all(np.diff(times) > 0.0):
+            return False
+        if self.last is not None and times[0] <= self.last:
+            return False
+        for at in times[-MOST_WAITING:].tolist():
+            self._note(at)
+        return True
 
     @property
     def waiting(self) -> list[str]:
@@ -93,12 +107,16 @@ class Order:
         return self.last is not None and self._interval is not None and at - self.last > JUMP * self._interval
 
     def _pass(self, at: float, text: str, out: list[str]) -> None:
+        self._note(at)
+        out.append(text)
+
+    def _note(self, at: float) -> None:
+        """Remember a row that passes."""
         if self.last is not None:
             step = at - self.last
             self._interval = step if self._interval is None else self._interval + 0.05 * _clipped(step, self._interval)
         self.last = at
         self._passed.append(at)
-        out.append(text)
 
     def _release(self, out: list[str]) -> None:
         """Let pass what has waited long enough."""

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.bench import ending
 from tumble.bench import folder as folders
 from tumble.bench.chain import Blocks, Chain, Known
 from tumble.bench.course import (
@@ -32,20 +33,23 @@ from tumble.bench.course import (
     grouped,
     nearest_positions,
     position_fault,
+    put_down_fault,
     rest_of,
     scatter_now,
     turn_fault,
     turned_between,
     verticals,
+    warmed_fault,
 )
 from tumble.bench.follow import BRIDGED, Clock, Follower
 from tumble.bench.intake import Intake
 from tumble.bench.sources import LineSource
+from tumble.bench.warm_up import warm_up
 from tumble.bench.watch import Watch
-from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, rest_wishes, wishes
+from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, rest_wishes, temperature_limit, wishes
 from tumble.errors import TumbleError
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate
-from tumble.programme.positions import ANY_MOVE, Programme, from_attitudes
+from tumble.programme.positions import ANY_MOVE, Move, Programme, from_attitudes
 from tumble.programme.positions import programme as built_in
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
 from tumble.recording.session import Exclusion, Session
@@ -57,6 +61,11 @@ log = logging.getLogger(__name__)
 
 STEP_SECONDS = 0.2
 SHORTEST_REST = 4.0
+STILL_TURNING = 3.0 * DEGREE
+"""s⁻¹: a turn that is nearly done and goes on more slowly is a unit put down with movement."""
+NEARLY = 10.0 * DEGREE
+KNOCK_SECONDS = 5.0
+"""A rest that was left for longer has been left for another position, and come back to."""
 NOTHING_MORE = 0.93
 """Where twice the time leaves more than this of u, longer gives nothing."""
 _WINDOW = 1200
@@ -78,7 +87,8 @@ class Judged:
 
 
 _NO_ESTIMATE: dict[str, Any] = {
-    "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "seconds": 0.0
+    "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0,
+    "seconds": 0.0,
 }  # fmt: skip
 
 
@@ -92,10 +102,13 @@ class Station:
         *,
         wanted: tuple[str, ...] = (),
         grade: str = "mems",
+        registry: str | None = None,
     ) -> None:
-        self.folder, self._listen, self._grade = folder, listen, grade
+        """`registry` is where the button registers, None for the user's."""
+        self.folder, self._listen, self._grade, self._registry = folder, listen, grade, registry
         self.wanted = wishes(wanted, grade)
         self.rest_wanted = rest_wishes(self.wanted, grade)
+        self._temperature_limit = temperature_limit(self.wanted, grade)
         self._changed = threading.Condition()
         self._guard = threading.RLock()
         self._stop = threading.Event()
@@ -135,6 +148,7 @@ class Station:
 
     def start(self) -> None:
         """Begin to record and to follow."""
+        self._worker.submit(warm_up)
         self._record()
         self._thread.start()
 
@@ -169,6 +183,11 @@ class Station:
         with self._changed:
             self.state = state
             self._changed.notify_all()
+
+    @property
+    def followed(self) -> int:
+        """Bytes of the log that are in the state."""
+        return self._follower.at
 
     def wait(self, before: Mapping[str, Any], timeout: float) -> dict[str, Any]:
         """The state, as soon as it is another one than that of `before`."""
@@ -379,7 +398,7 @@ class Station:
             "picture": f"picture/{index}.svg?{hashlib.sha256(position.attitude.encode()).hexdigest()[:8]}",
         }
 
-    def _move(self, index: int) -> Any:
+    def _move(self, index: int) -> Move:
         ordered = self.programme is not None and self.programme.ordered and 0 < index <= len(self.programme.moves)
         return self.programme.moves[index - 1] if ordered and self.programme is not None else ANY_MOVE
 
@@ -435,9 +454,14 @@ class Station:
             done = float(turned @ (before.matrix.T @ move.axis))
         label = "to any new position" if index is None else f"to position {index + 1}"
         early = not self._judge(last).enough
+        slow = None if rate is None or turned is None else float(np.linalg.norm(rate))
+        calm = self._limits is not None and calm_since(blocks, self._limits) is not None
+        slowly = slow is not None and slow < STILL_TURNING and not calm
+        arrived = slowly and done is not None and _arrived(move, done)
+        headline = "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}"
         return {
             "screen": "turn",
-            "headline": f"Turn now {label}",
+            "headline": headline,
             "rest": {"number": at + 1, "of": None if self.programme is None else len(self.programme.positions)},
             "position": self._position(index, at),
             "early": f"rest {at} was left before the wanted u" if early else "",
@@ -471,18 +495,32 @@ class Station:
 
     def _fault(self, blocks: Blocks, groups: list[list[Rest]], current: Rest | None) -> Fault | None:
         """The first fault that is not answered."""
-        every = [*self._faults, *self._knocks(groups, current), *self._misplaced(blocks, groups, current)]
+        every = [
+            *self._faults,
+            *self._knocks(groups, current),
+            *self._misplaced(blocks, groups, current),
+            *self._unsteady(blocks, groups, current),
+        ]
         return next((fault for fault in every if _key(fault) not in self._answered), None)
 
     def _knocks(self, groups: list[list[Rest]], current: Rest | None) -> list[Fault]:
         if current is None or not groups or len(groups[-1]) < 2:
             return []
         before = groups[-1][-2]
-        if self._judge(before).enough:
+        if self._judge(before).enough or current.start - before.stop > KNOCK_SECONDS:
             return []
         said = f"knock at {before.stop:.1f} s, {before.stop - before.start:.0f} s into this rest"
         choices = ("again", "keep_first", "go_on")
         return [Fault(kind="knock", said=said, start=before.start, stop=before.stop, kept=True, choices=choices)]
+
+    def _unsteady(self, blocks: Blocks, groups: list[list[Rest]], current: Rest | None) -> list[Fault]:
+        """A rest put down with movement, and a temperature that has drifted since the first rest."""
+        if not groups:
+            return []
+        moved = None
+        if current is not None:
+            moved = put_down_fault(blocks, current, len(groups), self.rest_wanted[0])
+        return [fault for fault in (moved, warmed_fault(blocks, groups[0][0], self._temperature_limit)) if fault]
 
     def _misplaced(self, blocks: Blocks, groups: list[list[Rest]], current: Rest | None) -> list[Fault]:
         listed = self.programme
@@ -548,7 +586,7 @@ class Station:
     def _made(
         self, chain: Chain, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
     ) -> dict[str, Any]:
-        began = time.monotonic()
+        began = time.thread_time()
         estimate = chain.estimate(reduction, spans, excluded)
         if estimate is None:
             return _NO_ESTIMATE | {"rests": len(spans)}
@@ -564,7 +602,8 @@ class Station:
             "gains": left.tolist(),
             "next": f"{_upwards(DIRECTIONS[best])}: accelerometers to {100.0 * left[best]:.0f} % of u",
             "cause": _cause(estimate, spans),
-            "seconds": time.monotonic() - began,
+            "unknowns": len(estimate.names),
+            "seconds": time.thread_time() - began,
         }
 
     # -------------------- what the operator says --------------------
@@ -600,8 +639,9 @@ class Station:
         if fault is None:
             return "nothing is wrong"
         self._answered.add(_key(fault))
-        self._leave_out(fault.start, fault.said, until_moved=fault.kind != "knock")
-        return "left out; take it again"
+        here = fault.kind in ("knock", "movement")
+        self._leave_out(fault.start, fault.said, until_moved=not here)
+        return "left out; hold still, this rest begins anew" if here else "left out; take it again"
 
     def _do_keep_first(self, _: str) -> str:
         fault = self._present_fault()
@@ -648,37 +688,29 @@ class Station:
         return "recording goes on"
 
     def _do_calibrate(self, _: str) -> str:
-        from tumble.calibration.calibrate import calibrate
-        from tumble.recording.session import read_session
-
         self._do_stop("")
-        calibration = calibrate(read_session(self.folder))
-        calibration.write(self.folder / "calibration.json", force=True)
+        calibration = ending.calibrated(self.folder)
         self._result = {
             "accepted": calibration.outcome.accepted,
             "reasons": list(calibration.outcome.reasons),
             "parameters": len(calibration.parameters),
-            "files": ["calibration.json"],
+            "files": [ending.CALIBRATION_FILE],
+            "registered": "",
         }
         return "calibrated: accepted" if calibration.outcome.accepted else "calibrated: not accepted"
 
     def _do_report(self, _: str) -> str:
-        from tumble.report.write import write_report
-
-        write_report([self.folder / "calibration.json"], self.folder / "report.html")
-        return self._filed("report.html")
+        return self._filed(ending.report_of(self.folder))
 
     def _do_export(self, to: str) -> str:
-        from tumble.calibration.calibration_file import read_calibration
-        from tumble.export import export_calibration
-        from tumble.files import whole_file
+        return self._filed(ending.exported(self.folder, to))
 
-        exported = export_calibration(read_calibration(self.folder / "calibration.json"), to)
-        ending = {"c": ".h", "px4": ".params", "ardupilot": ".parm", "csv": ".csv", "mat": ".mat", "dcc": ".xml"}
-        name = f"export-{to}{ending.get(to, '.txt')}"
-        with whole_file(self.folder / name) as temporary:
-            temporary.write_bytes(exported.content)
-        return self._filed(name)
+    def _do_register(self, _: str) -> str:
+        if self._result is None:
+            return "nothing is calibrated yet"
+        said = ending.registered(self.folder, self._registry)
+        self._result = self._result | {"registered": said}
+        return said
 
     def _filed(self, name: str) -> str:
         if self._result is not None and name not in self._result["files"]:
@@ -739,6 +771,11 @@ def _programme_of(session: Session) -> Programme | None:
     return built_in(spec.name) if spec.name is not None else from_attitudes([p.attitude for p in spec.positions])
 
 
+def _arrived(move: Move, done: float) -> bool:
+    """Whether a turn has gone so far that it may be over."""
+    return abs(done - move.angle) < NEARLY if move.angle is not None else done > 2.0 * NEARLY
+
+
 def _key(fault: Fault) -> tuple[str, int]:
     return fault.kind, round(fault.start)
 
@@ -768,6 +805,8 @@ def _residuals(estimate: Estimate) -> list[dict[str, float]]:
 
 def _cause(estimate: Estimate, spans: tuple[RestSpan, ...]) -> str:
     """What does not fit, and what may be the cause."""
+    if not estimate.converged:
+        return "the readings contradict each other: are the axes, their senses and the units right?"
     rest, turn = np.nan_to_num(estimate.rest_sigmas), np.nan_to_num(estimate.turn_sigmas)
     if len(rest) and rest.max() > FIT_SIGMAS:
         k = int(np.argmax(rest))

@@ -23,9 +23,12 @@ from tumble.usual_setup import LATITUDE_DEG
 RATE = 45.0 * DEGREE
 SAMPLE_RATE = 100.0
 OFF = 1.0 * DEGREE
+NEAR = 20.0 * DEGREE
+"""From where a turn of the programme begins: from elsewhere the shortest way is taken."""
 GRAVITY = 9.81579
 KNOCK = 3.0
 """m/s², for a tenth of a second."""
+ROCKING = 1.0 * DEGREE
 FULL_SCALE = 300.0 * DEGREE
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.array([0.0, 0.0, 1.0])}
 
@@ -57,11 +60,12 @@ class VirtualTable:
 
     unordered = False
 
-    def __init__(self, programme_name: str, *, seed: int = 1) -> None:
+    def __init__(self, programme_name: str, *, seed: int = 1, temperature: bool = False) -> None:
         name, _, speed = programme_name.partition("@")
         self.programme: Programme = programme(name or "rough-table")
         self.name = f"simulator:{self.programme.name}"
         self.trouble: str | None = None
+        self.temperature = temperature
         try:
             self.speed = float(speed.removesuffix("x")) if speed else 1.0
         except ValueError:
@@ -78,6 +82,8 @@ class VirtualTable:
         self._begun: float | None = None
         self._move = _Move(vector=np.zeros(3), start=self._near(self.programme.positions[0].matrix), first=0, samples=1)
         self._knocked = self._lost = self._stuck = -1
+        self._rocking: tuple[int, int] | None = None
+        self._warming: tuple[int, float] | None = None
         self._last_row: list[float] = []
 
     def skip_to(self, at: float) -> None:
@@ -103,7 +109,8 @@ class VirtualTable:
         vector = rotation_vector(target @ self._now().T)
         if move is not None and move.axis is not None and move.angle is not None and np.linalg.norm(vector) > 1.0:
             whole = move.angle * move.axis
-            vector = whole + rotation_vector(rotation_matrix(-whole) @ target @ self._now().T)
+            rest = rotation_vector(rotation_matrix(-whole) @ target @ self._now().T)
+            vector = whole + rest if np.linalg.norm(rest) < NEAR else vector
         self._start(vector, rate)
 
     def _start(self, vector: Array, rate: float) -> None:
@@ -126,6 +133,14 @@ class VirtualTable:
         """A channel that repeats itself."""
         self._stuck = self._sample + round(seconds * SAMPLE_RATE)
 
+    def rock(self, seconds: float = 1.5) -> None:
+        """A unit put down with movement when the turn under way ends: it comes to rest slowly."""
+        self._rocking = self._move.first + self._move.samples, round(seconds * SAMPLE_RATE)
+
+    def warm(self, rate: float = 1.0) -> None:
+        """The temperature drifts from now on, K/s, where it is sent."""
+        self._warming = self._sample, rate
+
     def read(self, timeout: float) -> bytes:
         if self._begun is None:
             self._begun = time.monotonic() - self._sample / SAMPLE_RATE / self.speed
@@ -133,12 +148,14 @@ class VirtualTable:
         if due <= self._sample:
             time.sleep(min(timeout, 0.02))
             return b""
-        lines = [self._line() for _ in range(min(due - self._sample, 4096))]
+        lines = [self.line() for _ in range(min(due - self._sample, 4096))]
         return "".join(lines).encode("ascii")
 
-    def _line(self) -> str:
+    def line(self) -> str:
+        """The next sample as a line; empty where it does not arrive."""
         middle = self._sample + 0.5
-        L, rate = self._move.attitude(middle), self._move.rate(middle)
+        still, rocking = self._rocked(middle)
+        L, rate = still @ self._move.attitude(middle), still @ self._move.rate(middle) + rocking
         force = L.T @ (GRAVITY * AXES["U"])
         if self._sample < self._knocked:
             force = force + KNOCK * self._rng.standard_normal(3)
@@ -153,7 +170,21 @@ class VirtualTable:
             row[1] = self._last_row[1]
         self._last_row, self._sample = row, self._sample + 1
         lost = self._sample < self._lost
+        row += [self._degrees()] if self.temperature else []
         return "" if lost else ",".join(f"{value:.9g}" for value in [self._sample / SAMPLE_RATE, *row]) + "\n"
+
+    def _rocked(self, sample: float) -> tuple[Array, Array]:
+        """How far the unit still is from where it will lie, and how fast it goes there, rad/s."""
+        if self._rocking is None:
+            return np.eye(3), np.zeros(3)
+        first, samples = self._rocking
+        left = 1.0 - (sample - first) / samples
+        rate = -ROCKING * SAMPLE_RATE / samples if 0.0 <= left <= 1.0 else 0.0
+        return rotation_matrix(ROCKING * min(max(left, 0.0), 1.0) * AXES["N"]), rate * AXES["N"]
+
+    def _degrees(self) -> float:
+        since, rate = self._warming or (self._sample, 0.0)
+        return 25.0 + rate * (self._sample - since) / SAMPLE_RATE
 
     def close(self) -> None:
         """Nothing is open."""

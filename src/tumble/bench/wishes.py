@@ -13,12 +13,15 @@ from tumble.planning.requirements import wanted_of
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import Grade, grade
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import usual_sizes
 from tumble.units import Array, engineering
 
 PART_OF_SPREAD = 0.05
 """What a calibration is to leave of the errors before it, where the noise of the grade allows that."""
 PART_OF_WISH = 0.2
 """Of the wanted u of a bias: what the noise of one rest may leave."""
+LEAST_WARMING = 1.0
+"""K."""
 _REST = 60.0
 _MORE = 5
 
@@ -37,6 +40,13 @@ def rest_wishes(wanted: Mapping[str, float], grade_name: str) -> tuple[float, fl
     noise = grade(grade_name).noise
     accel = max(PART_OF_WISH * wanted["accel.bias"], noise.accel_white / _REST**0.5)
     return accel, max(PART_OF_WISH * wanted["gyro.bias"], noise.gyro_white / _REST**0.5)
+
+
+def temperature_limit(wanted: Mapping[str, float], grade_name: str) -> float:
+    """Change of temperature, K, that moves a bias of instruments of a grade by as much as is wanted of it, and by
+    LEAST_WARMING at least."""
+    usual = usual_sizes(grade_name)
+    return max(LEAST_WARMING, *(wanted[name] / usual[f"{name}.t1"] for name in ("accel.bias", "gyro.bias")))
 
 
 def _of_grade(kind: Grade) -> dict[str, float]:

@@ -1,6 +1,7 @@
 """Recordings corrected with a calibration: a log in, a log out, sample by sample.
 
-The whole model is undone, as `Compensator` does; at the temperature of the row, where the log has a thermometer. Where
+The whole model is undone, as `Compensator` does; at the temperature of the row, where the log has a thermometer, or at
+that of sensors which follow it with the calibration's lag, as warm as it where a file begins. Where
 the accelerometers have lever arms and the session has gyros, they are moved to the last one: ω̇ is a central difference
 of the corrected rates, one row of look-ahead. The delay of the accelerometers is not undone. Rows are neither added nor
 bridged: a number that is not finite stays so in its row. What a column gets is what a perfect sensor in that place
@@ -28,6 +29,7 @@ from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.correction import at_one_point, corrected, true_force, true_rate
 from tumble.calibration.observed import inspect_session
 from tumble.errors import InputError, LogError
+from tumble.estimation.variables import sensors_at
 from tumble.files import FilePath
 from tumble.recording.arrays import SI
 from tumble.recording.description import description_of
@@ -36,6 +38,7 @@ from tumble.recording.log import open_log
 from tumble.recording.readers import LogSource, rows_of_numbers, source_of, times_of
 from tumble.recording.session import Channels, LogSpec, Magnetometer, Session, session_from
 from tumble.recording.writer import write_tables
+from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
@@ -169,9 +172,13 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
         out.append(
             f"the delay of the accelerometers, {1e3 * compensator.delay:.3g} ms, is not undone: shift their times"
         )
-    if compensator.slopes and session.log.temperature is None:
+    if compensator.warm and session.log.temperature is None:
         at = "the reference" if compensator.reference is None else f"{compensator.reference:.1f} °C"
         out.append(f"the session has no temperature: parameters are those at {at}")
+    elif compensator.warm and compensator.lag != 0.0:
+        out.append(f"sensors follow the thermometer with a lag of {compensator.lag:.0f} s")
+    if any(group.variable == "hysteresis" for group in groups() if group.name in found):
+        out.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
     if any(group.variable == "time" for group in groups() if group.name in found):
         out.append("drifts belong to the session that they were found in and are not applied")
     return tuple(out)
@@ -308,7 +315,7 @@ def _a_second(values: Array, dt: Array | None) -> Array:
 @dataclass(kw_only=True, slots=True)
 class _Reader:
     """Readings, times and temperatures of one file, table after table. `last`: time of the last row, s; `rows`: how
-    many there were; `warmth`: the last temperature that was known, °C."""
+    many there were; `warmth`: the last temperature that was known, °C, and `behind` that of what follows it."""
 
     path: Path
     session: Session
@@ -318,6 +325,7 @@ class _Reader:
     last: float | None = None
     rows: int = 0
     warmth: float | None = None
+    behind: float | None = None
 
     def piece(self, table: pl.DataFrame) -> _Piece:
         """What the rows of a table hold."""
@@ -359,13 +367,25 @@ class _Reader:
     def _temperatures(self, table: pl.DataFrame) -> Array | None:
         """Temperatures (N,), °C, where parameters change with them: a lost one is the one before, or the reference."""
         column, reference = self.session.log.temperature, self.compensator.reference
-        if column is None or reference is None or not self.compensator.slopes:
+        if column is None or reference is None or not self.compensator.warm:
             return None
         with rows_of_numbers(self.path):
             known = table[column].cast(pl.Float64).fill_nan(None).fill_null(strategy="forward")
-        filled = known.fill_null(reference if self.warmth is None else self.warmth).to_numpy()
-        self.warmth = float(filled[-1]) if len(filled) else self.warmth
-        return np.asarray(filled)
+        filled = np.asarray(known.fill_null(reference if self.warmth is None else self.warmth).to_numpy(), dtype=float)
+        if not len(filled):
+            return filled
+        before, self.warmth = self.warmth, float(filled[-1])
+        return self._of_sensors(filled, before)
+
+    def _of_sensors(self, celsius: Array, before: float | None) -> Array:
+        """Temperatures (N,), °C, of the sensors, which follow those of the thermometer; `before` is its last one."""
+        lag = self.compensator.lag
+        if lag == 0.0:
+            return celsius
+        whole = celsius if before is None else np.append(before, celsius)
+        behind = followed(whole, self.interval, abs(lag), self.behind)[len(whole) - len(celsius) :]
+        self.behind = float(behind[-1])
+        return behind if lag > 0.0 else np.asarray(2.0 * celsius - behind)
 
 
 def _rows(source: LogSource, parts: tuple[_Correction, ...], spec: LogSpec) -> Iterator[pl.DataFrame]:
@@ -412,7 +432,9 @@ def rest_residuals(calibration: Calibration | FilePath, session: Session | FileP
         found = seen.faults[0] if seen.faults else "none"
         raise InputError(f"{session.name}: expected rests to verify with, found {found}; leave out --verify")
     rests, g = observations.rests, session.site.gravity
-    warmth = None if rests.temperature is None else rests.temperature - ZERO_CELSIUS
+    warmth = None
+    if rests.temperature is not None:
+        warmth = sensors_at(observations, rests.temperature, compensator.lag) - ZERO_CELSIUS
     forces = session.accel_block.nominal().apply(rests.accel), compensator.force(rests.accel, warmth)
     before, after = (np.linalg.norm(force, axis=1) - g for force in forces)
     return tuple(

@@ -14,9 +14,12 @@ from tumble import __version__
 from tumble.calibration.calibration_file import Calibration, SensingAxes, read_calibration
 from tumble.calibration.case import CaseAlignment, estimate_in
 from tumble.calibration.coverage import MANY_DEGREES, with_degrees
-from tumble.calibration.observed import Observed, Progress, inspect_session, observations_for_calibration
+from tumble.calibration.field_dip import exchanged_columns
+from tumble.calibration.observed import Progress, inspect_session, observations_for_calibration
+from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
+from tumble.estimation.common_errors import by_time_base
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
@@ -33,9 +36,10 @@ from tumble.recording.log import Log
 from tumble.recording.session import Channels, Session, session_from
 from tumble.reduction import exclusion
 from tumble.reduction.observations import Observations
+from tumble.rotation import rotation_vector
 from tumble.sensors.frames import Convention, Frame, convert
 from tumble.sensors.grades import guessed_grade
-from tumble.sensors.parameters import sensor_kind, usual_sizes
+from tumble.sensors.parameters import group_name, sensor_kind, usual_sizes
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
 DEFAULT_METHOD = "joint"
@@ -106,13 +110,21 @@ def calibrate(
     session = _given(session, readings)
     estimator = _estimator(method, iterations)
     Convention(frame=frame, block=session.accel_block)
-    systematic = _systematic(session)
+    systematic = systematic_of(session)
     observed = inspect_session(session, progress=progress)
-    found = _estimated(observed, estimator, systematic, terms if method == "joint" else "linear")
-    provenance = _provenance(observed.sha256)
+    observations = observations_for_calibration(observed)
+    found: tuple[Estimate, Observations] | Outcome
+    if isinstance(observations, Outcome):
+        found = observations
+    else:
+        found = estimated(session, observations, estimator, systematic, terms if method == "joint" else "linear")
+    provenance, bridged = provenance_of(observed.sha256), bridged_in(observed.gaps)
     if isinstance(found, Outcome):
-        return _without_result(observed, method, found, provenance)
-    return _with_magnetometer(_result(observed, *found, systematic, frame, provenance), session, found[1])
+        made = without_result(session, method, found, provenance, bridged)
+    else:
+        made = result_of(session, *found, systematic, frame, provenance, bridged)
+        made = replace(_with_magnetometer(made, session, found[1]), sample_rate=observed.rate)
+    return replace(made, circumstances=observed.circumstances)
 
 
 def _given(session: Session | FilePath | None, readings: Mapping[str, Any]) -> Session:
@@ -142,7 +154,7 @@ def _estimator(method: str, iterations: int | None) -> Callable[[Observations], 
     return METHODS[method]
 
 
-def _systematic(session: Session) -> Mapping[str, float]:
+def systematic_of(session: Session) -> Mapping[str, float]:
     """Values of the systematic (passport) calibration a session names, by parameter name."""
     if session.device.systematic is None:
         return {}
@@ -161,33 +173,49 @@ def _usual(session: Session, observations: Observations, terms: Terms) -> tuple[
     as a note; none for the linear model."""
     if terms == "linear":
         return {}, ()
-    grade, rests = session.device.grade, observations.rests
-    guessed = grade is None
-    if grade is None:
-        gyro = float(np.median(rests.gyro_noise)) if rests.gyro_noise.size else None
-        grade = guessed_grade(float(np.median(rests.accel_noise)), gyro)
+    grade, guessed = grade_of(session, observations)
     said = f"usual sizes of what is not bias, scale or axis angle: those of the grade {grade}"
     origin = ", guessed from the noise; [device] grade says another" if guessed else ""
     return usual_sizes(grade, session.device.prior), (said + origin,)
 
 
-def _estimated(
-    observed: Observed, method: Callable[[Observations], Estimate], start: Mapping[str, float], terms: Terms
+def grade_of(session: Session, observations: Observations) -> tuple[str, bool]:
+    """The grade of a session's device, and whether it had to be guessed from the noise."""
+    if session.device.grade is not None:
+        return session.device.grade, False
+    rests = observations.rests
+    gyro = float(np.median(rests.gyro_noise)) if rests.gyro_noise.size else None
+    return guessed_grade(float(np.median(rests.accel_noise)), gyro), True
+
+
+def estimated(
+    session: Session,
+    observations: Observations,
+    method: Callable[[Observations], Estimate],
+    start: Mapping[str, float],
+    terms: Terms,
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
-    observations = observations_for_calibration(observed)
-    if isinstance(observations, Outcome):
-        return observations
-    usual, said = _usual(observed.session, observations, terms)
-    observations = replace(observations, start=start, usual=usual, notes=observations.notes + said)
+    usual, said = _usual(session, observations, terms)
+    notes, clock_u = observations.notes + said, session.log.gyro_clock_u
+    observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u)
     try:
-        return method(observations), observations
+        return _with_time_base(method(observations), observations), observations
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(broken,))
 
 
-def _provenance(log_sha256: str) -> dict[str, str]:
+def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
+    """An estimate with the uncertainty of the time base, which the method joint counts itself."""
+    change = by_time_base(estimate.names, observations.clock_u)
+    if estimate.method == "joint" or not change.any():
+        return estimate
+    return replace(estimate, covariance=estimate.covariance + np.outer(change, change))
+
+
+def provenance_of(log_sha256: str) -> dict[str, str]:
+    """Where a calibration is from: its log, the program and the time."""
     return {
         "log_sha256": log_sha256,
         "software": f"tumble {__version__}",
@@ -196,9 +224,11 @@ def _provenance(log_sha256: str) -> dict[str, str]:
 
 
 _GAPS_SHOWN = 5
+ONE_RATE = 1.2
+"""The largest mean rate of the turns, in parts of the smallest, where they count as one rate."""
 
 
-def _bridged(found: Sequence[Gap]) -> tuple[str, ...]:
+def bridged_in(found: Sequence[Gap]) -> tuple[str, ...]:
     """What was bridged or left out in the log, as notes: the first of each kind, and how many more."""
     kinds = {
         "bridged": [g for g in found if g.samples and g.integrable],
@@ -223,6 +253,8 @@ def _torn(observations: Observations) -> tuple[str, ...]:
     if observations.turns is None:
         return ()
     file, known = observations.rests.file, set(observations.turns.first.tolist())
+    if observations.together is not None:
+        return ()
     return tuple(
         f"turn from rest {i + 1} to rest {i + 2} is left out: samples are lost in it"
         for i in range(len(file) - 1)
@@ -238,8 +270,24 @@ def _unchecked(estimate: Estimate) -> tuple[str, ...]:
     return ("as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed",)
 
 
-def _without_result(observed: Observed, method: str, outcome: Outcome, provenance: Mapping[str, str]) -> Calibration:
-    session = observed.session
+def _one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
+    """Where all turns have about one rate, what the scale factors of the gyros are, as a note."""
+    turns = observations.turns
+    if turns is None or not len(turns) or any(group_name(name) == "gyro.cubic" for name in estimate.names):
+        return ()
+    rates = np.linalg.norm(rotation_vector(turns.C), axis=1) / turns.duration
+    if not 0.0 < rates.max() < ONE_RATE * rates.min():
+        return ()
+    return (
+        f"all turns have about {rates.mean() / DEGREE:.2g} °/s: scale factors of the gyros are those at this rate; "
+        "what they are at others, turns at two rates show, or gyro_cubic in [device.prior] puts into u",
+    )
+
+
+def without_result(
+    session: Session, method: str, outcome: Outcome, provenance: Mapping[str, str], bridged: tuple[str, ...] = ()
+) -> Calibration:
+    """A calibration that says why there is none; `bridged` are notes of the gaps of its log."""
     return Calibration(
         serial=session.device.serial,
         model=session.device.model,
@@ -251,13 +299,13 @@ def _without_result(observed: Observed, method: str, outcome: Outcome, provenanc
         gyro=None,
         outcome=outcome,
         site=session.site,
-        readings=_readings_of(session),
-        notes=_bridged(observed.gaps),
+        readings=readings_of_session(session),
+        notes=bridged,
         provenance=provenance,
     )
 
 
-def _readings_of(session: Session) -> dict[str, Readings]:
+def readings_of_session(session: Session) -> dict[str, Readings]:
     """What the readings of a session are."""
     given = {"accel": session.log.accel, "gyro": session.log.gyro}
     readings = {kind: _readings_in(channels) for kind, channels in given.items() if channels is not None}
@@ -322,6 +370,7 @@ def _turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnR
             sigmas=float(estimate.turn_sigmas[k]),
         )
         for k in range(len(turns))
+        if turns.duration[k] > 0.0  # not between the parts of a rest
     )
 
 
@@ -334,21 +383,20 @@ def _programmed_angle(observations: Observations, first: int, last: int) -> floa
     return None if angle is None else abs(angle)
 
 
-def _result(
-    observed: Observed,
+def result_of(
+    session: Session,
     estimate: Estimate,
     observations: Observations,
     systematic: Mapping[str, float],
     frame: Frame,
     provenance: Mapping[str, str],
+    bridged: tuple[str, ...] = (),
 ) -> Calibration:
-    session, outcome = (
-        observed.session,
-        verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed),
-    )
+    """The calibration of an estimate; `bridged` are notes of the gaps of its log."""
+    outcome = verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed)
     rests, turns = _rest_results(estimate, observations), _turn_results(estimate, observations)
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
-    learned = _learned(estimate)
+    learned, notes_over_temperature = _learned(estimate), tuple(over_temperature(estimate, observations))
     estimate, case = estimate_in(frame, estimate, observations)
     systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
     seen = np.flatnonzero(estimate.observable)
@@ -383,18 +431,21 @@ def _result(
         fits=estimate.fits,
         site=observations.site,
         programme=None if observations.programme is None else observations.programme.name,
-        readings=_readings_of(session),
-        notes=_bridged(observed.gaps)
+        readings=readings_of_session(session),
+        notes=bridged
         + _torn(observations)
         + exclusion.said(session.excluded)
         + observations.notes
         + _unchecked(estimate)
+        + _one_rate(estimate, observations)
+        + notes_over_temperature
         + _aligned(case),
         provenance=provenance,
         groups=estimate.groups,
         prediction=estimate.prediction,
         axes=_axes(observations),
         reference_temperature=_reference(observations),
+        imu=session.device.imu,
     )
 
 
@@ -430,29 +481,30 @@ def _learned(estimate: Estimate) -> dict[str, dict[str, float]]:
 
 
 def _with_magnetometer(calibration: Calibration, session: Session, observations: Observations) -> Calibration:
-    """A calibration with the parameters of the session's magnetometer, where it has one."""
-    spec = session.log.magnetometer
+    """A calibration with the parameters of the session's magnetometer, where it has one; where that cannot be
+    calibrated, without them, and a note says why."""
+    spec, covariance = session.log.magnetometer, calibration.covariance
     if spec is None:
         return calibration
-    found, outcome = magnetometer(observations, spec.unit), calibration.outcome
-    missing = MAGNETOMETER_NAMES if found.values is None else ()
-    parameters, covariance = calibration.parameters, calibration.covariance
-    if found.values is not None and found.covariance is not None and covariance is not None:
-        u, units = np.sqrt(np.diag(found.covariance)), (spec.unit,) * 3 + ("1",) * 3 + ("rad",) * 3
-        parameters += tuple(
-            Parameter(name=name, value=float(value), u=float(each), unit=unit)
-            for name, value, each, unit in zip(MAGNETOMETER_NAMES, found.values, u, units, strict=True)
-        )
-        apart = np.zeros((len(covariance), 9))
-        covariance = np.block([[covariance, apart], [apart.T, found.covariance]])
+    found = magnetometer(observations, spec.unit)
+    if found.reasons or found.values is None or found.covariance is None or covariance is None:
+        why = "; ".join(found.reasons) or "magnetometer: nothing says how well it is known"
+        said = (f"{why}; the rest of the session is calibrated without it",)
+        missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + MAGNETOMETER_NAMES)
+        return replace(calibration, outcome=missing, notes=calibration.notes + said)
+    u, units = np.sqrt(np.diag(found.covariance)), (spec.unit,) * 3 + ("1",) * 3 + ("rad",) * 3
+    parameters = tuple(
+        Parameter(name=name, value=float(value), u=float(each), unit=unit)
+        for name, value, each, unit in zip(MAGNETOMETER_NAMES, found.values, u, units, strict=True)
+    )
+    apart = np.zeros((len(covariance), 9))
     return replace(
         calibration,
-        parameters=parameters,
-        covariance=covariance,
+        parameters=calibration.parameters + parameters,
+        covariance=np.block([[covariance, apart], [apart.T, found.covariance]]),
         mag=found.model,
-        outcome=replace(outcome, reasons=outcome.reasons + found.reasons, unobservable=outcome.unobservable + missing),
         fits=dict(calibration.fits) | found.fits,
-        notes=calibration.notes + found.notes,
+        notes=calibration.notes + found.notes + exchanged_columns(calibration.accel, found.model, observations, spec),
     )
 
 

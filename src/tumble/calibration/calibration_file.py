@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tumble.calibration.calibration_keys import check_calibration
+from tumble.calibration.calibration_keys import check_keys
 from tumble.calibration.correction import true_force, true_rate
 from tumble.calibration.coverage import with_degrees
 from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
     Launch,
+    Member,
     Parameter,
     Readings,
     RestResult,
@@ -30,6 +31,8 @@ from tumble.calibration.results import (
     covariance_from,
     fits_content,
     fits_from,
+    member_content,
+    member_from,
     optional,
     parameter_content,
     parameter_from,
@@ -45,6 +48,8 @@ from tumble.estimation.estimate import Fit, GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
 from tumble.recording.arrays import celsius_of, numbers_of
+from tumble.recording.autopilot import AutopilotSensor, sensors_content, sensors_from
+from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_content, circumstances_from
 from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
@@ -99,6 +104,14 @@ class Calibration:
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     reference_temperature: float | None = None
     """°C, at which parameters that change with temperature have their values."""
+    circumstances: Circumstances = UNKNOWN
+    """When, by whom, with what and in what air it was recorded."""
+    imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
+    """Which "accel" and "gyro" of an autopilot were recorded, where they are of one."""
+    sample_rate: float | None = None
+    """Samples a second of the recording."""
+    together: tuple[Member, ...] = ()
+    """The sessions, where several are in one estimate."""
 
     @property
     def compensator(self) -> Compensator:
@@ -113,6 +126,12 @@ class Calibration:
 
     def _axes(self, kind: str, model: SensorModel) -> Array:
         return np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
+
+    @property
+    def temperature_range(self) -> tuple[float, float] | None:
+        """The lowest and the highest temperature of the rests, °C; None where they have none."""
+        found = [rest.temperature for rest in self.rests if rest.temperature is not None]
+        return (min(found), max(found)) if found else None
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -159,9 +178,9 @@ class Calibration:
         """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
         readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
         squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
-        readings the rate is None. The `temperature` (...), K, counts where parameters change with it; without it they
-        are those of the reference temperature. Lever arms and the delay, which need the motion, are not applied:
-        see `apply_to_session`.
+        readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in
+        a stream it follows the thermometer with temperature.lag); without it they are those of the reference
+        temperature. Lever arms and the delay, which need the motion, are not applied: see `apply_to_session`.
 
         Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
         of a frame whose names say another unit, and temperatures that are not in kelvin."""
@@ -197,13 +216,19 @@ class Calibration:
         gyros is missing, and for more than three of them."""
         if frame == self.frame:
             return self
-        missing = self.outcome.unobservable or (() if self.accel is not None else ("those of accelerometers",))
+        missing = tuple(name for name in self.outcome.unobservable if sensor_kind(name) != "mag")
+        missing = missing or (() if self.accel is not None else ("those of accelerometers",))
         if missing:
             raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
         try:
             return reframed(self, frame_of(frame))
         except InputError as error:
             raise CalibrationError(str(error)) from error
+
+    def _lag(self) -> dict[str, float]:
+        """The lag of the sensors behind the thermometer, s, where it is known."""
+        found = [p.value for p in self.parameters if p.name == "temperature.lag"]
+        return {"lag": found[0]} if found else {}
 
     def _with_further(self, kind: str, content: dict[str, Any] | None) -> dict[str, Any] | None:
         """The model of a kind of sensor, and beside it the values of the groups beyond it."""
@@ -248,7 +273,8 @@ class Calibration:
         """What the calibration file holds."""
         return {
             "format": FORMAT,
-            "device": {"serial": self.serial, "model": self.model},
+            "device": {"serial": self.serial, "model": self.model}
+            | ({"imu": sensors_content(self.imu)} if self.imu else {}),
             "method": self.method,
             "frame": self.frame,
             "parameters": [parameter_content(p) for p in self.parameters],
@@ -260,11 +286,13 @@ class Calibration:
             "groups": [_group_content(group) for group in self.groups],
             "prediction": None if self.prediction is None else asdict(self.prediction),
             "axes": {kind: [list(axis) for axis in axes] for kind, axes in self.axes.items()},
-            "temperature": {"reference": self.reference_temperature},
+            "temperature": {"reference": self.reference_temperature, "range": self.temperature_range} | self._lag(),
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],
+            "sample_rate": self.sample_rate,
             "site": None if self.site is None else asdict(self.site),
+            "session": circumstances_content(self.circumstances),
             "programme": self.programme,
             "readings": {kind: asdict(readings) for kind, readings in self.readings.items()},
             "rests": [asdict(rest) for rest in self.rests],
@@ -278,12 +306,14 @@ class Calibration:
                     "covariance": None if launch.covariance is None else launch.covariance.tolist(),
                     "log_sha256": launch.log_sha256,
                     "site": None if launch.site is None else asdict(launch.site),
+                    "circumstances": circumstances_content(launch.circumstances),
                     "rests": [asdict(rest) for rest in launch.rests],
                     "turns": [asdict(turn) for turn in launch.turns],
                     "fits": fits_content(launch.fits),
                 }
                 for launch in self.launches
             ],
+            "together": [member_content(member) for member in self.together],
             "provenance": dict(self.provenance),
         }
 
@@ -377,7 +407,7 @@ def calibration_of(text: str, name: str) -> Calibration:
         raise _no_calibration(name, error) from error
     if isinstance(content, dict) and content.get("format", FORMAT) != FORMAT:
         raise CalibrationError(f"{name}: expected format {FORMAT}, found {shown(content['format'])}")
-    check_calibration(content, name)
+    check_keys(content, name)
     return _from_content(content)
 
 
@@ -410,11 +440,14 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         prediction=optional(_prediction_from, content.get("prediction")),
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
+        imu=sensors_from(content["device"].get("imu", {})),
+        sample_rate=optional(float, content.get("sample_rate")),
         iterations=tuple({p["name"]: float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]),
         rests=tuple(map(rest_from, content["rests"])),
         turns=tuple(map(turn_from, content.get("turns", ()))),
         fits=fits_from(content),
         site=site_from(content),
+        circumstances=circumstances_from(content.get("session", {})),
         programme=content.get("programme"),
         readings={kind: readings_from(each) for kind, each in content.get("readings", {}).items()},
         notes=tuple(content.get("notes", ())),
@@ -425,12 +458,14 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
                 covariance=covariance_from(launch["covariance"], len(launch["parameters"])),
                 log_sha256=launch.get("log_sha256", ""),
                 site=site_from(launch),
+                circumstances=circumstances_from(launch.get("circumstances", {})),
                 rests=tuple(map(rest_from, launch.get("rests", ()))),
                 turns=tuple(map(turn_from, launch.get("turns", ()))),
                 fits=fits_from(launch),
             )
             for launch in content.get("launches", ())
         ),
+        together=tuple(map(member_from, content.get("together", ()))),
         provenance=dict(content["provenance"]),
     )
 

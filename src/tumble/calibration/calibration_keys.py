@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from datetime import date, datetime
 from math import inf, isfinite
 from typing import Annotated, Any, Literal, Self
 
@@ -16,7 +17,7 @@ from pydantic_core import PydanticCustomError
 
 from tumble.documents import is_plain, shown
 from tumble.errors import CalibrationError
-from tumble.recording.session_keys import LONGEST_NAME
+from tumble.recording.session_keys import LONGEST_NAME, ImuTable
 
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LONGEST_TEXT = 10_000
@@ -38,6 +39,14 @@ def _is_plain(text: str) -> str:
     return text
 
 
+def _is_date(text: str) -> str:
+    try:
+        datetime.fromisoformat(text) if "T" in text else date.fromisoformat(text)
+    except ValueError:
+        raise ValueError(f"expected a date, or a date with a time, found {shown(text)}") from None
+    return text
+
+
 def _is_sized(number: float) -> float:
     if not abs(number) <= LARGEST:
         raise ValueError(f"expected a number of at most {LARGEST:g} in size, found {number:g}")
@@ -54,8 +63,11 @@ Name = Annotated[str, AfterValidator(_is_name)]
 Text = Annotated[str, AfterValidator(_is_plain)]
 Number = Annotated[float, AfterValidator(_is_sized)]
 Size = Annotated[float, AfterValidator(_is_size)]
+Rate = Annotated[float, Field(gt=0.0), AfterValidator(_is_size)]
+Date = Annotated[str, AfterValidator(_is_date)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
 Vector = Annotated[list[Number], Field(max_length=MOST_PARAMETERS)]
+Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Matrix = Annotated[list[Vector], Field(max_length=MOST_PARAMETERS)]
 
 
@@ -65,9 +77,14 @@ class _Keys(BaseModel):
     model_config = ConfigDict(extra="ignore", strict=True, frozen=True)
 
 
+class _AutopilotKeys(ImuTable, extra="ignore"):
+    """Which sensors of an autopilot."""
+
+
 class _DeviceKeys(_Keys):
     serial: Name
     model: Name | None
+    imu: _AutopilotKeys = _AutopilotKeys()
 
 
 class _ParameterKeys(_Keys):
@@ -142,6 +159,8 @@ class _PredictionKeys(_Keys):
 
 class _TemperatureKeys(_Keys):
     reference: Number | None = None
+    range: Pair | None = None
+    lag: Number | None = None
 
 
 class _IncrementKeys(_Keys):
@@ -193,6 +212,21 @@ class _SiteKeys(_Keys):
     gravity: Annotated[float, Field(ge=1.0, le=100.0)]
     gravity_u: Size
     field: Number | None = None
+    gravity_is_unit: bool = False
+
+
+class _AirKeys(_Keys):
+    temperature_degC: Number | None = None  # noqa: N815
+    temperature_u: Size | None = None
+    humidity_percent: Number | None = None
+    pressure_hPa: Number | None = None  # noqa: N815
+
+
+class _CircumstancesKeys(_Keys):
+    date: Date | None = None
+    operator: Text | None = None
+    conditions: _AirKeys = _AirKeys()
+    equipment: list[Text] = []
 
 
 class _ReadingsKeys(_Keys):
@@ -234,6 +268,18 @@ class _ResultKeys(_Keys):
 class _LaunchKeys(_ResultKeys):
     session: Text
     log_sha256: Text = ""
+    circumstances: _CircumstancesKeys = _CircumstancesKeys()
+
+
+class _MemberKeys(_Keys):
+    """One of several sessions in one estimate."""
+
+    session: Text
+    log_sha256: Text
+    rests: Count
+    turns: Count
+    temperatures: Pair
+    parameters: list[_ParameterKeys] = Field(max_length=MOST_PARAMETERS)
 
 
 class _FormatKeys(_Keys):
@@ -257,15 +303,18 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     axes: dict[Text, list[Annotated[list[Number], Field(min_length=3, max_length=3)]]] = {}
     temperature: _TemperatureKeys = _TemperatureKeys()
     iterations: list[_IterationKeys]
+    sample_rate: Rate | None = None
+    session: _CircumstancesKeys = _CircumstancesKeys()
     programme: Text | None = None
     readings: dict[Text, _ReadingsKeys] = {}
     notes: list[Text] = []
     launches: list[_LaunchKeys] = Field(default=[], max_length=MOST_LAUNCHES)
+    together: list[_MemberKeys] = Field(default=[], max_length=MOST_LAUNCHES)
     rests: list[_RestKeys] = Field(max_length=MOST_RESTS)
     provenance: dict[Text, Text]
 
 
-def check_calibration(content: Any, name: str) -> None:
+def check_keys(content: Any, name: str) -> None:
     """Check the content of a calibration file, in messages `name`. Raises CalibrationError with the first fault."""
     try:
         _CalibrationKeys.model_validate(content)
@@ -282,9 +331,10 @@ _EXPECTED = {
     "list_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
-    "greater_than_equal": "a number that is not negative",
+    "greater_than": "a larger number",
+    "greater_than_equal": "a larger number",
     "less_than_equal": "a smaller number",
-    "too_short": "a list of three",
+    "too_short": "a longer list",
     "too_long": "a shorter list",
     "literal_error": "1, the format of this file",
 }

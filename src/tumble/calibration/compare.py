@@ -19,13 +19,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
+from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as fisher
+from scipy.special import chdtrc, fdtrc
 
-from tumble.calibration.calibration_file import Calibration, calibration_from
+from tumble.calibration.calibration_file import Calibration, calibration_from, text_of
 from tumble.calibration.coverage import by_gravity, expanded_of, remarks, shared_gravity, welch_satterthwaite
+from tumble.calibration.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
 from tumble.calibration.results import Parameter
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -81,9 +82,14 @@ class Comparison:
         return bool(judged) and max(judged) <= 1.0 and by_chance
 
 
-def compare_calibrations(first: Calibration | FilePath, second: Calibration | FilePath) -> Comparison:
+def compare_calibrations(
+    first: Calibration | FilePath, second: Calibration | FilePath, *, gyro: FilePath | None = None
+) -> Comparison:
     """Compare two calibrations parameter by parameter. The second is converted to the frame of the first where they
     differ; to the case only what is in it already can be compared, so then the first is converted.
+
+    The second may be the file of a result of Kalibr, or of imu_tk, whose gyros are in another file, `gyro`: then the
+    first is taken into the frame of the accelerometers.
 
     Raises InputError where they have no parameter in common, CalibrationError where they cannot be converted.
 
@@ -93,8 +99,10 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
     >>> found.agree, len(found.differences)
     (True, 21)
     """
-    first, second = calibration_from(first), calibration_from(second)
-    frame = second.frame if first.frame == "case" else first.frame
+    first = calibration_from(first)
+    second = _second(second, gyro, first)
+    foreign = second.method in (KALIBR, IMU_TK)
+    frame = second.frame if first.frame == "case" or foreign else first.frame
     a, b = first.in_frame(frame), second.in_frame(frame)
     ours, theirs = ({p.name: p for p in c.parameters} for c in (a, b))
     common = [name for name in ours if name in theirs]
@@ -118,8 +126,17 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
         degrees=degrees,
         probability=probability,
         missing=tuple(name for name in (*ours, *theirs) if name not in common),
-        remarks=tuple(_remarks(first, second, frame)),
+        remarks=(*_remarks(first, second, frame), *(second.notes if foreign else ())),
     )
+
+
+def _second(given: Calibration | FilePath, gyro: FilePath | None, like: Calibration) -> Calibration:
+    """The second calibration: one of tumble, or a result of another program for the same readings."""
+    if not isinstance(given, Calibration) and is_foreign(text_of(Path(given))):
+        return foreign_calibration(given, gyro, like)
+    if gyro is not None:
+        raise InputError(f"{gyro}: expected a file of gyros beside one of imu_tk only, found it beside a calibration")
+    return calibration_from(given)
 
 
 def _difference(first: Parameter, second: Parameter, shared: Sequence[float]) -> Difference:
@@ -181,10 +198,10 @@ def _chi_square(
     correlation = covariance / np.outer(u, u)
     scaled = differences / u
     rank = int(np.linalg.matrix_rank(correlation, hermitian=True))
-    chi_square = float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled)
+    chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
     if fewest is None:
-        return chi_square, rank, float(chi2.sf(chi_square, rank))
-    return chi_square, rank, float(fisher.sf(chi_square / rank, rank, fewest))
+        return chi_square, rank, float(chdtrc(rank, chi_square))
+    return chi_square, rank, float(fdtrc(rank, fewest, chi_square / rank))
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:

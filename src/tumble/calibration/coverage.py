@@ -9,11 +9,13 @@ freedom, it has Student's t distribution, and
 a sensor takes part in, the fewest of those that scatter; in another frame that of what a parameter is made of, taken as
 fully correlated. In the mean of L launches
 
-    u² = max(s², n²)/L + g²,   ν = u⁴ / [ (s²/L)²/(L − 1) + Σ (n_l²/L²)²/ν_l ]
+    u² = max(s², n²)/L + g²,   ν = u⁴ ν_m / (max(s², n²)/L)²,   t(ν_m) max(s, n) = max( t(L − 1) s, t(ν_n) n )
 
-with s the standard deviation from launch to launch, n² the mean variance that launches know of themselves, whose n_l
-count where n > s, and g what is common to all of them, the uncertainty of gravity. A run-to-run s that is as large as n
-by chance thus leaves few degrees of freedom, and a small one many.
+with s the standard deviation from launch to launch, n² the mean variance that launches know of themselves, with ν_n
+degrees of freedom, and g what is common to all of them, the uncertainty of gravity. t(L − 1) s/√L covers as stated
+whatever the instability is, and no other function of s and n does so for all (s² is complete); but two launches that
+agree by chance are known no better than each of them is. The larger of both never covers less: up to 99 % without
+instability, 96 % where it is three times n.
 
 Where no scatter was detected, u is of the noise within rests; how much scatter could be there unseen is said.
 
@@ -24,11 +26,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from math import inf, sqrt
+from math import erfc, inf, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from tumble.calibration.results import Parameter, coverage_factor
 from tumble.estimation.estimate import Fit
@@ -106,12 +108,19 @@ def degrees_of_mean(
     parts = list(own)
     L = len(parts)
     between, within = run_to_run**2 / L, sum(variance for variance, _ in parts) / L**2
-    of_variance = between**2 / (L - 1)
-    if within > between:
-        of_variance += sum((variance / L**2) ** 2 / d for variance, d in parts if d is not None)
-    square = max(between, within) + common**2
-    known = square**2 >= MANY_DEGREES * of_variance
-    return sqrt(square), None if known else square**2 / of_variance
+    of_within = welch_satterthwaite((variance / L**2, degrees) for variance, degrees in parts)
+    U = max(expanded_of(sqrt(between), L - 1.0), expanded_of(sqrt(within), of_within))
+    square = max(between, within)
+    degrees = _degrees_behind(U / sqrt(square)) if square > 0.0 else None
+    return sqrt(square + common**2), welch_satterthwaite([(square, degrees), (common**2, None)])
+
+
+def _degrees_behind(factor: float) -> float | None:
+    """The degrees of freedom with a coverage factor; None: known."""
+    degrees = (
+        float(special.stdtridf(1.0 - 0.5 * erfc(sqrt(2.0)), factor)) if factor > coverage_factor(MANY_DEGREES) else inf
+    )
+    return degrees if degrees < MANY_DEGREES else None
 
 
 def by_gravity(parameters: Sequence[Parameter], covariance: Array | None, site: Site | None) -> Array:
@@ -167,7 +176,8 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
 
 def _hidden(fit: Fit) -> float:
     """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
-    return sqrt(max(fit.chi_square / float(chi2.ppf(UNSEEN, fit.degrees)) - 1.0, 0.0))
+    least = 2.0 * float(special.gammaincinv(0.5 * fit.degrees, UNSEEN))
+    return sqrt(max(fit.chi_square / least - 1.0, 0.0))
 
 
 def _of_fits(fits: Mapping[str, Fit], name: str) -> float | None:

@@ -19,18 +19,19 @@ from scipy.special import ndtri
 
 from tumble import __version__
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import with_degrees
+from tumble.calibration.coverage import welch_satterthwaite
 from tumble.calibration.readings_table import Nominal, ReadingsTable, Sensor, plain_units, read_table, sizes_seen
 from tumble.calibration.readings_table import nominal as nominal_of
 from tumble.calibration.results import Parameter, Readings
+from tumble.calibration.table_positions import TablePositions, positions_of
 from tumble.errors import InputError
 from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.estimation.estimate import Outcome
-from tumble.estimation.observability import Refusal
+from tumble.estimation.observability import Refusal, undetermined
 from tumble.files import FilePath
 from tumble.recording.session import Site
 from tumble.sensors.frames import Convention, Frame, Framed, convert
-from tumble.units import G_STANDARD, Array, engineering
+from tumble.units import Array, engineering
 
 SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
 """Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the
@@ -67,16 +68,20 @@ def calibrate_table(
     unit: str = "V",
     scale: Sequence[float] | None = None,
     scale_per: str | None = None,
-    gravity: float = G_STANDARD,
+    gravity: float | None = None,
+    gravity_u: float | None = None,
     modulus: float | None = None,
+    modulus_u: float | None = None,
     known: Mapping[int, Array] | None = None,
+    rows_per_position: int = 1,
     frame: Frame = "accelerometer",
     serial: str | None = None,
 ) -> ReadingsCalibration:
-    """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions, a table or its CSV file. What the
-    readings are worth is `nominal`, or comes from the options as `readings_table.nominal` takes them. What cannot be
-    calibrated comes back with the reasons in its outcome. Without a `serial` number of the device it is the name of the
-    table. Raises InputError for a table that cannot be read and for options that do not go together.
+    """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions, a table or its CSV file. Each
+    position is `rows_per_position` rows; equal ones count once. What the readings are worth is `nominal`, or comes from
+    the options as `readings_table.nominal` takes them. What cannot be calibrated comes back with the reasons in its
+    outcome. Without a `serial` number of the device it is the name of the table. Raises InputError for a table that
+    cannot be read and for options that do not go together.
 
     >>> import tumble
     >>> faces = ["0,0,1", "0,0,-1", "0,1,0", "0,-1,0", "1,0,0", "-1,0,0"]
@@ -90,7 +95,9 @@ def calibrate_table(
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
-    table = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings))
+    whole = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings))
+    positions = positions_of(whole, rows_per_position)
+    table = positions.table
     if nominal is None:
         nominal = nominal_of(
             table,
@@ -99,20 +106,44 @@ def calibrate_table(
             scale=scale,
             scale_per=scale_per,
             gravity=gravity,
+            gravity_u=gravity_u,
             modulus=modulus,
+            modulus_u=modulus_u,
             known=known,
         )
     serial = table.path.stem if serial is None else serial
-    bad = float(-ndtri(0.5 * BAD_CHANCE / len(table.values)))
-    found = fit_ellipsoid(nominal.to_si(table.values), modulus=nominal.modulus, bad_sigmas=bad)
+    found = _fitted(positions, nominal)
     if isinstance(found, Refusal):
+        found = undetermined(nominal.to_si(whole.values), block=TRIAD) or found  # counts the rows as they are written
         misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
         outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal))
-        empty = _calibration(serial, table, nominal, None, None, outcome)
+        empty = _calibration(serial, positions, nominal, None, None, outcome)
         return ReadingsCalibration(calibration=empty, table=table, nominal=nominal, fit=None)
     outcome = Outcome(reasons=tuple(_reasons(table, nominal, found)))
-    calibration = _calibration(serial, table, nominal, found, _framed(found, frame), outcome)
+    calibration = _calibration(serial, positions, nominal, found, _framed(found, frame), outcome)
     return ReadingsCalibration(calibration=calibration, table=table, nominal=nominal, fit=found)
+
+
+def _fitted(positions: TablePositions, nominal: Nominal) -> EllipsoidFit | Refusal:
+    """The fit with the scatter that the residuals show; where they show less than the last digit of the readings
+    explains, with that. Of blocks of rows it has their own scatter."""
+    readings = nominal.to_si(positions.table.values)
+    bad = float(-ndtri(0.5 * BAD_CHANCE / len(readings)))
+    modulus_u = nominal.modulus_u or 0.0
+    floor = np.diag((positions.resolution_u / nominal.scale) ** 2)
+    if positions.covariance is not None:
+        floor += positions.covariance / np.outer(nominal.scale, nominal.scale)
+    known = fit_ellipsoid(
+        readings,
+        modulus=nominal.modulus,
+        modulus_u=modulus_u,
+        covariance=np.broadcast_to(floor, (len(readings), 3, 3)),
+        bad_sigmas=bad,
+    )
+    within = positions.covariance is not None
+    if isinstance(known, Refusal) or within or (known.degrees > 0 and known.chi_square <= known.degrees):
+        return known
+    return fit_ellipsoid(readings, modulus=nominal.modulus, modulus_u=modulus_u, bad_sigmas=bad)
 
 
 def _framed(found: EllipsoidFit, frame: Frame) -> Framed:
@@ -184,7 +215,7 @@ def _near_one(ratios: Array) -> bool:
 
 def _calibration(
     serial: str,
-    table: ReadingsTable,
+    positions: TablePositions,
     nominal: Nominal,
     found: EllipsoidFit | None,
     framed: Framed | None,
@@ -197,7 +228,7 @@ def _calibration(
         model=None,
         method="ellipsoid",
         frame="accelerometer" if framed is None else framed.frame,
-        parameters=() if framed is None else with_degrees(_parameters(nominal, framed), fits),
+        parameters=() if framed is None else _parameters(positions, nominal, framed, found),
         covariance=None if framed is None else framed.covariance,
         accel=model if nominal.sensor == "accel" else None,
         gyro=model if nominal.sensor == "gyro" else None,
@@ -205,30 +236,56 @@ def _calibration(
         outcome=outcome,
         fits=fits,
         site=_site(nominal),
-        readings={nominal.sensor: _readings(table, nominal)},
-        notes=_notes(table, nominal, found),
+        readings={nominal.sensor: _readings(positions.table, nominal)},
+        notes=(*positions.left_out, *_notes(positions, nominal, found)),
         provenance={
-            "log_sha256": table.sha256,
+            "log_sha256": positions.table.sha256,
             "software": f"tumble {__version__}",
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
 
 
-def _parameters(nominal: Nominal, framed: Framed) -> tuple[Parameter, ...]:
+def _parameters(
+    positions: TablePositions, nominal: Nominal, framed: Framed, found: EllipsoidFit | None
+) -> tuple[Parameter, ...]:
     u = [None] * 9 if framed.covariance is None else np.sqrt(np.diag(framed.covariance)).tolist()
     units = (nominal.result_unit,) * 3 + framed.units[3:]
     return tuple(
-        Parameter(name=name, value=value, u=each, unit=unit)
-        for name, value, each, unit in zip(_names(nominal, framed.names), framed.values.tolist(), u, units, strict=True)
+        Parameter(name=name, value=value, u=each, unit=unit, dof=_dof(each, (1.0 + value) * common, positions, found))
+        for name, value, each, unit, common in zip(
+            _names(nominal, framed.names), framed.values.tolist(), u, units, _by_modulus(nominal), strict=True
+        )
     )
 
 
+def _by_modulus(nominal: Nominal) -> list[float]:
+    """Relative change of the nine parameters with one standard uncertainty of the modulus: of scale factors alone."""
+    relative = (nominal.modulus_u or 0.0) / nominal.modulus
+    return [relative if 3 <= i < 6 else 0.0 for i in range(9)]
+
+
+def _dof(u: float | None, common: float, positions: TablePositions, found: EllipsoidFit | None) -> float | None:
+    """Degrees of freedom of a parameter's u, of which `common` comes from the modulus and is known, the rest from the
+    scatter of the positions or, where that shows none, from the scatter within blocks of rows."""
+    if u is None or found is None:
+        return None
+    degrees = found.degrees if found.scatter > 0.0 else positions.degrees
+    return welch_satterthwaite([(max(u**2 - common**2, 0.0), degrees or None), (common**2, None)])
+
+
 def _site(nominal: Nominal) -> Site | None:
-    """Gravity as stated, where it was the modulus."""
+    """Gravity as stated, where it was the modulus, or as the unit."""
     if nominal.sensor != "accel":
         return None
-    return Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=0.0)
+    unit = nominal.modulus_u is None
+    return Site(
+        latitude=None,
+        height=0.0,
+        gravity=nominal.modulus,
+        gravity_u=nominal.modulus_u or 0.0,
+        gravity_is_unit=unit,
+    )
 
 
 def _readings(table: ReadingsTable, nominal: Nominal) -> Readings:
@@ -241,8 +298,8 @@ def _readings(table: ReadingsTable, nominal: Nominal) -> Readings:
     )
 
 
-def _notes(table: ReadingsTable, nominal: Nominal, found: EllipsoidFit | None) -> tuple[str, ...]:
-    notes = []
+def _notes(positions: TablePositions, nominal: Nominal, found: EllipsoidFit | None) -> tuple[str, ...]:
+    table, notes = positions.table, list(_modulus_said(nominal))
     per = ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
     if nominal.estimated:
         notes.append(f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings")
@@ -260,9 +317,32 @@ def _notes(table: ReadingsTable, nominal: Nominal, found: EllipsoidFit | None) -
                 "reflection"
             )
         notes.append(said)
+    if found is not None and found.covariance is not None and found.scatter == 0.0 and positions.covariance is None:
+        notes.append("the residuals are no larger than the last digit of the readings explains: u is of that digit")
     if found is not None and found.degrees == 0:
-        notes.append("as many positions as parameters: nothing checks the fit, and no uncertainty can be given")
+        said = "as many positions as parameters: nothing checks the fit"
+        notes.append(said + (", and no uncertainty can be given" if found.covariance is None else ""))
     return tuple(notes)
+
+
+def _modulus_said(nominal: Nominal) -> tuple[str, ...]:
+    """What u has of the modulus, where that is not what is usual."""
+    if nominal.sensor == "accel":
+        if nominal.modulus_u is None:
+            return (
+                "gravity is not stated: g at the place of the readings is the unit, for which 9.80665 m/s^2 stands; u "
+                "has no part of it, which may be 0.3 %. For values in m/s^2 give --gravity and --gravity-u",
+            )
+        if nominal.modulus_u == 0.0:
+            return ("gravity is taken as exact, as --gravity-u states",)
+        return (f"gravity {nominal.modulus:.9g} m/s^2 with u = {nominal.modulus_u:.2g} m/s^2, in all scale factors",)
+    what = {"gyro": "the rate of the table", "mag": "the field"}[nominal.sensor]
+    if nominal.modulus_u is None:
+        return (
+            f"the uncertainty of {what} is not stated (--modulus-u): scale factors are relative to it, and u has no "
+            "part of it",
+        )
+    return ()
 
 
 # -------------------- the form of the source --------------------

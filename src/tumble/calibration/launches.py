@@ -2,8 +2,8 @@
 
 The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
 their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
-uncertainty of gravity is common to all launches of a site, and what is wrong with a prior to all launches: both
-are taken out of either and do not average out (`tumble.calibration.coverage`).
+uncertainty of gravity is common to all launches of a site, and what is wrong with a prior or the time base to all
+launches: they are taken out of either and do not average out (`tumble.calibration.coverage`).
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_grav
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
 from tumble.errors import InputError
+from tumble.estimation.common_errors import by_time_base
 from tumble.estimation.ellipsoid import TRIAD
 from tumble.estimation.estimate import GroupFinding, Outcome
 from tumble.estimation.methods.magnetometer import NAMES
 from tumble.estimation.prediction import Prediction, prediction
 from tumble.files import FilePath
+from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.log import Log
 from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, Frame, frame_of
@@ -145,6 +147,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         turns=(),
         fits={},
         site=_common([run.calibration.site for run in runs]),
+        circumstances=circumstances_of_all([run.calibration.circumstances for run in runs]),
         programme=_common([run.calibration.programme for run in runs]),
         notes=(
             *(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
@@ -157,6 +160,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
                 covariance=run.calibration.covariance,
                 log_sha256=digest,
                 site=run.calibration.site,
+                circumstances=run.calibration.circumstances,
                 rests=run.calibration.rests,
                 turns=run.calibration.turns,
                 fits=run.calibration.fits,
@@ -167,6 +171,17 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         prediction=_prediction(runs, common, values.mean(axis=0), covariance),
         reference_temperature=reference,
         provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
+    )
+
+
+def circumstances_of_all(each: Sequence[Circumstances]) -> Circumstances:
+    """What is the same in all launches, all their equipment, and the date of the last."""
+    dates = [one.date for one in each if one.date is not None]
+    return Circumstances(
+        date=max(dates, default=None),
+        operator=_common([one.operator for one in each]),
+        air=_common([one.air for one in each]) or AirConditions(),
+        equipment=tuple(dict.fromkeys(item for one in each for item in one.equipment)),
     )
 
 
@@ -215,8 +230,10 @@ def _covariance(
     whole = [move @ _own(run, names) @ move.T for run, move in zip(runs, moves, strict=True)]
     gravity = _gravity_in_common(runs, names, whole)
     by_prior = [_by_prior(run, names, covariance) for run, covariance in zip(runs, whole, strict=True)]
-    own = [c - np.outer(gravity, gravity) - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
-    common = np.outer(gravity, gravity) + np.mean(by_prior, axis=0)
+    clock = by_time_base(names, min(run.session.log.gyro_clock_u for run in runs))
+    of_site = np.outer(gravity, gravity) + np.outer(clock, clock)
+    own = [c - of_site - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
+    common = of_site + np.mean(by_prior, axis=0)
     covariance = np.sum(own, axis=0) / count**2 + common
     degrees: list[float | None] = []
     for i, name in enumerate(names):
@@ -327,13 +344,21 @@ def _mean_reference(runs: Sequence[Run]) -> float | None:
 
 
 def _to_temperature(run: Run, names: list[str], reference: float | None) -> Array:
-    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes they have."""
+    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes and
+    curvatures they have."""
     out, own = np.eye(len(names)), run.calibration.reference_temperature
     if reference is None or own is None:
         return out
+    warmer = reference - own
     for i, name in enumerate(names):
-        if sensor_kind(name) != "mag" and group_of(name).variable == "temperature":
-            out[names.index(name.rpartition(".")[0]), i] = reference - own
+        variable = None if sensor_kind(name) == "mag" else group_of(name).variable
+        base = name.rpartition(".")[0]
+        if variable == "temperature":
+            out[names.index(base), i] = warmer
+        elif variable == "temperature²":
+            out[names.index(base), i] = warmer**2
+            if f"{base}.t1" in names:
+                out[names.index(f"{base}.t1"), i] = 2.0 * warmer
     return out
 
 

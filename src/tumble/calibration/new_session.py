@@ -27,6 +27,7 @@ from tumble.estimation.diagnosis import fitting_gyro_unit
 from tumble.files import FilePath, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
+from tumble.recording.autopilot import sensors_content
 from tumble.recording.formats import Sensors
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns
 from tumble.recording.formats.message import TIME, Message
@@ -190,7 +191,9 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
         others=(),
     )
     written = mended(FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), folder, given.rate)
-    return _of_log(written, times_of(written, given.rate), given.rate)
+    draft = _of_log(written, times_of(written, given.rate), given.rate)
+    imu = {kind: sensor for m in (gyro, accel) if m is not None for kind, sensor in m.imu.items()}
+    return replace(draft, content={**draft.content, "device": {"imu": sensors_content(imu)}} if imu else draft.content)
 
 
 def _named(found: list[Message], name: str | None, recording: Path) -> Message:
@@ -291,7 +294,8 @@ def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any
 def _with_given(content: Mapping[str, Any], folder: Path, given: Given) -> dict[str, Any]:
     """A content with serial number and latitude: as given, the former else by the folder's name."""
     site = {"site": {"latitude_deg": given.latitude}} if given.latitude is not None else {}
-    out = {**content, "device": {"serial": given.serial or folder.resolve().name or "unknown"}, **site}
+    device = {**content.get("device", {}), "serial": given.serial or folder.resolve().name or "unknown"}
+    out = {**content, "device": device, **site}
     session_of(out)  # checked as a session is
     return out
 
@@ -467,6 +471,7 @@ def _text(draft: Draft, folder: Path, given: Given) -> str:
         _line("serial", serial) + ("" if given.serial else "   # the serial number"),
         '# model = "…"',
         "",
+        *_imu_lines(draft.content["device"].get("imu", {})),
         "[site]",
         f"# latitude_deg = 0.0   # {place}" if latitude is None else _line("latitude_deg", latitude),
         "# height_m = 0.0",
@@ -491,6 +496,14 @@ def _text(draft: Draft, folder: Path, given: Given) -> str:
     else:
         lines += ["[programme]", _line("name", given.programme)]
     return "\n".join(lines) + "\n"
+
+
+def _imu_lines(imu: Mapping[str, int]) -> list[str]:
+    """The table [device.imu]."""
+    if not imu:
+        return []
+    said = "# which sensors of the autopilot these are, from 1, and their device ids: `tumble export` compares them"
+    return ["[device.imu]", said, *(_line(key, value) for key, value in imu.items()), ""]
 
 
 _LOG_KEYS = (

@@ -17,6 +17,7 @@ import numpy as np
 from tumble.estimation.diagnosis import no_rests, recording_faults, sense_faults
 from tumble.estimation.estimate import Outcome
 from tumble.files import FilePath
+from tumble.recording.circumstances import Circumstances
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session, session_from
@@ -25,6 +26,8 @@ from tumble.reduction.blocks import Reduction, reduce_log
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.together import held, in_parts
+from tumble.units import IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
 """Gives the chunks of a log, to show how far reading is or to keep samples on the way."""
@@ -47,6 +50,14 @@ class Observed:
     observations: Observations | None
     trial: Observations | None
     faults: tuple[str, ...]
+    recorded: str | None = None
+    """When, ISO 8601, by the log's own times."""
+
+    @property
+    def circumstances(self) -> Circumstances:
+        """Those of the session, with the date of the log where it states none."""
+        stated = self.session.circumstances
+        return stated if stated.date is not None else replace(stated, date=self.recorded)
 
     @property
     def rate(self) -> float:
@@ -88,6 +99,7 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
         observations=observations,
         trial=trial,
         faults=tuple(faults),
+        recorded=log.recorded,
     )
 
 
@@ -102,6 +114,29 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...
 def observations_for_calibration(observed: Observed) -> Observations | Outcome:
     """The observations of the positions of a session's programme, or of all rests where it has none; or why there is
     nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
+    found = _matched(observed)
+    if isinstance(found, Outcome):
+        return found
+    reduction, match = found
+    session = observed.session
+    whole = match.rests == observed.segmentation.rests and not session.excluded
+    if observed.observations is not None and whole:
+        return replace(observed.observations, programme=match.programme, position=match.position)
+    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+
+
+def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] | Outcome:
+    """The same with rests that warm in parts, and the number of the rest that each part is of."""
+    found = _matched(observed)
+    if isinstance(found, Outcome):
+        return found
+    reduction, session = found[0], observed.session
+    match, numbers = in_parts(reduction, found[1])
+    return held(observe(reduction, match, session.accel_block, session.gyro_block, session.site)), numbers
+
+
+def _matched(observed: Observed) -> tuple[Reduction, Match] | Outcome:
+    """The rests of a session's programme, or all, and the reduction without the turns that are left out."""
     if observed.faults:
         return Outcome(reasons=observed.faults)
     session = observed.session
@@ -109,8 +144,4 @@ def observations_for_calibration(observed: Observed) -> Observations | Outcome:
     if not match.rests:
         return no_rests(observed.segmentation)
     reduction = exclusion.without_turns(observed.reduction, match, session.excluded)
-    match = exclusion.without_rests(match, session.excluded)
-    whole = match.rests == observed.segmentation.rests and not session.excluded
-    if observed.observations is not None and whole:
-        return replace(observed.observations, programme=match.programme, position=match.position)
-    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    return reduction, exclusion.without_rests(match, session.excluded)

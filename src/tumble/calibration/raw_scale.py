@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from tumble.reduction.observations import Observations
 from tumble.reduction.sphere import sphere_through
@@ -95,6 +94,8 @@ def _sphere(points: Array) -> tuple[float, Array] | None:
 def gyro_factor(observations: Observations) -> float | None:
     """What the gyros of observations read for one rad/s: the factor with which they carry the vertical best, where that
     is well. None where it is not, or where there are fewer than three turns."""
+    from scipy.optimize import minimize_scalar
+
     turns, block = observations.turns, observations.gyro_block
     if turns is None or block is None or len(turns) < _TURNS:
         return None

@@ -16,13 +16,14 @@ import csv
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from tumble.earth import NORMAL_GRAVITY_U
 from tumble.errors import InputError
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, MAGNETIC_UNITS, Array, IntArray
 
@@ -35,6 +36,12 @@ stated."""
 
 EARTH_GRAVITY = (9.7, 9.9)
 """m/s², between which gravity is on Earth."""
+
+LARGEST_GRAVITY_U = 0.1
+"""m/s², of the standard uncertainty of gravity; it is less all over the Earth."""
+
+LARGEST_U = 0.5
+"""Of the standard uncertainty of another modulus, in parts of it."""
 
 LARGEST = 1e30
 """No reading is as large: its powers would leave the range of numbers."""
@@ -51,13 +58,15 @@ calibration: m/s², rad/s, or for magnetometers themselves."""
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ReadingsTable:
-    """A table of readings: `values` (N, 3) as written, `lines` (N,) of the file they stand in."""
+    """A table of readings: `values` (N, 3) as written, `lines` (N,) of the file they stand in, and of each column the
+    step (3,) of the last digit that is written in it."""
 
     path: Path
     columns: tuple[str, ...]
     values: Array
     lines: tuple[int, ...]
     sha256: str
+    steps: Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -65,8 +74,9 @@ class Nominal:
     """What the readings of a triad of `sensor` are worth: SI = value / scale, scale (3,) in the table's `unit` per SI
     unit (of magnetometers per `result_unit`), signed by polarity; and the length of the true vector, SI.
 
-    `per` is the unit a raw scale is per, of the size `per_factor` in SI; `estimated` says that the sizes of the scale
-    were taken from the readings themselves; `assumed` are the columns whose polarity nothing states."""
+    `modulus_u` is the standard uncertainty of that length, None where the length is the unit of the result and none is
+    stated. `per` is the unit a raw scale is per, of the size `per_factor` in SI; `estimated` says that the sizes of the
+    scale were taken from the readings themselves; `assumed` are the columns whose polarity nothing states."""
 
     sensor: Sensor
     unit: str
@@ -74,6 +84,7 @@ class Nominal:
     per_factor: float
     scale: Array
     modulus: float
+    modulus_u: float | None
     estimated: bool
     assumed: tuple[str, ...]
 
@@ -122,7 +133,19 @@ def read_table(path: Path) -> ReadingsTable:
         values=np.array(values),
         lines=tuple(line for line, _ in rows[1:]),
         sha256=hashlib.sha256(content).hexdigest(),
+        steps=np.array([_step(row[column] for _, row in rows[1:]) for column in range(3)]),
     )
+
+
+def _step(cells: Iterable[str]) -> float:
+    """The step of the last digit of the cells of a column, the smallest of them; of whole numbers 1."""
+    return 10.0 ** min(0, *(_last_place(cell) for cell in cells))
+
+
+def _last_place(cell: str) -> int:
+    """The power of ten of the last digit of a number: −3 of 1.250, 2 of 1.25e4."""
+    mantissa, _, exponent = cell.strip().lower().partition("e")
+    return int(exponent or 0) - len(mantissa.partition(".")[2])
 
 
 def _header(path: Path, line: int, row: list[str]) -> tuple[str, ...]:
@@ -187,14 +210,17 @@ def nominal(
     unit: str = "V",
     scale: Sequence[float] | None = None,
     scale_per: str | None = None,
-    gravity: float = G_STANDARD,
+    gravity: float | None = None,
+    gravity_u: float | None = None,
     modulus: float | None = None,
+    modulus_u: float | None = None,
     known: Mapping[int, Array] | None = None,
 ) -> Nominal:
     """What the readings of a table are worth. `scale` is one number or three, for `unit` V or count only, per
-    `scale_per`; without it its sizes are taken from the readings. `gravity` (m/s²) is the modulus of accelerometers;
-    that of the others is `modulus`, in the unit of the readings or of `scale_per`. `known` are directions (3,) of the
-    vector in positions (from 1).
+    `scale_per`; without it its sizes are taken from the readings. `gravity` with its standard uncertainty `gravity_u`
+    (m/s²) is the modulus of accelerometers; without it gravity at the place is the unit, and 9.80665 m/s² stands for
+    it. The modulus of the others is `modulus`, with `modulus_u`, in the unit of the readings or of `scale_per`. `known`
+    are directions (3,) of the vector in positions (from 1).
 
     Raises InputError, one line, for what does not go together."""
     units = _UNITS[sensor]
@@ -205,7 +231,7 @@ def nominal(
     per = unit if unit not in _RAW else (scale_per or next(iter(units)))
     if per not in units:
         raise InputError(f"--scale-per: expected one of {', '.join(units)} for --sensor {sensor}, found {per!r}")
-    length = _length(sensor, gravity, modulus, units[per])
+    length, length_u = _length(sensor, (gravity, gravity_u), (modulus, modulus_u), units[per])
     sizes, estimated = _sizes(table, unit, scale, length / units[per])
     signs, told = _polarity(table, sizes, known or {}, free=estimated)
     return Nominal(
@@ -215,25 +241,46 @@ def nominal(
         per_factor=units[per],
         scale=sizes * signs / units[per],
         modulus=length,
+        modulus_u=length_u,
         estimated=estimated,
         assumed=tuple(name for name, known_by in zip(table.columns, told, strict=True) if estimated and not known_by),
     )
 
 
-def _length(sensor: Sensor, gravity: float, modulus: float | None, factor: float) -> float:
-    """The modulus in the unit of the result."""
+_Stated = tuple[float | None, float | None]
+"""A quantity as options state it, with its standard uncertainty."""
+
+
+def _length(sensor: Sensor, gravity: _Stated, modulus: _Stated, factor: float) -> tuple[float, float | None]:
+    """The modulus in the unit of the result and its standard uncertainty."""
     if sensor == "accel":
-        if modulus is not None:
+        if modulus != (None, None):
             raise InputError("--modulus: expected --gravity for accelerometers, found --modulus")
-        if not EARTH_GRAVITY[0] <= gravity <= EARTH_GRAVITY[1]:
-            raise InputError(f"--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found {gravity:g}")
-        return gravity
-    if modulus is None:
+        return _gravity(*gravity)
+    if gravity != (None, None):
+        raise InputError(f"--gravity: expected --modulus for --sensor {sensor}, found --gravity")
+    length, u = modulus
+    if length is None:
         what = {"gyro": "the rate of the table", "mag": "the field, or 1 where only ratios are wanted"}[sensor]
         raise InputError(f"--modulus: expected {what} for --sensor {sensor}, found none")
-    if not 0.0 < modulus < LARGEST:
-        raise InputError(f"--modulus: expected a positive number, found {modulus:g}")
-    return modulus * factor
+    if not 0.0 < length < LARGEST:
+        raise InputError(f"--modulus: expected a positive number, found {length:g}")
+    if u is not None and not 0.0 <= u <= LARGEST_U * length:
+        raise InputError(f"--modulus-u: expected a number from 0 to {LARGEST_U:g} of the modulus, found {u:g}")
+    return length * factor, None if u is None else u * factor
+
+
+def _gravity(gravity: float | None, u: float | None) -> tuple[float, float | None]:
+    """Gravity and its standard uncertainty, m/s²: that of gravity from latitude and height where none is stated."""
+    if gravity is None:
+        if u is not None:
+            raise InputError("--gravity-u: expected --gravity with it, found it alone")
+        return G_STANDARD, None
+    if not EARTH_GRAVITY[0] <= gravity <= EARTH_GRAVITY[1]:
+        raise InputError(f"--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found {gravity:g}")
+    if u is not None and not 0.0 <= u <= LARGEST_GRAVITY_U:
+        raise InputError(f"--gravity-u: expected a number from 0 to {LARGEST_GRAVITY_U:g} (m/s^2), found {u:g}")
+    return gravity, NORMAL_GRAVITY_U if u is None else u
 
 
 def _sizes(table: ReadingsTable, unit: str, scale: Sequence[float] | None, length: float) -> tuple[Array, bool]:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from tumble.estimation.estimate import Fit
+from tumble.recording.circumstances import UNKNOWN, Circumstances
 from tumble.recording.session import Site
 from tumble.units import Array
 
@@ -112,6 +113,46 @@ class Launch:
     rests: tuple[RestResult, ...] = ()
     turns: tuple[TurnResult, ...] = ()
     fits: Mapping[str, Fit] = field(default_factory=dict)
+    circumstances: Circumstances = UNKNOWN
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Member:
+    """One of several sessions in one estimate: its name and the SHA-256 of its log, how many rests and turns it has,
+    those that warm counted part by part, the lowest and the highest temperature of its rests, °C, and the parameters
+    that it has of its own."""
+
+    session: str
+    log_sha256: str
+    rests: int
+    turns: int
+    temperatures: tuple[float, float]
+    parameters: tuple[Parameter, ...] = ()
+
+
+def member_content(member: Member) -> dict[str, Any]:
+    """A session of several as the file has it."""
+    return {
+        "session": member.session,
+        "log_sha256": member.log_sha256,
+        "rests": member.rests,
+        "turns": member.turns,
+        "temperatures": list(member.temperatures),
+        "parameters": [parameter_content(p) for p in member.parameters],
+    }
+
+
+def member_from(content: Mapping[str, Any]) -> Member:
+    """A session of several of the file."""
+    low, high = map(float, content["temperatures"])
+    return Member(
+        session=content["session"],
+        log_sha256=content["log_sha256"],
+        rests=int(content["rests"]),
+        turns=int(content["turns"]),
+        temperatures=(low, high),
+        parameters=tuple(map(parameter_from, content["parameters"])),
+    )
 
 
 def parameter_content(parameter: Parameter) -> dict[str, Any]:
@@ -216,6 +257,7 @@ def site_from(content: Mapping[str, Any]) -> Site | None:
         gravity=float(site["gravity"]),
         gravity_u=float(site["gravity_u"]),
         field=optional(float, site.get("field")),
+        gravity_is_unit=bool(site.get("gravity_is_unit", False)),
     )
 
 

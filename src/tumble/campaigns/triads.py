@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.reduction.kernels import _compiled
+from tumble.reduction.kernels import _compiled, _part_of_compiled
 from tumble.units import Array
 
 PARAMETERS = 9
@@ -73,13 +73,13 @@ def _fit(readings: Array, gravity: float, values: Array, variance: Array, step: 
                 variance[first + lane, m] = spread[m, lane]
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _at(row: int, column: int) -> int:
     """Where an element of a lower triangle is."""
     return row * (row + 1) // 2 + column
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _model(theta: Array, model: Array) -> None:
     """What the parameters (9, lanes) mean: per lane sin and cos of γ_yx, γ_zx, γ_zy; 1 + k and its inverse; the
     inverses of the diagonal of A in rows y and z."""
@@ -93,7 +93,7 @@ def _model(theta: Array, model: Array) -> None:
         model[13, lane] = 1.0 / (model[3, lane] * model[5, lane])
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _accumulate(tile: Array, gravity: float, theta: Array, model: Array, sums: Array) -> None:
     """Lower triangle of Σ (h, r)ᵀ(h, r) over the rests, h = −dr/dθ; _TOGETHER rests at a time."""
     h = np.zeros((_TOGETHER, _ROWS, LANES))
@@ -117,7 +117,7 @@ def _accumulate(tile: Array, gravity: float, theta: Array, model: Array, sums: A
                     )
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _row(tile: Array, at: int, gravity: float, theta: Array, model: Array, h: Array) -> None:
     """h and r (10, lanes) of a rest whose readings are three rows of `tile`."""
     for lane in range(LANES):
@@ -143,7 +143,7 @@ def _row(tile: Array, at: int, gravity: float, theta: Array, model: Array, h: Ar
         h[9, lane] = (size - gravity) * size * shrink
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _factorise(sums: Array) -> None:
     """Cholesky factor L of the first nine rows in place; the tenth becomes L⁻¹ Σ hᵀ r."""
     for row in range(_ROWS):
@@ -162,7 +162,7 @@ def _factorise(sums: Array) -> None:
                     sums[at, lane] /= sums[diagonal, lane]
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _solve(sums: Array, theta: Array) -> None:
     """The step L⁻ᵀ (L⁻¹ Σ hᵀ r), in the tenth row, added to the parameters."""
     for row in range(PARAMETERS - 1, -1, -1):
@@ -175,7 +175,7 @@ def _solve(sums: Array, theta: Array) -> None:
             theta[row, lane] += sums[at, lane]
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _variances(sums: Array, spread: Array) -> None:
     """Diagonal (9, lanes) of (L Lᵀ)⁻¹: squares of the columns of L⁻¹."""
     column = np.empty((PARAMETERS, LANES))

@@ -35,6 +35,12 @@ GRADES = ["navigation", "tactical", "mems", "consumer"]
     "--grade", type=click.Choice(GRADES), default="mems", show_default=True, help="Where the other wishes come from."
 )
 @click.option(
+    "--registry",
+    metavar="FILE|URL",
+    envvar="TUMBLE_REGISTRY",
+    help="Where the page registers; default: TUMBLE_REGISTRY, else a file of the user's.",
+)
+@click.option(
     "--host",
     default="127.0.0.1",
     show_default=True,
@@ -51,6 +57,7 @@ def bench(
     programme: str | None,
     wanted: tuple[str, ...],
     grade: str,
+    registry: str | None,
     host: str,
     port: int,
     browser: bool,
@@ -69,6 +76,13 @@ def bench(
         )
     site = {"latitude_deg": latitude} | ({} if gravity is None else {"gravity": gravity})
     station = station_of(
-        session, listen, serial=serial_number, site=site, programme=programme, wanted=wanted, grade=grade
+        session,
+        listen,
+        serial=serial_number,
+        site=site,
+        programme=programme,
+        wanted=wanted,
+        grade=grade,
+        registry=registry,
     )
     serve(station, host=host, port=port, browser=browser, say=lambda text: say(text))

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Of joint: all groups of parameters, or bias, scale factor and axis angles alone.",
 )
+@click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
 @click.option(
     "-o", "--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder."
 )
@@ -56,6 +57,7 @@ def calibrate(
     iterations: int | None,
     frame: Frame,
     terms: Terms,
+    together: bool,
     out: Path | None,
     force: bool,
     truth: Path | None,
@@ -68,13 +70,15 @@ def calibrate(
     """Calibrate the device of SESSION, a folder with session.toml and a log.
 
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
-    launch to launch, and --out is required. Several methods are compared: the first one's result is the one written.
+    launch to launch, and --out is required. With --together they are one estimate by the method joint, with
+    coefficients over temperature. Several methods are compared: the first one's result is the one written.
 
     With --latitude, --serial or --rate it is a LOG in any dialect: a session is made of it first, as `tumble new` does,
     in the folder LOG-session beside it.
     """
     from tumble.calibration.launches import calibrate_launches
     from tumble.calibration.new_session import NOTHING_GIVEN, Given
+    from tumble.calibration.together import calibrate_together
     from tumble.recording.session import read_session
     from tumble.simulation.session import read_truth
     from tumble.terminal.calibration import calibration_report
@@ -85,15 +89,23 @@ def calibrate(
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
+    if together and (list(methods) != METHOD_NAMES[:1] or iterations is not None or terms != "full"):
+        raise InputError(
+            f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
+        )
     known = read_truth(truth) if truth else None
     given = Given(latitude=latitude, serial=serial, rate=rate)
     with _session_of(sessions, given) if given != NOTHING_GIVEN else nullcontext(sessions) as folders:
         described = [read_session(folder) for folder in folders]
         result, *others = (
-            calibrate_launches(
-                described, method=method, iterations=iterations, frame=frame, terms=terms, progress=with_progress
-            )
-            for method in dict.fromkeys(methods)
+            [calibrate_together(described, frame=frame, progress=with_progress)]
+            if together
+            else [
+                calibrate_launches(
+                    described, method=method, iterations=iterations, frame=frame, terms=terms, progress=with_progress
+                )
+                for method in dict.fromkeys(methods)
+            ]
         )
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)

@@ -13,9 +13,12 @@ from tumble.commands.arguments import FILE, JSON, say
 @click.command()
 @click.argument("first", type=FILE)
 @click.argument("second", type=FILE)
+@click.option("--gyro", type=FILE, help="SECOND is the file of the accelerometers of imu_tk: that of its gyros.")
 @JSON
-def compare(first: Path, second: Path, as_json: bool) -> None:
+def compare(first: Path, second: Path, gyro: Path | None, as_json: bool) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
+
+    SECOND may also be a result of Kalibr (YAML, with scale and misalignment) or of imu_tk, for the same readings.
 
     Exit status 0: no |E_n| exceeds 1 and χ² is within chance (probability 0.001); 1: otherwise.
     """
@@ -24,7 +27,7 @@ def compare(first: Path, second: Path, as_json: bool) -> None:
     from tumble.terminal.data import comparison_data, print_data
     from tumble.terminal.text import print_report
 
-    found = compare_calibrations(first, second)
+    found = compare_calibrations(first, second, gyro=gyro)
     if as_json:
         print_data(comparison_data(found))
     else:

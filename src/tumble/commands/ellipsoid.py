@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     "--scale", metavar="K|K,K,K", help="Nominal output per unit, signed by polarity; default: from the readings."
 )
 @click.option("--scale-per", help="Unit that the scale is per: g (default) or m/s^2.")
-@click.option("--gravity", type=float, default=9.80665, show_default=True, help="At the place of the readings, m/s^2.")
+@click.option("--gravity", type=float, help="At the place of the readings, m/s^2; default: it is the unit, as 9.80665.")
+@click.option("--gravity-u", type=float, help="Its standard uncertainty; default: 3e-4, of gravity from a latitude.")
 @click.option(
     "--position", "positions", multiple=True, metavar="N=X,Y,Z", help="Where up roughly was in position N; repeat."
 )
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     "--sensor", type=click.Choice(["accel", "gyro", "mag"]), default="accel", show_default=True, help="What they are."
 )
 @click.option("--modulus", type=float, help="gyro: rate of the table; mag: the field; in --unit or --scale-per.")
+@click.option("--modulus-u", type=float, help="Its standard uncertainty; default: scale factors are relative to it.")
+@click.option("--rows-per-position", type=int, default=1, show_default=True, help="Rows of one position after another.")
 @click.option(
     "--frame",
     type=click.Choice(["accelerometer", "paper", "symmetric"]),
@@ -50,10 +53,13 @@ def ellipsoid(
     unit: str,
     scale: str | None,
     scale_per: str | None,
-    gravity: float,
+    gravity: float | None,
+    gravity_u: float | None,
     positions: tuple[str, ...],
     sensor: Sensor,
     modulus: float | None,
+    modulus_u: float | None,
+    rows_per_position: int,
     frame: Frame,
     serial: str | None,
     out: Path | None,
@@ -76,8 +82,11 @@ def ellipsoid(
         scale=None if scale is None else _numbers("--scale", scale),
         scale_per=scale_per,
         gravity=gravity,
+        gravity_u=gravity_u,
         modulus=modulus,
+        modulus_u=modulus_u,
         known=dict(map(_position, positions)),
+        rows_per_position=rows_per_position,
         frame=frame,
         serial=serial,
     )

@@ -9,7 +9,7 @@ import click
 from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
 from tumble.errors import InputError
 
-FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "c", "mat", "csv", "dcc"]
+FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "depthai", "matlab-imu", "c", "mat", "csv", "dcc"]
 
 
 @click.command()
@@ -20,8 +20,11 @@ FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "c", "mat", 
     "--noise", metavar="SESSION", type=EXISTING_FOLDER, help="kalibr: noise from this session's longest rest."
 )
 @click.option("--certificate", type=FILE, help="dcc: TOML file with laboratory, customer, number and dates.")
+@click.option("--imu", metavar="N", type=int, help="px4, ardupilot: of the N-th IMU, from 1.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
-def export(calibration: Path, to: str, out: Path, noise: Path | None, certificate: Path | None, force: bool) -> None:
+def export(
+    calibration: Path, to: str, out: Path, noise: Path | None, certificate: Path | None, imu: int | None, force: bool
+) -> None:
     """Write CALIBRATION, a calibration file, in the format of another program.
 
     What that format has no place for is said on standard error, and in the file where it has comments.
@@ -31,7 +34,7 @@ def export(calibration: Path, to: str, out: Path, noise: Path | None, certificat
 
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
-    exported = export_calibration(calibration, to, noise=noise, certificate=certificate)
+    exported = export_calibration(calibration, to, noise=noise, certificate=certificate, imu=imu)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)
     say(f"written to {out}")

@@ -6,20 +6,25 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, JSON, warn, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, say, warn, with_progress
 
 
 @click.command()
 @click.argument("session", type=EXISTING_FOLDER)
+@click.option("--plot", "picture", type=FILE, help="Draw the recording with its rests into .svg, .png or .pdf.")
 @JSON
-def inspect(session: Path, as_json: bool) -> None:
+def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
     """Show the rests and turns found in SESSION, and what was rejected and why."""
     from tumble.calibration.observed import inspect_session
+    from tumble.report.recording_picture import plot
     from tumble.terminal.data import inspection_data, print_data
     from tumble.terminal.inspection import inspection_report
     from tumble.terminal.text import print_report
 
     observed = inspect_session(session, progress=with_progress)
+    if picture is not None:
+        plot(observed, picture)
+        say(f"written to {picture}")
     if as_json:
         print_data(inspection_data(observed))
     else:

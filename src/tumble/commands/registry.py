@@ -51,7 +51,7 @@ def registry() -> None:
 @click.option(
     "--state", type=click.Choice(["as-found", "as-left"]), help="Before or after an adjustment, if there is one."
 )
-@click.option("--date", "day", type=_DAY, help="When it was performed; default: when the file was made.")
+@click.option("--date", "day", type=_DAY, help="When it was performed; default: when recorded, or the file made.")
 @click.option("--supersedes", metavar="NUMBER", type=_NUMBER, help="The record that this one corrects.")
 @click.option("--reason", help="Why it is corrected.")
 @_place

@@ -33,7 +33,7 @@ from tumble.earth import earth_rate
 from tumble.estimation.likelihood import Linearised, Scatter, linearise
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.moments import single_delay_columns
-from tumble.rotation import rotation_matrix, rotation_vector
+from tumble.rotation import rotation_matrix, rotation_vector, tangent_basis
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE
@@ -440,22 +440,9 @@ def _products(session: _Session) -> Iterator[_Columns]:
 
 def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Columns]:
     """What only turns show."""
-    n, m = gyro.size, session.accel.size
-    square = about.moments.body_rates[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
-    rest, turn = session.nothing(n)
-    phi, V = (
-        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
-    )
-    turn[:, :3] = phi
-    session.put_velocity(turn, V)
-    yield _Columns(
-        name="gyro nonlinearity",
-        concerns="gyro",
-        rest=rest,
-        turn=turn,
-        unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
-        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate",
-    )
+    if "gyro.cubic" not in session.problem.instrument.members:
+        yield _gyro_nonlinearity(session, about, gyro)
+    m = session.accel.size
     rest, turn = session.nothing(m)
     left_inverse = np.asarray(np.linalg.pinv(session.accel.axes), dtype=float)
     late = single_delay_columns(about.moments, left_inverse, session.accel.axes)
@@ -467,6 +454,27 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
         turn=turn,
         unit=(1e-6, "µs"),
         sentence="accelerometers late by different times, {size}: read them at one instant",
+    )
+
+
+def _gyro_nonlinearity(session: _Session, about: TurnsAbout, gyro: Block) -> _Columns:
+    """Scale factors with the square of the rate, of an estimate that has no such parameters."""
+    n = gyro.size
+    square = about.moments.body_rates[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
+    rest, turn = session.nothing(n)
+    phi, V = (
+        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
+    )
+    turn[:, :3] = phi
+    session.put_velocity(turn, V)
+    return _Columns(
+        name="gyro nonlinearity",
+        concerns="gyro",
+        rest=rest,
+        turn=turn,
+        unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
+        sentence="scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one "
+        "rate, or make them parameters by gyro_cubic in [device.prior]",
     )
 
 
@@ -549,29 +557,23 @@ def _chance(projection: Projection, scatter: Scatter, fall: float, q: int) -> fl
 
 
 COARSE = 0.5
-"""Noise of a sample, in steps of its channel, below which rounding no longer averages out."""
-
-GRID_SAMPLES = 4000
-"""So many samples show the steps of a channel."""
+"""What rounding does to the mean of a rest, in parts of its noise, from which on it is a cause."""
 
 
 def _quantisation(session: _Session) -> Iterator[Cause]:
-    """Channels whose steps the noise does not cover, where the rounding of a mean, about
-    LSB e^(−2π²σ²/LSB²)/π at most, is not small beside its noise."""
-    samples, rests = session.observations.turn_samples, session.observations.rests
-    if samples is None:
-        return
-    count = min(samples.samples.count, GRID_SAMPLES)
-    rates, forces, intervals = samples.samples.read(0, count)
-    root = np.sqrt(1.0 / np.median(intervals))
-    for (kind, block), values in zip(_kinds(session), (forces, rates), strict=False):
-        step = max(_step(column) for column in values.T)
-        if not block.triad or step == 0.0:
+    """Channels whose steps the noise does not cover, where what rounding does to a mean is not small beside its
+    noise."""
+    rests = session.observations.rests
+    for kind, _ in _kinds(session):
+        found = session.observations.rounding.get(kind)
+        if found is None or not found.common_u.any():
             continue
-        noise = float(np.median(getattr(rests, f"{kind}_noise")))
-        mean = float(np.median(noise / np.sqrt(rests.stop - rests.start)))
-        rounding = step / np.pi * np.exp(-2.0 * (np.pi * noise * root / step) ** 2)
-        if noise * root < COARSE * step and rounding > COARSE * mean:
+        covariance = getattr(rests, f"{kind}_covariance")
+        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0) - found.of_rest**2
+        coarse = found.common_u > COARSE * np.sqrt(np.maximum(variance, 0.0))
+        if coarse.any():
+            worst = int(np.argmax(np.where(coarse, found.common_u, 0.0)))
+            step, error = float(found.step[worst]), float(found.common_u[worst])
             scale, unit = _UNITS[kind]
             yield Cause(
                 name="quantisation",
@@ -579,7 +581,7 @@ def _quantisation(session: _Session) -> Iterator[Cause]:
                 probability=0.0,
                 damage=0.0,
                 sentence=f"steps of the {_WORDS[kind]} of {step / scale:.2g} {unit} that the noise does not cover, "
-                f"{noise * root / step:.2g} of one: the mean of a rest errs by up to {rounding / scale:.2g} {unit}; "
+                f"{found.noise[worst] / step:.2g} of one: the mean of a rest errs by up to {error / scale:.2g} {unit}; "
                 "log with more digits, or use a smaller range",
             )
 
@@ -611,34 +613,45 @@ def _held(session: _Session) -> Iterator[Cause]:
 FEWEST_HELD = 3
 
 
-def _step(values: Array) -> float:
-    """The step of the grid that values lie on; 0 where they lie on none."""
-    apart = np.diff(np.unique(values))
-    apart = apart[apart > 1e-9 * max(float(np.abs(values).max(initial=0.0)), 1e-300)]
-    if len(apart) < 2 or len(apart) > 0.5 * len(values):
-        return 0.0
-    step = float(apart.min())
-    return step if np.all(np.abs(apart / step - np.round(apart / step)) < 0.05) else 0.0
-
-
 def _lost(session: _Session, projection: Projection) -> Cause:
-    """Rotations of turns that scatter about their own axis, with the angle: samples that are missing or held."""
+    """Rotations of turns that err about their own axis, with the angle, more than across it: samples that are missing
+    or held. Both are scatter, so that what is compared is one with the other."""
     about = session.linearised.about
     assert about is not None
-    rest, turn = session.nothing(1)
-    turned = about.moments.Phi[..., RATE]
-    path = np.einsum("kipp->ki", turned)
+    path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
     axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
-    size = np.sqrt(about.moments.body_rates[:, [0, 3, 5]].sum(axis=1))
-    turn[:, :3, 0] = size[:, None] * axis
+    size = np.sqrt(about.moments.body_rates[:, [0, 3, 5]].sum(axis=1))[:, None]
+    about_axis, across_it = axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2)
+    along, across = (_of_rotations(session, projection, size[..., None] * d) for d in (about_axis, across_it))
     return Cause(
         name="lost samples",
         concerns="both",
-        probability=variance_chance(projection, rest, turn),
+        probability=_ratio_chance(along, across),
         damage=0.0,
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
         "record with time stamps",
     )
+
+
+def _of_rotations(session: _Session, projection: Projection, directions: Array) -> tuple[float, Array]:
+    """Of directions (K, 3, q) of the rotations, each turn's of sizes of their own: the square of the residuals along
+    them, and its weights, Σ λ χ²₁ where chance alone is at work."""
+    rest, turn = session.nothing(directions.shape[2])
+    turn[:, :3] = directions
+    apart = _apart(projection, rest, turn)
+    left = projection.left_of(apart[:, np.any(apart != 0.0, axis=0)])
+    along = left.T @ projection.residual
+    return float(along @ along), np.maximum(np.linalg.eigvalsh(left.T @ left), 0.0)
+
+
+def _ratio_chance(one: tuple[float, Array], other: tuple[float, Array]) -> float:
+    """Probability that chance alone makes the first of two sums Σ λ χ²₁ as large as it is beside the second, by F with
+    the degrees of freedom (Σ λ)²/Σ λ² of each."""
+    (above, first), (below, second) = one, other
+    if min(first.sum(), second.sum(), below) <= 0.0:
+        return 1.0
+    m, n = (float(w.sum() ** 2 / (w**2).sum()) for w in (first, second))
+    return float(special.fdtrc(m, n, above / first.sum() * second.sum() / below))
 
 
 def _joined(wide: Array) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, normal_gravity
 from tumble.estimation.causes import Concerns
+from tumble.estimation.common_errors import common_covariance
 from tumble.estimation.estimate import FIT_SIGMAS, SEEN, Estimate, Outcome
 from tumble.estimation.misfit import misfit
 from tumble.estimation.observability import faces_and_edges, most_telling, standing
@@ -526,8 +527,8 @@ def _misfits(estimate: Estimate, observations: Observations) -> Iterator[str]:
     rests = observations.rests
     for i in np.flatnonzero(estimate.rest_sigmas > FIT_SIGMAS):
         yield (
-            f"rest {i + 1} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) does not fit: {estimate.rest_sigmas[i]:.1f} "
-            f"sigma, residual {estimate.rest_residual[i]:.2g} m/s^2"
+            f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) does not fit: "
+            f"{estimate.rest_sigmas[i]:.1f} sigma, residual {estimate.rest_residual[i]:.2g} m/s^2"
         )
     if observations.turns is None:
         return
@@ -540,7 +541,8 @@ def _turn_named(observations: Observations, k: int) -> str:
     turns, rests = observations.turns, observations.rests
     assert turns is not None
     a, b = turns.first[k], turns.last[k]
-    return f"the turn from rest {a + 1} to rest {b + 1} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
+    before, after = observations.rest_named(int(a)), observations.rest_named(int(b)).rpartition(": ")[2]
+    return f"the turn from {before} to {after} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
 
 
 # What is missing
@@ -553,8 +555,10 @@ def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]
     order count."""
     linear = _linear(estimate)
     spread = limits_of(linear)
-    m = len(linear)
-    variance, vectors = np.linalg.eigh(estimate.covariance[:m, :m] / np.outer(spread, spread))
+    m, covariance = len(linear), estimate.covariance
+    if estimate.instrument is not None:  # what is common to all rests no further rest would show
+        covariance = covariance - common_covariance(observations, estimate.instrument)
+    variance, vectors = np.linalg.eigh(covariance[:m, :m] / np.outer(spread, spread))
     angles = np.array([".bias." not in name for name in linear])  # biases are linear
     squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
     poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.reduction.kernels import IntArray, _compiled
+from tumble.reduction.kernels import IntArray, _compiled, _part_of_compiled
 from tumble.units import Array, BoolArray
 
 ROUNDING = 1e-10
@@ -46,52 +46,63 @@ def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, facto
     work = np.zeros((columns, rows_most))
     carried = np.zeros((columns, d))
     kept = np.zeros((p + 1, BUFFER + rows_most))
-    count = 0
+    zero = int(np.int64(0))  # as literals they would have the loops that follow compiled a second time
+    count = zero
     length = np.zeros(2 * d)  # squares of the columns before anything was taken off them
     for i in range(N):
         k = link[i]
-        rows = _gather(work, carried, rest[i, : r if counts[i] else 0], turn, k)
+        rows = _gather(work, carried, rest[i], counts[i], turn, k)
         for c in range(2 * d):
             length[c] = length[c + d] if c < d else 0.0
             for row in range(d, rows):
                 length[c] += work[c, row] ** 2
-        top = 0
+        top = zero
         for c in range(d):
-            if _reflect(work, top, c, rows, ROUNDING**2 * length[c]):
-                factor[i, c] = work[:, top]
-                top += 1
-            else:
-                factor[i, c] = 0.0
+            seen = _reflect(work, top, c, rows, ROUNDING**2 * length[c])
+            for column in range(columns):
+                factor[i, c, column] = work[column, top] if seen else 0.0
+            top += seen
         carried[:] = 0.0
         for c in range(d, 2 * d):
             if _reflect(work, top, c, rows, ROUNDING**2 * length[c]):
-                carried[:d, c - d] = work[d : 2 * d, top]
-                carried[2 * d :, c - d] = work[2 * d :, top]
+                for column in range(d, columns):
+                    carried[column - d if column < 2 * d else column, c - d] = work[column, top]
                 top += 1
-        kept[:, count : count + rows - top] = work[2 * d :, top:rows]
+        for column in range(p + 1):
+            for row in range(top, rows):
+                kept[column, count + row - top] = work[2 * d + column, row]
         count += rows - top
         if count > BUFFER:
             _fold(kept, count, triangle)
-            count = 0
+            count = zero
     _fold(kept, count, triangle)
 
 
-@_compiled(error_model="numpy")
-def _gather(work: Array, carried: Array, rest: Array, turn: Array, k: int) -> int:
-    """Put what involves the unknowns of a rest together: carried rows, its own, and those of turn k; how many."""
-    d, r = carried.shape[1], len(rest)
-    work[:, :d] = carried
-    work[:d, d : d + r] = rest[:, :d].T
-    work[d : 2 * d, d : d + r] = 0.0
-    work[2 * d :, d : d + r] = rest[:, d:].T
-    if k < 0:
-        return int(d + r)
-    t = turn.shape[1]
-    work[:, d + r : d + r + t] = turn[k].T
-    return int(d + r + t)
+@_part_of_compiled(error_model="numpy")
+def _gather(work: Array, carried: Array, rest: Array, counts: bool, turn: Array, k: int) -> int:
+    """Put what involves the unknowns of a rest together: carried rows, its own where they count, and those of turn k;
+    how many."""
+    columns, d = carried.shape
+    rows = d
+    for column in range(columns):
+        for row in range(d):
+            work[column, row] = carried[column, row]
+    if counts:
+        for row in range(len(rest)):
+            for column in range(d):
+                work[column, rows], work[d + column, rows] = rest[row, column], 0.0
+            for column in range(2 * d, columns):
+                work[column, rows] = rest[row, column - d]
+            rows += 1
+    if k >= 0:
+        for row in range(turn.shape[1]):
+            for column in range(columns):
+                work[column, rows] = turn[k, row, column]
+            rows += 1
+    return rows  # type: ignore[no-any-return]
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> bool:
     """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
     has nothing in it."""
@@ -121,7 +132,7 @@ def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> boo
     return True
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _fold(kept: Array, count: int, triangle: Array) -> None:
     """Fold rows (p + 1, count), column by column in memory and overwritten, into an upper triangle (p + 1, p + 1):
     Householder reflections of the rows together with one row of the triangle at a time."""
@@ -153,33 +164,59 @@ def put_back(
     factor: Array, link: IntArray, parameters: Array, covariance: Array, unknowns: Array
 ) -> tuple[Array, Array]:
     """The unknowns (N, d) of the rests for parameters (p,), written to `unknowns`, and their covariances from the
-    covariance (p, p) of the parameters: with themselves and those of the next rest (N, d, 2d), and with the parameters
-    (N, d, p). An unknown that nothing shows is zero, and without variance."""
+    covariance (p, p) of the parameters: with themselves and those of the next rest (2, N, d, d), and with the
+    parameters (N, d, p). An unknown that nothing shows is zero, and without variance."""
     N, d, p = factor.shape[0], factor.shape[1], len(parameters)
-    own, shared = np.zeros((N, d, 2 * d)), np.zeros((N, d, p))
-    inverse = np.zeros((d, d))
+    own, shared = np.zeros((2, N, d, d)), np.zeros((N, d, p))
+    inverse, by_next, by = np.zeros((d, d)), np.zeros((d, d)), np.zeros((d, p))
     for i in range(N - 1, -1, -1):
-        linked = link[i] >= 0
         _inverse(factor[i], inverse)
-        by_parameter = -np.dot(inverse, np.ascontiguousarray(factor[i, :, 2 * d : 2 * d + p]))
-        value = np.dot(inverse, np.ascontiguousarray(factor[i, :, 2 * d + p])) + np.dot(by_parameter, parameters)
-        shared[i] = np.dot(by_parameter, covariance)
-        covariance_i = np.dot(inverse, inverse.T.copy())
-        if linked:
-            by_next = -np.dot(inverse, np.ascontiguousarray(factor[i, :, d : 2 * d]))
-            value += np.dot(by_next, unknowns[i + 1])
-            shared[i] += np.dot(by_next, shared[i + 1])
-            with_next = np.dot(by_parameter, shared[i + 1].T.copy())
-            with_next += np.dot(by_next, np.ascontiguousarray(own[i + 1, :, :d]))
-            own[i, :, d:] = with_next
-            covariance_i += np.dot(with_next, by_next.T.copy())
-        covariance_i += np.dot(shared[i], by_parameter.T.copy())
-        own[i, :, :d] = covariance_i
-        unknowns[i] = value
+        _solve_for(inverse, factor[i], by_next, by, unknowns[i])
+        for a in range(d):
+            for b in range(p):
+                unknowns[i, a] += by[a, b] * parameters[b]
+        _add_product(by, covariance, shared[i])
+        _add_product(inverse, inverse, own[0, i])
+        if link[i] >= 0:
+            for a in range(d):
+                for b in range(d):
+                    unknowns[i, a] += by_next[a, b] * unknowns[i + 1, b]
+                    for q in range(p):
+                        shared[i, a, q] += by_next[a, b] * shared[i + 1, b, q]
+            _add_product(by, shared[i + 1], own[1, i])
+            _add_product(by_next, own[0, i + 1], own[1, i])
+            _add_product(own[1, i], by_next, own[0, i])
+        _add_product(shared[i], by, own[0, i])
     return own, shared
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
+def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:
+    """What the rows of a rest, solved for its unknowns, say of them: by how much they change with those of the next
+    rest (d, d) and with the parameters (d, p), and their value (d,) where these are zero."""
+    d, p = by.shape
+    for a in range(d):
+        by_next[a], by[a], value[a] = 0.0, 0.0, 0.0
+        for b in range(a, d):
+            for column in range(d):
+                by_next[a, column] -= inverse[a, b] * factor[b, d + column]
+            for column in range(p):
+                by[a, column] -= inverse[a, b] * factor[b, 2 * d + column]
+            value[a] += inverse[a, b] * factor[b, 2 * d + p]
+
+
+@_part_of_compiled(error_model="numpy")
+def _add_product(a: Array, b: Array, out: Array) -> None:
+    """Add a bᵀ; a covariance stands for its own transpose."""
+    for i in range(len(a)):
+        for j in range(len(b)):
+            total = 0.0
+            for c in range(a.shape[1]):
+                total += a[i, c] * b[j, c]
+            out[i, j] += total
+
+
+@_part_of_compiled(error_model="numpy")
 def _inverse(factor: Array, inverse: Array) -> None:
     """Inverse of the triangle in the first columns of a rest's factor; rows and columns of unknowns that nothing shows
     are zero."""
@@ -214,30 +251,66 @@ def left_over(
     covariance, own, shared = covariances
     p, d = len(covariance), unknowns.shape[1]
     rest_left, rest_covariance = np.zeros((N, r)), np.zeros((N, r, r))
-    turn_left, turn_covariance = np.empty((K, t)), np.empty((K, t, t))
-    joint = np.zeros((2 * d + p, 2 * d + p))
-    joint[2 * d :, 2 * d :] = covariance
-    unknown = np.empty(2 * d + p)
-    unknown[2 * d :] = parameters
-    wide = np.zeros((r, 2 * d + p))
+    turn_left, turn_covariance = np.zeros((K, t)), np.zeros((K, t, t))
+    m = 2 * d + p
+    joint, unknown = np.zeros((m, m)), np.zeros(m)
+    of_rest, of_turn = np.zeros((m + 1, r)), np.zeros((m + 1, t))
+    for b in range(p):
+        unknown[2 * d + b] = parameters[b]
+        for c in range(p):
+            joint[2 * d + b, 2 * d + c] = covariance[b, c]
     for i in range(N):
-        unknown[:d] = unknowns[i]
-        joint[:d, :d], joint[:d, 2 * d :], joint[2 * d :, :d] = own[i, :, :d], shared[i], shared[i].T
         k = link[i]
+        _join(i, k >= 0, own, shared, joint)
+        for a in range(d):
+            unknown[a] = unknowns[i, a]
+            unknown[d + a] = unknowns[i + 1, a] if k >= 0 else 0.0
         if counts[i]:
-            wide[:, :d], wide[:, 2 * d :] = rest[i, :, :d], rest[i, :, d : d + p]
-            unknown[d : 2 * d] = 0.0
-            rest_left[i] = rest[i, :, d + p] - np.dot(wide, unknown)
-            rest_covariance[i] = np.eye(r) - np.dot(np.dot(wide, joint), wide.T.copy())
+            for row in range(r):
+                for a in range(d):
+                    of_rest[a, row] = rest[i, row, a]
+                for column in range(2 * d, m + 1):
+                    of_rest[column, row] = rest[i, row, column - d]
+            _leave(of_rest, joint, unknown, rest_left[i], rest_covariance[i])
         if k >= 0:
-            unknown[d : 2 * d] = unknowns[i + 1]
-            joint[d : 2 * d, d : 2 * d] = own[i + 1, :, :d]
-            joint[d : 2 * d, 2 * d :], joint[2 * d :, d : 2 * d] = shared[i + 1], shared[i + 1].T
-            joint[:d, d : 2 * d], joint[d : 2 * d, :d] = own[i, :, d:], own[i, :, d:].T
-            rows = np.ascontiguousarray(turn[k, :, : 2 * d + p])
-            turn_left[k] = turn[k, :, 2 * d + p] - np.dot(rows, unknown)
-            turn_covariance[k] = np.eye(t) - np.dot(np.dot(rows, joint), rows.T.copy())
+            for row in range(t):
+                for column in range(m + 1):
+                    of_turn[column, row] = turn[k, row, column]
+            _leave(of_turn, joint, unknown, turn_left[k], turn_covariance[k])
     return rest_left, rest_covariance, turn_left, turn_covariance
+
+
+@_part_of_compiled(error_model="numpy")
+def _join(i: int, linked: bool, own: Array, shared: Array, joint: Array) -> None:
+    """Write the covariances of the unknowns of a rest, and of the next where they are linked, to those of the
+    parameters."""
+    d, p = shared.shape[1:]
+    for a in range(d):
+        for b in range(d):
+            joint[a, b] = own[0, i, a, b]
+            joint[a, d + b] = joint[d + b, a] = own[1, i, a, b] if linked else 0.0
+            joint[d + a, d + b] = own[0, i + 1, a, b] if linked else 0.0
+        for q in range(p):
+            joint[a, 2 * d + q] = joint[2 * d + q, a] = shared[i, a, q]
+            joint[d + a, 2 * d + q] = joint[2 * d + q, d + a] = shared[i + 1, a, q] if linked else 0.0
+
+
+@_part_of_compiled(error_model="numpy")
+def _leave(rows: Array, joint: Array, unknown: Array, residual: Array, covariance: Array) -> None:
+    """Residuals (n,) of rows (m + 1, n), column by column, for unknowns (m,), and 1 − rowsᵀ joint rows (n, n)."""
+    m, n = len(unknown), len(residual)
+    product = np.zeros(m)
+    for i in range(n):
+        product[:] = 0.0
+        residual[i] = rows[m, i]
+        for b in range(m):
+            residual[i] -= rows[b, i] * unknown[b]
+            for c in range(m):
+                product[c] += rows[b, i] * joint[b, c]
+        covariance[i, i] = 1.0
+        for c in range(m):
+            for j in range(n):
+                covariance[i, j] -= product[c] * rows[c, j]
 
 
 @_compiled(error_model="numpy")
@@ -255,7 +328,11 @@ def carry(vertical: Array, C: Array, link: IntArray, turned: Array, attitudes: A
                     L[0, a] += (cosine * before[0, b] - sine * before[2, b]) * C[k, b, a]
         if np.abs(_dot(L[0], L[0]) - _dot(L[0], u) ** 2) < 1e-2:  # nothing before, or north has become the vertical
             L[0] = 0.0
-            L[0, np.argmin(np.abs(u))] = 1.0
+            least = 0
+            for a in range(1, 3):
+                if np.abs(u[a]) < np.abs(u[least]):
+                    least = a
+            L[0, least] = 1.0
         along = _dot(L[0], u)
         for a in range(3):
             L[0, a] -= along * u[a]
@@ -268,7 +345,7 @@ def carry(vertical: Array, C: Array, link: IntArray, turned: Array, attitudes: A
         L[2, 2] = L[0, 0] * u[1] - L[0, 1] * u[0]
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _dot(a: Array, b: Array) -> float:
     """Scalar product of vectors of three."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]

@@ -155,6 +155,18 @@ class GroupFinding:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class OwnEstimate:
+    """What each of several sessions has of its own: names and SI units (q,), values and standard uncertainties (S, q),
+    and the priors (q,), as widened."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    u: Array
+    priors: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Estimate:
     """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
     only these mean anything; `null` (q, m) are the combinations they do not, in units of the spreads.
@@ -187,7 +199,9 @@ class Estimate:
     prediction: Prediction | None = None
     """What corrected readings are known to."""
     linearised: Linearised | None = None
-    """The likelihood about the estimate, where the method has one."""
+    """The likelihood about the estimate of one session, where the method has one."""
+    own: OwnEstimate | None = None
+    """Of several sessions, what each has of its own."""
 
     @property
     def unobservable(self) -> tuple[str, ...]:

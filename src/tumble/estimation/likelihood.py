@@ -17,6 +17,10 @@ measured; no table angle has a prior unless a `Prior` is given. Parameters have 
 their limits, which decide what the data leave open and are nothing beside what they show; the others what
 instruments usually have. What n > 3 gyros say of a turn beyond its rotation is n − 3 rows more.
 
+Several sessions of one instrument have the parameters in common, and of their own, besides attitudes, what differs from
+launch to launch or drifts within one (`OWN`): changes of biases and scale factors with priors. These are eliminated
+with the attitudes, session by session, so that the cost is linear in the number of sessions.
+
 Attitudes change in the body, L → L exp([δ×]), with δ in the basis t₁, t₂, u of the rest, so that
 
     du = u × δ = t₂ δ₁ − t₁ δ₂,   dω = ω × δ,   dr = J_r⁻¹(r) δ_i − J_l⁻¹(r) C δ_j + J_l⁻¹(r) J_l(φ) dφ
@@ -34,18 +38,20 @@ samples that jump (A3). Rows of a rest and of the turn after it are therefore wh
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.estimation.elimination import eliminate, left_over, put_back
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.estimation.variables import Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import Instrument, functions, slopes
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import CONSTANT, limits_of
+from tumble.sensors.parameters import CONSTANT, FUNCTIONS, Variable, limits_of
 from tumble.units import Array, IntArray
 
 _UP = np.array([0.0, 1.0, 0.0])
@@ -53,14 +59,20 @@ _UP = np.array([0.0, 1.0, 0.0])
 COMPONENTS = ("accel", "gyro", "turn", "velocity", "jumps")
 """The components of variance, in the order of `Scatter`."""
 
+OWN: tuple[Variable, ...] = ("time", "launch")
+"""What the changes go with that each of several sessions has of its own."""
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prior:
     """What is known beforehand: standard deviations, SI, of parameters about their start values, by name (others have
-    their limit or their usual size), and of the attitudes about those of the programme, rad an axis."""
+    their limit or their usual size), and of the attitudes about those of the programme, rad an axis. Where a
+    `covariance` (1 + m, 1 + m) of gravity and the parameters is known, it takes the place of all of these but the
+    attitudes'."""
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     attitude: float | None = None
+    covariance: Array | None = None
 
 
 NO_PRIOR = Prior()
@@ -91,19 +103,27 @@ class Scatter:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Point:
-    """Where the likelihood is taken: parameters (m,), gravity, attitudes (N, 3, 3)."""
+    """Where the likelihood is taken: parameters (m,), gravity, attitudes (N, 3, 3), and what each session has of its
+    own (S, q)."""
 
     values: Array
     gravity: float
     attitudes: Array
+    own: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
-    def moved(self, parameters: Array, angles: Array) -> Point:
-        """The point after steps of gravity and the parameters (1 + m,) and of the angles (N, 3) of the attitudes.
-        The heading turns everything about the vertical, exactly: it may be off by much."""
+    def moved(self, parameters: Array, angles: Array, own: Array | None = None) -> Point:
+        """The point after steps of gravity and the parameters (1 + m,), of the angles (N, 3) of the attitudes, and of
+        what each session has of its own (S, q). The heading turns everything about the vertical, exactly: it may be off
+        by much."""
         basis = bases(self.attitudes)
         tilt = np.einsum("iab,ib->ia", basis[:, :, :2], angles[:, :2])
         turned = rotation_matrix(angles[:, 2:] * _UP) @ self.attitudes @ rotation_matrix(tilt)
-        return Point(values=self.values + parameters[1:], gravity=self.gravity + parameters[0], attitudes=turned)
+        return Point(
+            values=self.values + parameters[1:],
+            gravity=self.gravity + parameters[0],
+            attitudes=turned,
+            own=self.own if own is None else self.own + own,
+        )
 
 
 def bases(attitudes: Array) -> Array:
@@ -115,13 +135,15 @@ def bases(attitudes: Array) -> Array:
 class Rows:
     """The linearised residuals, in SI: [coefficients | residual], residual = observed less predicted, columns as
     `tumble.estimation.elimination` has them with three unknowns a rest, the parameters being gravity and those of the
-    instrument. `prior` (1 + p, 1 + p) is whitened, and a triangle. `bias` are the coefficients (K, t, n) of the
-    turns for a bias of the accelerometers, then of the gyros, in the turn."""
+    instrument, and then what a session has of its own. `prior` (1 + p, 1 + p) is whitened, and a triangle; `own` (S, q)
+    the whitened residuals of the priors of what each session has of its own. `bias` are the coefficients (K, t, n) of
+    the turns for a bias of the accelerometers, then of the gyros, in the turn."""
 
     rest: Array
     turn: Array
     prior: Array
     bias: Array
+    own: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
     def merged(self, first: IntArray) -> Array:
         """Rows (K, r + t, ·) of every turn together with those of the rest before it."""
@@ -171,12 +193,15 @@ class Weights:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step:
-    """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, and of the angles (N, 3);
-    twice the negative logarithm of the restricted likelihood, less its constant; and what `left` needs."""
+    """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, of the angles (N, 3), and
+    of what each session has of its `own` (S, q), with its covariance, gravity and parameters after it (S, q + 1 + m, q
+    + 1 + m); twice the negative logarithm of the restricted likelihood, less its constant; and what `left` needs."""
 
     parameters: Array
     covariance: Array
     angles: Array
+    own: Array
+    own_covariance: Array
     deviance: float
     whitened: tuple[Array, Array]
     shared: tuple[Array, Array]
@@ -192,6 +217,15 @@ class Left:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SessionSpan:
+    """One of several sessions: its rests and turns, and the turn among these after each of its rests, or −1."""
+
+    rests: slice
+    turns: slice
+    link: IntArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
     """A session as the likelihood sees it: `link` (N,), the turn after each rest or −1, `chain` (N,), the number of
     each rest's chain, the Earth's rate (3,), zero where the latitude is not known, and `measured`, gravity and the
@@ -204,8 +238,18 @@ class Problem:
     chain: IntArray
     earth: Array
     measured: tuple[Array, Array]
-    variables: Mapping[str, tuple[Array, Array]]
+    variables: Variables
     """What parameters may change with, in the middle of the rests (N,) and of the turns (K,)."""
+    parts: tuple[SessionSpan, ...]
+    """The sessions."""
+    of_session: tuple[IntArray, IntArray]
+    """The session of every rest (N,) and turn (K,)."""
+    own: Instrument | None = None
+    """What each of several sessions has of its own, beside the linear model, and"""
+    own_known: Array = field(default_factory=lambda: np.zeros(0))
+    """the standard deviations (q,) of its priors."""
+    by_lag: Variables = field(default_factory=dict)
+    """Derivatives of the variables by the lag of the thermometer, where this is an unknown."""
 
     @staticmethod
     def of(
@@ -213,10 +257,12 @@ class Problem:
         prior: Prior = NO_PRIOR,
         *,
         instrument: Instrument | None = None,
+        own: Instrument | None = None,
         usual: Mapping[str, float] | None = None,
     ) -> Problem:
-        """A session with the parameters of an instrument (those of the linear model where None); `usual` are the priors
-        of its further groups by name. Raises ValueError unless turns join neighbouring rests, at most one each."""
+        """A session, or several, with the parameters of an instrument (those of the linear model where None), and with
+        the groups of `own` in each session; `usual` are the priors of further groups by name. Raises ValueError unless
+        turns join neighbouring rests, at most one each."""
         accel, gyro, site = observations.accel_block, observations.gyro_block, observations.site
         instrument = instrument or Instrument(accel=accel, gyro=gyro)
         link = np.full(len(observations.rests), -1, dtype=np.int64)
@@ -230,6 +276,13 @@ class Problem:
             known[members] = (usual or {}).get(name, known[members])
         known = np.array([prior.parameters.get(n, k) for n, k in zip(instrument.names, known.tolist(), strict=True)])
         start = np.array([observations.start.get(name, 0.0) for name in instrument.names])
+        own_known = [np.zeros(0)]
+        if own is not None:
+            own_known += [
+                np.full(len(group.names(own.block(group))), (usual or {}).get(group.name, group.limit))
+                for group in own.further
+            ]
+        parts, of_session = _parts(observations, link)
         return Problem(
             observations=observations,
             instrument=instrument,
@@ -239,7 +292,55 @@ class Problem:
             earth=np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude)),
             measured=(np.append(site.gravity, start), np.append(site.gravity_u, known)),
             variables=variables_of(observations),
+            parts=parts,
+            of_session=of_session,
+            own=own,
+            own_known=np.concatenate(own_known),
         )
+
+    @cached_property
+    def changes(self) -> list[tuple[slice, slice, Variable]]:
+        """Where the parameters stand that are changes of others, those of each session after the common ones, where
+        the others stand, and what they go with."""
+        if self.own is None:
+            return self.instrument.changes
+        further = len(self.instrument.names) - self.own.linear_count
+        shifted = [
+            (slice(own.start + further, own.stop + further), base, variable) for own, base, variable in self.own.changes
+        ]
+        return self.instrument.changes + shifted
+
+    @cached_property
+    def lag(self) -> int | None:
+        """Where the lag of the thermometer stands among the parameters."""
+        found = self.instrument.members.get("temperature.lag")
+        return None if found is None else found.start
+
+    def warmed(self, point: Point) -> Problem:
+        """The problem with the temperatures that the sensors have by the lag at a point."""
+        if self.lag is None:
+            return self
+        lag = float(point.values[self.lag])
+        return replace(self, variables=variables_of(self.observations, lag), by_lag=by_lag(self.observations, lag))
+
+    def values_in(self, point: Point, place: int) -> Array:
+        """Parameters (·, m + q) of every rest (`place` 0) or turn (1), those of its session after the common ones."""
+        of = self.of_session[place]
+        common = np.broadcast_to(point.values, (len(of), len(point.values)))
+        return np.concatenate([common, point.own[of]], axis=1)
+
+    def changed_in_turns(self, point: Point) -> tuple[Array, Array]:
+        """By how much the coefficients (K, n, 15) of gyros and accelerometers differ in the turns from those of the
+        parameters, being changed by time, temperature or launch."""
+        values, variables, out = self.values_in(point, 1), self.warmed(point).variables, []
+        for block in (self.instrument.gyro, self.instrument.accel):
+            assert block is not None
+            D = self.instrument.derivative(block, point.values)
+            change = np.zeros((len(values), block.size, FUNCTIONS))
+            for own, base, variable in self.changes:
+                change += np.einsum("pbm,km->kpb", D[:, :, base], variables[variable][1][:, None] * values[:, own])
+            out.append(change)
+        return out[0], out[1]
 
     @property
     def spread(self) -> Array:
@@ -269,17 +370,17 @@ class Linearised:
     scatter: Scatter
 
 
-def variables_of(observations: Observations) -> dict[str, tuple[Array, Array]]:
-    """What parameters may change with: time from the middle of the session, s, and temperature from its mean, K, in the
-    middle of the rests (N,) and of the turns (K,)."""
-    rests, turns = observations.rests, observations.turns
-    time = 0.5 * (rests.start + rests.stop)
-    at_rest = {"time": time - 0.5 * (time.min() + time.max())}
-    if rests.temperature is not None:
-        at_rest["temperature"] = rests.temperature - rests.temperature.mean()
-    if turns is None:
-        return {name: (values, np.zeros(0)) for name, values in at_rest.items()}
-    return {name: (v, 0.5 * (v[turns.first] + v[turns.last])) for name, v in at_rest.items()}
+def _parts(observations: Observations, link: IntArray) -> tuple[tuple[SessionSpan, ...], tuple[IntArray, IntArray]]:
+    """The sessions, and that of every rest and turn."""
+    session, turns = observations.session, observations.turns
+    of_rest = np.zeros(len(link), dtype=np.int64) if session is None else session
+    of_turn = np.zeros(0, dtype=np.int64) if turns is None else of_rest[turns.first]
+    edges, turn_edges = (np.searchsorted(of, np.arange(of_rest[-1] + 2)) for of in (of_rest, of_turn))
+    parts = []
+    for s in range(len(edges) - 1):
+        rests, own = slice(edges[s], edges[s + 1]), slice(turn_edges[s], turn_edges[s + 1])
+        parts.append(SessionSpan(rests=rests, turns=own, link=np.where(link[rests] < 0, -1, link[rests] - own.start)))
+    return tuple(parts), (of_rest, of_turn)
 
 
 # Residuals and Jacobians
@@ -287,9 +388,10 @@ def variables_of(observations: Observations) -> dict[str, tuple[Array, Array]]:
 
 def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
     """Residuals and Jacobians at a point; `about` is None where there are no turns."""
+    problem = problem.warmed(point)
     observations = problem.observations
     rest = [_rest_rows(problem, point, observations.accel_block, observations.rests.accel)]
-    p = 2 + len(point.values)
+    p = 2 + len(point.values) + len(problem.own_known)
     turn, bias = np.zeros((0, 6, 6 + p)), np.zeros((0, 6, 0))
     if observations.gyro_block is not None:
         rest.append(_rest_rows(problem, point, observations.gyro_block, observations.rests.gyro))
@@ -297,7 +399,40 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
             turn, bias = _turn_rows(problem, point, about)
     if problem.prior.attitude is not None:
         rest.append(_attitude_rows(problem, point))
-    return Rows(rest=np.concatenate(rest, axis=1), turn=turn, prior=_prior_rows(problem, point), bias=bias)
+    return Rows(
+        rest=np.concatenate(rest, axis=1),
+        turn=turn,
+        prior=_prior_rows(problem, point),
+        bias=bias,
+        own=-point.own / problem.own_known,
+    )
+
+
+def _with_changes(problem: Problem, point: Point, by: Array, place: int) -> None:
+    """Fill in the columns (·, r, m + q) of what changes with time, temperature or launch: those of its base times what
+    it goes with, at rest (`place` 0) or in the turns (1); and that of the lag, which moves the temperatures."""
+    values = problem.values_in(point, place)
+    for own, base, variable in problem.changes:
+        by[:, :, own] = problem.variables[variable][place][:, None, None] * by[:, :, base]
+        if variable in problem.by_lag:
+            moved = problem.by_lag[variable][place][:, None] * values[:, own]
+            by[:, :, problem.lag] += np.einsum("krm,km->kr", by[:, :, base], moved)
+
+
+def _changed(problem: Problem, point: Point, by: Array, place: int) -> Array:
+    """What these changes add (·, r)."""
+    values, out = problem.values_in(point, place), np.zeros(by.shape[:2])
+    for own, _, _ in problem.changes:
+        out += np.einsum("krm,km->kr", by[:, :, own], values[:, own])
+    return out
+
+
+def at_reference(problem: Problem, point: Point, rows: Rows) -> Array:
+    """Readings (N, n) of the accelerometers at rest as they would be at the reference temperature, in the middle of a
+    session and without what differs from launch to launch."""
+    accel = problem.observations.rests.accel
+    by = rows.rest[:, : accel.shape[1], 4:-1]
+    return np.asarray(accel - _changed(problem, point, by, 0))
 
 
 def _rest_rows(problem: Problem, point: Point, block: Block, observed: Array) -> Array:
@@ -307,17 +442,16 @@ def _rest_rows(problem: Problem, point: Point, block: Block, observed: Array) ->
     K, beta = instrument.coefficients(block, point.values), functions(block, force, rate)
     by_force, by_rate = slopes(block, K, force, rate)
     used = instrument.used[block.kind]
-    rows = np.zeros((len(L), block.size, 5 + len(point.values)))
+    rows = np.zeros((len(L), block.size, 5 + len(point.values) + len(problem.own_known)))
     rows[:, :, :2] = by_force @ (skew(force) @ basis)[:, :, :2]
     rows[:, :, :3] += by_rate @ skew(rate) @ basis
     if problem.observations.site.gravity_u > 0.0:
         rows[:, :, 3] = np.einsum("npk,nk->np", by_force, L[:, 1])
     D = instrument.derivative(block, point.values)
-    rows[:, :, 4:-1] = np.einsum("npb,pbm->npm", beta[:, :, used], D[:, used], optimize=True)
-    rows[:, :, -1] = observed - np.einsum("npb,pb->np", beta, K)
-    for own, base, variable in instrument.changes:
-        rows[:, :, 4:-1][:, :, own] = problem.variables[variable][0][:, None, None] * rows[:, :, 4:-1][:, :, base]
-        rows[:, :, -1] -= rows[:, :, 4:-1][:, :, own] @ point.values[own]
+    by = rows[:, :, 4:-1]
+    by[:, :, : len(point.values)] = np.einsum("npb,pbm->npm", beta[:, :, used], D[:, used], optimize=True)
+    _with_changes(problem, point, by, 0)
+    rows[:, :, -1] = observed - np.einsum("npb,pb->np", beta, K) - _changed(problem, point, by, 0)
     return rows
 
 
@@ -330,17 +464,19 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     assert gyro is not None
     basis, start, end = bases(point.attitudes), point.attitudes[turns.first], point.attitudes[turns.last]
     phi, V = about.moved(instrument, point.values)
-    by_phi, by_V = about.columns(instrument, point.values)
-    for own, base, variable in instrument.changes:
-        for by, changed in ((by_phi, phi), (by_V, V)):
-            by[:, :, own] = problem.variables[variable][1][:, None, None] * by[:, :, base]
-            changed -= by[:, :, own] @ point.values[own]
+    by_phi, by_V = (
+        np.concatenate([by, np.zeros((*by.shape[:2], len(problem.own_known)))], axis=2)
+        for by in about.columns(instrument, point.values)
+    )
+    for by, changed in ((by_phi, phi), (by_V, V)):
+        _with_changes(problem, point, by, 1)
+        changed -= _changed(problem, point, by, 1)
     C = rotation_matrix(phi) @ about.C
     earth = rotation_matrix(-turns.duration[:, None] * problem.earth)
     r = rotation_vector(C @ np.swapaxes(end, 1, 2) @ earth @ start)
     left = inverse_left_jacobian(r)
     phi_bias, V_bias = about.bias_columns()
-    rows = np.zeros((len(turns), 6, 8 + len(point.values)))
+    rows = np.zeros((len(turns), 6, 8 + by_phi.shape[2]))
     rows[:, :3, :3] = -np.swapaxes(left, 1, 2) @ basis[turns.first]
     rows[:, :3, 3:6] = left @ C @ basis[turns.last]
     rows[:, :3, 7:-1] = left @ left_jacobian(phi) @ by_phi
@@ -388,10 +524,13 @@ def _spare_rows(problem: Problem, point: Point) -> tuple[Array, Array]:
     by_rate = np.zeros((len(y), 1, 15))
     by_rate[:, 0, 1:4] = y @ model.inverse().T
     by_rate[:, 0, CONSTANT] = turns.duration
-    rows = np.zeros((len(y), len(free), 8 + len(point.values)))
+    by = np.zeros((len(y), gyro.size, len(point.values) + len(problem.own_known)))
     D = instrument.derivative(gyro, point.values)
-    rows[:, :, 7:-1] = free @ np.einsum("kb,pbm->kpm", by_rate[:, 0, :4], D[:, :4])
-    rows[:, :, -1] = y @ free.T
+    by[:, :, : len(point.values)] = np.einsum("kb,pbm->kpm", by_rate[:, 0, :4], D[:, :4])
+    _with_changes(problem, point, by, 1)
+    rows = np.zeros((len(y), len(free), 8 + by.shape[2]))
+    rows[:, :, 7:-1] = free @ by
+    rows[:, :, -1] = (y - _changed(problem, point, by, 1)) @ free.T
     none = np.zeros((len(y), len(free), observations.accel_block.size))
     bias = turns.duration[:, None, None] * np.broadcast_to(free, (len(y), *free.shape))
     return rows, np.concatenate([none, bias], axis=2)
@@ -409,7 +548,7 @@ def _attitude_rows(problem: Problem, point: Point) -> Array:
     assert position is not None
     nominal = np.array([programme.positions[i].matrix for i in position])
     basis = bases(point.attitudes)
-    rows = np.zeros((len(nominal), 3, 3 + 1 + len(point.values) + 1))
+    rows = np.zeros((len(nominal), 3, 3 + 1 + len(point.values) + len(problem.own_known) + 1))
     if programme.ordered:
         e = rotation_vector(np.swapaxes(point.attitudes, 1, 2) @ nominal)
         rows[:, :, :3] = inverse_left_jacobian(e) @ basis
@@ -425,11 +564,24 @@ def _prior_rows(problem: Problem, point: Point) -> Array:
     """Measured gravity and the prior of the parameters: a diagonal and a right-hand side, whitened."""
     expected, u = problem.measured
     known = u > 0.0
-    weight = np.where(known, 1.0 / np.where(known, u, 1.0), 0.0)
     rows = np.zeros((len(u) + 1, len(u) + 1))
-    rows[np.arange(len(u)), np.arange(len(u))] = weight
-    rows[:-1, -1] = weight * (expected - np.append(point.gravity, point.values))
+    if problem.prior.covariance is None:
+        rows[np.arange(len(u)), np.arange(len(u))] = np.where(known, 1.0 / np.where(known, u, 1.0), 0.0)
+    else:
+        rows[:-1, :-1] = _root_of_inverse(problem.prior.covariance)
+    rows[:-1, -1] = rows[:-1, :-1] @ (expected - np.append(point.gravity, point.values))
     return rows
+
+
+def _root_of_inverse(covariance: Array) -> Array:
+    """The triangle W with WᵀW = C⁻¹; zero where a quantity is exact."""
+    known = np.flatnonzero(np.diag(covariance) > 0.0)
+    index = np.ix_(known, known)
+    size = np.sqrt(np.diag(covariance)[known])
+    lower = np.linalg.cholesky(covariance[index] / np.outer(size, size))
+    out = np.zeros_like(covariance)
+    out[index] = np.linalg.qr(np.linalg.inv(lower), mode="r") / size
+    return out
 
 
 def left_jacobian(r: Array) -> Array:
@@ -482,9 +634,10 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     v = 3 if problem.instrument.in_velocities else 0
     spare = rows.turn.shape[1] - 3 - v
     rotation, velocity, jumps = (np.zeros((len(turns), bias.shape[1], q)) for q in (3 + spare, v, v))
-    rotation[:, r : r + 3, :3] = np.eye(3)
+    turned = (turns.duration > 0.0)[:, None, None]  # between the parts of a rest nothing is
+    rotation[:, r : r + 3, :3] = turned * np.eye(3)
     rotation[:, r + 3 + v :, 3:] = np.eye(spare)
-    velocity[:, r + 3 : r + 3 + v] = np.eye(v)
+    velocity[:, r + 3 : r + 3 + v] = turned * np.eye(v)
     jumps[:, r + 3 : r + 3 + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
     return Noise(
         rest=rest,
@@ -502,12 +655,12 @@ def _turn_noise(problem: Problem, unseen: float) -> Array:
     T = turns.duration[:, None, None]
     rotation = turns.covariance + T**2 * unseen * np.eye(3)
     across = skew(-0.5 * turns.velocity)
-    third = np.einsum("k,kab->kab", np.trace(rotation, axis1=1, axis2=2) / 3.0, across @ np.swapaxes(across, 1, 2))
+    by_rotation = across @ rotation @ np.swapaxes(across, 1, 2)
     out = np.zeros((len(turns), 6, 6))
     out[:, :3, :3] = rotation
     out[:, 3:, :3] = across @ rotation
     out[:, :3, 3:] = np.swapaxes(out[:, 3:, :3], 1, 2)
-    out[:, 3:, 3:] = turns.velocity_covariance + 4.0 / 3.0 * third
+    out[:, 3:, 3:] = turns.velocity_covariance + 4.0 / 3.0 * by_rotation
     if not problem.instrument.in_velocities:
         out = out[:, :3, :3]
     if readings is None:
@@ -537,31 +690,71 @@ def weights(problem: Problem, rows: Rows, scatter: Scatter) -> Weights:
 
 
 def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
-    """The least-squares step with the attitudes eliminated."""
+    """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
     turns = problem.observations.turns
     first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
-    rest, merged = weight.rest @ rows.rest, weight.merged @ rows.merged(first)
-    N, p = len(rest), len(rows.prior) - 1
-    factor, triangle = np.empty((N, 3, 7 + p)), rows.prior.copy()
-    eliminate(rest, merged, problem.link, problem.link < 0, factor, triangle)
+    rest, merged = (
+        _own_first(problem, weight.rest @ rows.rest, 3),
+        _own_first(problem, weight.merged @ rows.merged(first), 6),
+    )
+    N, p, q = len(rest), len(rows.prior) - 1, len(problem.own_known)
+    factor, triangle, heads = np.empty((N, 3, 7 + q + p)), rows.prior, []
+    for part, residual in zip(problem.parts, rows.own, strict=True):
+        wide = np.zeros((q + p + 1, q + p + 1))
+        wide[np.arange(q), np.arange(q)], wide[:q, -1] = 1.0 / problem.own_known, residual
+        wide[q:, q:] = triangle
+        eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor[part.rests], wide)
+        heads.append(wide[:q].copy())
+        triangle = wide[q:, q:]
     parameters, covariance = _solved(triangle)
-    angles = np.empty((N, 3))
-    shared = put_back(factor, problem.link, parameters, covariance, angles)
+    angles, own, own_covariance, shared = np.empty((N, 3)), np.empty((len(heads), q)), [], []
+    for s, (part, head) in enumerate(zip(problem.parts, heads, strict=True)):
+        own[s], whole = _put_back_own(head, parameters, covariance)
+        both = np.concatenate([own[s], parameters])
+        shared.append(put_back(factor[part.rests], part.link, both, whole, angles[part.rests]))
+        own_covariance.append(whole)
     return Step(
         parameters=parameters,
         covariance=covariance,
         angles=angles,
-        deviance=_deviance(problem, weight, factor, triangle),
+        own=own,
+        own_covariance=np.array(own_covariance),
+        deviance=_deviance(problem, weight, factor, heads, triangle),
         whitened=(rest, merged),
-        shared=shared,
+        shared=(np.concatenate([each[0] for each in shared]), np.concatenate([each[1] for each in shared])),
     )
 
 
-def _deviance(problem: Problem, weight: Weights, factor: Array, triangle: Array) -> float:
+def _own_first(problem: Problem, rows: Array, angles: int) -> Array:
+    """Rows in which what a session has of its own stands before gravity and the common parameters."""
+    q = len(problem.own_known)
+    if q == 0:
+        return rows
+    last = rows.shape[2] - 1
+    order = [*range(angles), *range(last - q, last), *range(angles, last - q), last]
+    return np.take(rows, order, axis=2)
+
+
+def _put_back_own(head: Array, parameters: Array, covariance: Array) -> tuple[Array, Array]:
+    """What a session has of its own (q,), from the rows (q, q + p + 1) that give it once the parameters are known, and
+    its covariance with them (q + p, q + p)."""
+    q = len(head)
+    if q == 0:
+        return np.zeros(0), covariance
+    inverse = np.linalg.inv(head[:, :q])
+    by_parameter = -inverse @ head[:, q:-1]
+    shared = by_parameter @ covariance
+    whole = np.block([[inverse @ inverse.T + shared @ by_parameter.T, shared], [shared.T, covariance]])
+    return inverse @ head[:, -1] + by_parameter @ parameters, whole
+
+
+def _deviance(problem: Problem, weight: Weights, factor: Array, heads: list[Array], triangle: Array) -> float:
     """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
     last = weight.rest[problem.link < 0]
     own = sum(-2.0 * np.log(np.diagonal(w, axis1=1, axis2=2)).sum() for w in (last, weight.merged))
-    pivots = np.abs(np.concatenate([np.diagonal(factor, axis1=1, axis2=2).ravel(), np.diag(triangle)[:-1]]))
+    own_pivots = [np.diag(head) for head in heads]
+    every = [np.diagonal(factor, axis1=1, axis2=2).ravel(), *own_pivots, np.diag(triangle)[:-1]]
+    pivots = np.abs(np.concatenate(every))
     return float(own + 2.0 * np.log(pivots[pivots > 0.0]).sum() + triangle[-1, -1] ** 2)
 
 
@@ -579,7 +772,17 @@ def _solved(triangle: Array) -> tuple[Array, Array]:
 def left(problem: Problem, step: Step) -> Left:
     """What a step leaves of the residuals."""
     rest, merged = step.whitened
-    residual, covariance, merged_residual, merged_covariance = left_over(
-        rest, merged, problem.link, problem.link < 0, step.angles, step.parameters, (step.covariance, *step.shared)
-    )
-    return Left(rest=(residual, covariance), merged=(merged_residual, merged_covariance))
+    found = [
+        left_over(
+            rest[part.rests],
+            merged[part.turns],
+            part.link,
+            part.link < 0,
+            step.angles[part.rests],
+            np.concatenate([own, step.parameters]),
+            (covariance, step.shared[0][part.rests], step.shared[1][part.rests]),
+        )
+        for part, own, covariance in zip(problem.parts, step.own, step.own_covariance, strict=True)
+    ]
+    residual, spread, merged_residual, merged_spread = (np.concatenate(each) for each in zip(*found, strict=True))
+    return Left(rest=(residual, spread), merged=(merged_residual, merged_spread))

@@ -34,14 +34,16 @@ from tumble.units import G_STANDARD, Array, IntArray
 SECOND_ORDER = 1e-7  # rad
 SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
 VELOCITY_SHARE = 0.1  # of the noise of its velocity
+CHANGES_SHARE = 0.1  # of the noise: second order of changes from turn to turn that are not integrated about
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnsAbout:
     """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and
-    accelerometers and a `lateness` of these, s. Their moments, and by_phi (K, 3, n, 15) and by_velocity (K, 3, n,
-    15) of the gyros and by_force (K, 3, n, 15) of the accelerometers, P and Q of the module's docstring; `levers`
-    (K, 3, 3(n − 1)) and `delay` (K, 3) are −∂V of lever arms and of the delay."""
+    accelerometers, or (K, n, 15) where each turn has its own, and a `lateness` of the latter, s. Their moments, and
+    by_phi (K, 3, n, 15) and by_velocity (K, 3, n, 15) of the gyros and by_force (K, 3, n, 15) of the accelerometers, P
+    and Q of the module's docstring; `levers` (K, 3, 3(n − 1)) and `delay` (K, 3) are −∂V of lever arms and of the
+    delay."""
 
     rate: Array
     force: Array
@@ -55,23 +57,30 @@ class TurnsAbout:
     to_rate: Array
 
     @staticmethod
-    def of(observations: Observations, instrument: Instrument, values: Array) -> TurnsAbout:
-        """The turns of a session, integrated about these values."""
+    def of(
+        observations: Observations, instrument: Instrument, values: Array, changes: tuple[Array, Array] | None = None
+    ) -> TurnsAbout:
+        """The turns of a session, integrated about these values, and about `changes` (K, n, 15) of the coefficients of
+        the gyros and accelerometers in each turn."""
         accel, gyro = instrument.accel, instrument.gyro
         assert gyro is not None
         rate, force = instrument.coefficients(gyro, values), _compensable(accel, instrument.coefficients(accel, values))
-        rate[:, PRODUCTS], rate[:, OWN_CUBE] = 0.0, 0.0
-        of_gyro, of_accel = (_compensation(block, K) for block, K in ((gyro, rate), (accel, force)))
-        late = instrument.in_motion("delay")
-        compensation = Compensation(
-            gyro=of_gyro,
-            accel=of_accel,
-            g_sensitivity=of_gyro.to_body @ rate[:, FORCE],
-            delay=0.0 if late is None else float(values[late][0]),
-        )
-        moments = observations.moments_about(compensation, own_axes(instrument))
-        lefts = of_gyro.left_inverse, of_accel.left_inverse
-        return TurnsAbout.from_moments(moments, accel, (rate, force, compensation.delay), lefts)
+        rate[:, PRODUCTS] = 0.0
+        late = instrument.delay(values)
+
+        def compensation(rate: Array, force: Array) -> Compensation:
+            of_gyro, of_accel = _compensation(gyro, rate), _compensation(accel, force)
+            g_sensitivity = of_gyro.to_body @ rate[:, FORCE]
+            return Compensation(gyro=of_gyro, accel=of_accel, g_sensitivity=g_sensitivity, delay=late)
+
+        about, own = compensation(rate, force), own_axes(instrument)
+        if changes is None:
+            moments = observations.moments_about(about, own)
+        else:
+            rate, force = rate + changes[0], force + changes[1]
+            moments = observations.moments_about_each(list(map(compensation, rate, force)), own)
+        lefts = about.gyro.left_inverse, about.accel.left_inverse
+        return TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts)
 
     @staticmethod
     def from_moments(
@@ -80,15 +89,15 @@ class TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
         accelerometers."""
         to_rate, to_force = lefts
-        own_gyro = np.zeros((len(moments), 3, to_rate.shape[1])), np.zeros((len(moments), 3, to_rate.shape[1]))
-        if moments.Phi_gyro.shape[-1]:
-            own_gyro = _own(moments.Phi_gyro, to_rate), _own(moments.Psi_gyro, to_rate)
         by_force = _paths(moments.Phi, to_force)
-        if moments.Phi_accel.shape[-1]:
-            by_force[..., OWN_SIZE] = _own(moments.Phi_accel[..., 0, :], to_force)
-            by_force[..., OWN_CUBE] = _own(moments.Phi_accel[..., 1, :], to_force)
         by_phi, by_velocity = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
-        by_phi[..., OWN_SIZE], by_velocity[..., OWN_SIZE] = own_gyro
+        for by, own, to_body in (
+            (by_force, moments.Phi_accel, to_force),
+            (by_phi, moments.Phi_gyro, to_rate),
+            (by_velocity, moments.Psi_gyro, to_rate),
+        ):
+            if own.shape[-1]:
+                by[..., OWN_SIZE], by[..., OWN_CUBE] = _own(own[..., 0, :], to_body), _own(own[..., 1, :], to_body)
         return TurnsAbout(
             rate=about[0],
             force=about[1],
@@ -113,9 +122,8 @@ class TurnsAbout:
         assert gyro is not None
         rate = instrument.coefficients(gyro, values) - self.rate
         force = instrument.coefficients(instrument.accel, values) - self.force
-        phi = -np.einsum("kipb,pb->ki", self.by_phi, rate)
-        V = self.moments.V - np.einsum("kipb,pb->ki", self.by_velocity, rate)
-        V = V - np.einsum("kipb,pb->ki", self.by_force, force)
+        phi = -_applied(self.by_phi, rate)
+        V = self.moments.V - _applied(self.by_velocity, rate) - _applied(self.by_force, force)
         levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
         if levers is not None:
             V = V - self.levers @ values[levers]
@@ -143,21 +151,36 @@ class TurnsAbout:
         phi = np.concatenate([np.zeros_like(accel), gyro], axis=2)
         return phi, np.concatenate([accel, self.by_velocity[..., CONSTANT]], axis=2)
 
-    def second_order(self, instrument: Instrument, values: Array) -> tuple[Array, Array]:
-        """About how much (K,) rotation, rad, and velocity, m/s, about other values err, being of first order."""
+    def second_order(self, instrument: Instrument, values: Array, changes: Array | float = 0.0) -> tuple[Array, Array]:
+        """About how much (K,) rotation, rad, and velocity, m/s, about other values, and `changes` (K, n, 15) of the
+        coefficients of the gyros, err, being of first order."""
         gyro = instrument.gyro
         assert gyro is not None
-        change = instrument.coefficients(gyro, values) - self.rate
+        return self._second_order(instrument.coefficients(gyro, values) + changes - self.rate)
+
+    def _second_order(self, change: Array) -> tuple[Array, Array]:
         sizes = np.sqrt((self.by_phi**2).sum(axis=1))  # (K, n, 15)
-        phi = np.einsum("kpb,pb->k", sizes, np.abs(change))
+        phi = (sizes * np.abs(change)).sum(axis=(1, 2))
         rotation = 0.5 * phi**2
         return rotation, G_STANDARD * self.moments.T * rotation
 
-    def good_for(self, instrument: Instrument, values: Array, noise: tuple[Array, Array]) -> bool:
+    def good_for(
+        self, instrument: Instrument, values: Array, noise: tuple[Array, Array], changes: Array | float = 0.0
+    ) -> bool:
         """Whether first order does for other values, beside the noise (K,), rad and m/s, of the turns."""
-        rotation, velocity = self.second_order(instrument, values)
+        rotation, velocity = self.second_order(instrument, values, changes)
         few = np.minimum(SECOND_ORDER, SECOND_ORDER_SHARE * noise[0])
         return bool(np.all(rotation <= few) and np.all(velocity <= VELOCITY_SHARE * noise[1]))
+
+    def small(self, changes: Array, noise: tuple[Array, Array]) -> bool:
+        """Whether first order does for changes (K, n, 15) of the coefficients of the gyros from turn to turn."""
+        rotation, velocity = self._second_order(changes)
+        return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
+
+
+def _applied(by: Array, change: Array) -> Array:
+    """Σ by · ΔK (K, 3) of coefficients (n, 15), or (K, n, 15)."""
+    return np.asarray(np.einsum("kipb,kpb->ki", by, np.broadcast_to(change, (len(by), *change.shape[-2:]))))
 
 
 def own_axes(instrument: Instrument) -> OwnAxes:

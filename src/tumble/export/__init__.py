@@ -27,6 +27,8 @@ _PLAIN = {
     "px4": "px4",
     "ardupilot": "ardupilot",
     "imucal": "imucal",
+    "depthai": "depthai",
+    "matlab-imu": "matlab_imu",
     "c": "c_header",
     "mat": "mat",
     "csv": "csv_table",
@@ -35,6 +37,9 @@ _PLAIN = {
 
 FORMATS = ("kalibr", *_PLAIN, "dcc")
 
+AUTOPILOTS = ("px4", "ardupilot")
+"""Formats with parameters of several IMUs."""
+
 
 def export_calibration(
     calibration: Calibration | FilePath,
@@ -42,10 +47,12 @@ def export_calibration(
     *,
     noise: NoiseDensities | Session | FilePath | None = None,
     certificate: Certificate | FilePath | None = None,
+    imu: int | None = None,
 ) -> Exported:
-    """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` needs the noise densities of the device or a
-    session whose longest rest shows them, `dcc` the administrative data of a certificate or their file; the others
-    take neither.
+    """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` takes the noise densities of the device or a
+    session whose longest rest shows them, else those of the calibration's rests; `dcc` needs the administrative data of
+    a certificate or their file; `px4` and `ardupilot` take the number of the IMU whose parameters are to be written,
+    from 1, where the recording does not say it.
 
     Raises InputError for a calibration that was not accepted or that the format has no place for.
 
@@ -58,29 +65,36 @@ def export_calibration(
     from tumble.calibration.calibration_file import calibration_from
 
     calibration = calibration_from(calibration)
-    exported = _export(calibration, to, _noise(noise), _certificate(certificate))
+    exported = _export(calibration, to, _noise(noise), _certificate(certificate), imu)
     if calibration.mag is None:
         return exported
     return replace(exported, losses=(*exported.losses, NO_MAGNETOMETER))
 
 
 def _export(
-    calibration: Calibration, to: str, noise: NoiseDensities | None, certificate: Certificate | None
+    calibration: Calibration, to: str, noise: NoiseDensities | None, certificate: Certificate | None, imu: int | None
 ) -> Exported:
-    wanted = {"kalibr": ("noise", noise), "dcc": ("certificate", certificate)}
-    for name, (what, given) in wanted.items():
-        if (given is not None) != (to == name):
-            found = "none" if given is None else f"it with {to}"
-            raise InputError(f"export: expected --{what} with {name} and only there, found {found}")
-    if to == "kalibr" and noise is not None:
-        from tumble.export.kalibr import kalibr
+    _check_wanted(to, noise, certificate, imu)
+    if to == "kalibr":
+        from tumble.export.kalibr import kalibr, noise_of_rests
 
-        return kalibr(calibration, noise)
+        return kalibr(calibration, noise or noise_of_rests(calibration))
     if to == "dcc" and certificate is not None:
         from tumble.export.dcc import dcc
 
         return dcc(calibration, certificate)
-    return _plain(to)(calibration)
+    function = _plain(to)
+    return function(calibration) if imu is None else function(calibration, imu)
+
+
+def _check_wanted(to: str, noise: NoiseDensities | None, certificate: Certificate | None, imu: int | None) -> None:
+    """Check that what is given beside the calibration is what the format takes."""
+    if (certificate is not None) != (to == "dcc"):
+        found = "none" if certificate is None else f"it with {to}"
+        raise InputError(f"export: expected --certificate with dcc and only there, found {found}")
+    for what, given, takers in (("noise", noise, ("kalibr",)), ("imu", imu, AUTOPILOTS)):
+        if given is not None and to not in takers:
+            raise InputError(f"export: expected --{what} with {' or '.join(takers)} and only there, found it with {to}")
 
 
 def _noise(given: NoiseDensities | Session | FilePath | None) -> NoiseDensities | None:
@@ -96,10 +110,10 @@ def _certificate(given: Certificate | FilePath | None) -> Certificate | None:
     return given if given is None or isinstance(given, Certificate) else read_certificate(Path(given))
 
 
-def _plain(to: str) -> Callable[[Calibration], Exported]:
+def _plain(to: str) -> Callable[..., Exported]:
     """The function of a format."""
     modules: Mapping[str, str] = _PLAIN
     if to not in modules:
         raise InputError(f"export: expected one of {', '.join(FORMATS)}, found {to!r}")
-    function: Callable[[Calibration], Exported] = getattr(import_module(f"tumble.export.{modules[to]}"), modules[to])
+    function: Callable[..., Exported] = getattr(import_module(f"tumble.export.{modules[to]}"), modules[to])
     return function

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.errors import InputError
 from tumble.export.exported import (
     NO_UNCERTAINTY,
     SINGLE_PRECISION,
@@ -26,8 +27,35 @@ from tumble.export.exported import (
     triads,
 )
 from tumble.export.larger_model import not_held
+from tumble.recording.autopilot import AutopilotSensor
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
+
+FIRST: Mapping[str, AutopilotSensor] = {kind: AutopilotSensor(number=1, id=None) for kind in ("accel", "gyro")}
+"""The sensors of the first IMU, whatever their ids are."""
+
+
+def sensors_of(calibration: Calibration, imu: int | None, target: str, most: int) -> Mapping[str, AutopilotSensor]:
+    """Which sensors of an autopilot the calibration is of: those that were recorded, else the first of each kind, or
+    those of the number `imu`, from 1 to `most`. Raises InputError where others were recorded."""
+    if imu is not None and not 1 <= imu <= most:
+        raise InputError(f"--imu: expected a number from 1 to {most} for {target}, found {imu}")
+    if imu is None:
+        return {**FIRST, **calibration.imu}
+    for kind, sensor in calibration.imu.items():
+        if sensor.number != imu:
+            device = "" if sensor.id is None else f" with the device id {sensor.id}"
+            raise InputError(
+                f"export to {target}: expected the sensors that were recorded, {kind} {sensor.number}{device}, found "
+                f"--imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
+            )
+    return {kind: calibration.imu.get(kind, AutopilotSensor(number=imu, id=None)) for kind in FIRST}
+
+
+def whose(calibration: Calibration, imu: int | None) -> list[str]:
+    """What is supposed where neither the calibration nor the user says which IMU it is."""
+    said = "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
+    return [said] if imu is None and not calibration.imu else []
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -80,7 +80,9 @@ _QUADRATIC = """\
 _BY_FORCE = """\
             left[j] -= by_force[j][0] * force[0] + by_force[j][1] * force[1] + by_force[j][2] * force[2];"""
 
-HELD = frozenset({"accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.g_sensitivity"})
+HELD = frozenset(
+    {"accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.cubic", "gyro.g_sensitivity"}
+)
 """Groups of parameters beyond the linear model that the functions apply."""
 
 _WHAT = {"accel": "true specific force", "gyro": "true angular rate"}

@@ -1,24 +1,15 @@
-"""What a certificate says that no recording knows: who calibrated what for whom, when and where; from a TOML file.
+"""What a certificate says that no recording knows: who calibrated what for whom, when, where and by which rule it is
+judged; from a TOML file, whose laboratory and signatories may stand in a file of their own. docs/certificate.md has
+every key.
 
-number = "2026-0042"
+number = "2026-0042"            # unique, stands on every page
 country = "DE"                  # where the certificate is issued, ISO 3166-1
-begin = 2026-05-04              # of the measurements
-end = 2026-05-05
-place = "laboratory"            # laboratory, customer, laboratoryBranch, customerBranch or other
-
-[laboratory]
-name = "Inertial laboratory"
-city = "Braunschweig"
-country = "DE"                  # also: code, email, street, postcode
+laboratory = "laboratory.toml"  # [laboratory] and [[person]]; or the table [laboratory] itself
 
 [customer]
 name = "A customer"
 city = "Perm"
 country = "RU"
-
-[[person]]                      # who answers for it, the first one signs
-name = "N. N."
-role = "head of the laboratory"
 """
 
 from __future__ import annotations
@@ -32,9 +23,24 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError
+from tumble.recording.circumstances import Circumstances
+
+RELATES = (
+    "This certificate relates only to the item described in it, in the state in which it was calibrated; it may be "
+    "reproduced only as a whole, unless the laboratory agrees in writing."
+)
+STATES: Mapping[str, str] = {
+    "as-found": "as found: calibrated before any adjustment",
+    "as-left": "as left: calibrated after adjustment",
+    "unchanged": "not adjusted: as found and as left",
+}
+"""The state of the item when it was calibrated."""
 
 _Text = Field(pattern=r"^\S+(\s+\S+)*$")
 _Country = Field(pattern="^[A-Z]{2}$")
+
+
+_Optional = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
 
 
 class _CertificateTable(BaseModel):
@@ -42,7 +48,7 @@ class _CertificateTable(BaseModel):
 
 
 class Party(_CertificateTable):
-    """A laboratory or a customer: `code` is the laboratory's accreditation mark."""
+    """A laboratory or a customer: `code` is the laboratory's accreditation number, `logo` the path of its picture."""
 
     name: str = _Text
     city: str = _Text
@@ -51,6 +57,13 @@ class Party(_CertificateTable):
     email: str | None = Field(default=None, pattern=r"^\S+$")
     street: str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
     postcode: str | None = Field(default=None, pattern=r"^\S+(\s+\S+)*$")
+    logo: str | None = Field(default=None, pattern=r"^\S.*\.(svg|png)$")
+
+    @property
+    def address(self) -> str:
+        """Street, postcode, city and country on one line."""
+        town = f"{self.postcode} {self.city}" if self.postcode else self.city
+        return ", ".join(part for part in (self.street, town, self.country) if part)
 
 
 class Person(_CertificateTable):
@@ -61,34 +74,82 @@ class Person(_CertificateTable):
 
 
 class Certificate(_CertificateTable):
-    """The administrative part of a calibration certificate."""
+    """The administrative part of a calibration certificate. Without `begin` and `end` the date is that of the
+    recording. `state` is that of the item when it was calibrated: before an adjustment, after it, or without one;
+    `as_found` the calibration file from before. `limits` is the file of acceptance limits, `agreed` how they and the
+    decision rule were agreed with the customer, `traceability` how gravity, time and table are traced, `replaces` the
+    number of a certificate that this one takes the place of."""
 
     number: str = _Text
     country: str = _Country
-    begin: date
-    end: date
+    begin: date | None = None
+    end: date | None = None
+    received: date | None = None
+    issued: date | None = None
     place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
+    state: Literal["as-found", "as-left", "unchanged"] = "unchanged"
+    as_found: str | None = Field(default=None, min_length=1)
+    procedure: str | None = _Optional
+    limits: str | None = Field(default=None, min_length=1)
+    agreed: str | None = _Optional
+    traceability: tuple[str, ...] = Field(default=(), strict=False)
+    remarks: tuple[str, ...] = Field(default=(), strict=False)
+    replaces: str | None = _Optional
     laboratory: Party
     customer: Party
     person: tuple[Person, ...] = Field(min_length=1, strict=False)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.end < self.begin:
+        if self.begin is not None and self.end is not None and self.end < self.begin:
             raise ValueError(f"end: expected a day not before the begin, {self.begin}, found {self.end}")
+        if self.as_found is not None and self.state != "as-left":
+            raise ValueError(f'as_found: expected only with state = "as-left", found {self.state!r}')
         return self
+
+    def days(self, circumstances: Circumstances) -> tuple[date, date]:
+        """First and last day of the calibration: as stated, or that of the recording. Raises InputError without."""
+        recorded = circumstances.day
+        begin, end = self.begin or self.end or recorded, self.end or self.begin or recorded
+        if begin is None or end is None:
+            raise InputError(
+                "certificate: begin: expected the day of the calibration, found none, and none in the recording; state "
+                "begin and end, or date in [session]"
+            )
+        return begin, end
 
 
 def read_certificate(path: Path) -> Certificate:
-    """The administrative part of a certificate from its TOML file. Raises InputError, one line with the first fault."""
+    """The administrative part of a certificate from its TOML file, and of the file of the laboratory that it names.
+    Paths are relative to the file they stand in. Raises InputError, one line with the first fault."""
+    content = _parsed(path)
+    named = content.get("laboratory")
+    if isinstance(named, str):
+        own = path.parent / named
+        content = {"person": [], **_parsed(own), **{key: content[key] for key in content if key != "laboratory"}}
+        content["laboratory"] = _with_paths(content.get("laboratory"), "logo", own.parent)
+    else:
+        content["laboratory"] = _with_paths(named, "logo", path.parent)
+    content = _with_paths(_with_paths(content, "as_found", path.parent), "limits", path.parent)
     try:
-        content: Mapping[str, Any] = toml_of(text_of_document(path), str(path))
-        return Certificate.model_validate(content)
+        return Certificate.model_validate({key: value for key, value in content.items() if value is not None})
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        key = ".".join(map(str, fault["loc"])) or "certificate"
+        raise InputError(f"{path}: {key}: {fault['msg']}; see docs/certificate.md") from None
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    try:
+        return toml_of(text_of_document(path), str(path))
     except OSError as error:
         raise InputError(f"{path}: expected a TOML file with the data of the certificate: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8 text, found {error.reason}; save it as UTF-8") from None
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        key = ".".join(map(str, fault["loc"])) or "certificate"
-        raise InputError(f"{path}: {key}: {fault['msg']}; see docs/export/dcc.md") from None
+
+
+def _with_paths(table: Any, key: str, folder: Path) -> Any:
+    """A table with the path under a key taken from a folder."""
+    if isinstance(table, dict) and isinstance(table.get(key), str):
+        return table | {key: str(folder / table[key])}
+    return table

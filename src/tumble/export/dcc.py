@@ -17,16 +17,19 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import date
+from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.special import chdtri, fdtri
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
 from tumble.calibration.results import coverage_factor
-from tumble.export.certificate import Certificate, Party
+from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
+from tumble.registry.limits import AGREED_RULE, Verdict, limits_of, verdicts
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array
@@ -57,7 +60,21 @@ _DIMENSIONS: Mapping[str, Mapping[str, int]] = {
     "m/s^2/K": {"metre": 1, "second": -2, "kelvin": -1},
     "rad/s/K": {"radian": 1, "second": -1, "kelvin": -1},
     "1/K": {"kelvin": -1},
+    "degC": {"degreecelsius": 1},
+    "%": {"percent": 1},
+    "hPa": {"hecto\\pascal": 1},
+    "m/s^2/K^2": {"metre": 1, "second": -2, "kelvin": -2},
+    "rad/s/K^2": {"radian": 1, "second": -1, "kelvin": -2},
+    "1/K^2": {"kelvin": -2},
 }
+_CONFORMITY: Mapping[str, str] = {
+    "pass": "pass",
+    "conditional pass": "conditionalPass",
+    "conditional fail": "conditionalFail",
+    "fail": "fail",
+}
+"""Outcomes as the schema has them; it has none for what is undecided."""
+
 _BIAS_UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
@@ -74,6 +91,7 @@ def d_si(*units: str) -> str:
 def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     """The XML file of a calibration with the administrative data of its certificate."""
     known = models(calibration)
+    judged = () if certificate.limits is None else tuple(verdicts(calibration, limits_of(Path(certificate.limits))))
     losses = (*LOSSES, *not_held(calibration, said=NOT_IN_MATRIX))
     inertial = [i for i, p in enumerate(calibration.parameters) if sensor_kind(p.name) != "mag"]
     calibration = replace(
@@ -86,7 +104,8 @@ def dcc(calibration: Calibration, certificate: Certificate) -> Exported:
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
     _administrative(_child(root, "administrativeData"), calibration, certificate)
-    _results(_child(_child(root, "measurementResults"), "measurementResult"), calibration, known)
+    result = _child(_child(root, "measurementResults"), "measurementResult")
+    _results(result, calibration, certificate, known, judged)
     ET.indent(root)
     return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=losses)
 
@@ -112,8 +131,8 @@ def _administrative(parent: ET.Element, calibration: Calibration, certificate: C
     software = _child(_child(parent, "dccSoftware"), "software")
     _named(software, "name", name)
     _child(software, "release", release or "unknown")
-    _core(_child(parent, "coreData"), certificate)
-    _item(_child(_child(parent, "items"), "item"), calibration)
+    _core(_child(parent, "coreData"), certificate, certificate.days(calibration.circumstances))
+    _item(_child(_child(parent, "items"), "item"), calibration, certificate)
     laboratory = _child(parent, "calibrationLaboratory")
     if certificate.laboratory.code is not None:
         _child(laboratory, "calibrationLaboratoryCode", certificate.laboratory.code)
@@ -126,20 +145,37 @@ def _administrative(parent: ET.Element, calibration: Calibration, certificate: C
             _child(entry, "role", person.role)
         _child(entry, "mainSigner", "true" if i == 0 else "false")
     _contact(_child(parent, "customer"), certificate.customer)
+    statements = _child(parent, "statements")
+    for remark in (RELATES, *certificate.remarks):
+        _named(_child(statements, "statement"), "declaration", remark)
+    traced = (*certificate.traceability, *calibration.circumstances.equipment)
+    if traced:
+        statement = _typed(_child(statements, "statement"), "basic_metrologicallyTraceableToSI")
+        _named(statement, "name", "metrological traceability")
+        _named(statement, "declaration", "; ".join(traced))
 
 
-def _core(parent: ET.Element, certificate: Certificate) -> None:
+def _core(parent: ET.Element, certificate: Certificate, days: tuple[date, date]) -> None:
     _child(parent, "countryCodeISO3166_1", certificate.country)
     _child(parent, "usedLangCodeISO639_1", "en")
     _child(parent, "mandatoryLangCodeISO639_1", "en")
     _child(parent, "uniqueIdentifier", certificate.number)
-    _child(parent, "beginPerformanceDate", certificate.begin.isoformat())
-    _child(parent, "endPerformanceDate", certificate.end.isoformat())
+    if certificate.received is not None:
+        _child(parent, "receiptDate", certificate.received.isoformat())
+    _child(parent, "beginPerformanceDate", days[0].isoformat())
+    _child(parent, "endPerformanceDate", days[1].isoformat())
     _child(parent, "performanceLocation", certificate.place)
+    if certificate.issued is not None:
+        _child(parent, "issueDate", certificate.issued.isoformat())
+    if certificate.replaces is not None:
+        change = _child(parent, "reportAmendedSubstituted")
+        _child(change, "typeOfChange", "substituted")
+        _child(change, "replacedUniqueIdentifier", certificate.replaces)
 
 
-def _item(parent: ET.Element, calibration: Calibration) -> None:
+def _item(parent: ET.Element, calibration: Calibration, certificate: Certificate) -> None:
     _named(parent, "name", "inertial measurement unit")
+    _named(parent, "description", STATES[certificate.state])
     if calibration.model is not None:
         _child(parent, "model", one_line(calibration.model))
     identification = _child(_child(parent, "identifications"), "identification")
@@ -162,22 +198,82 @@ def _contact(parent: ET.Element, party: Party) -> None:
 # -------------------- results --------------------
 
 
-def _results(parent: ET.Element, calibration: Calibration, known: Mapping[str, SensorModel]) -> None:
+def _results(
+    parent: ET.Element,
+    calibration: Calibration,
+    certificate: Certificate,
+    known: Mapping[str, SensorModel],
+    judged: Sequence[Verdict],
+) -> None:
     _named(parent, "name", "calibration parameters of the inertial measurement unit")
     _named(parent, "description", "; ".join(origin(calibration)))
-    method = _child(_child(parent, "usedMethods"), "usedMethod")
-    _named(method, "name", f"method {calibration.method} of tumble")
-    if calibration.site is not None:
-        condition = _child(_child(parent, "influenceConditions"), "influenceCondition")
-        _named(condition, "name", "local gravity")
-        quantity = _child(_child(condition, "data"), "quantity")
-        _real(quantity, calibration.site.gravity, calibration.site.gravity_u or None, "m/s^2", np.inf)
+    _methods(_child(parent, "usedMethods"), calibration, certificate)
+    equipment = calibration.circumstances.equipment
+    if equipment:
+        every = _child(parent, "measuringEquipments")
+        for each in equipment:
+            _named(_typed(_child(every, "measuringEquipment"), "basic_measurementStandard"), "name", each)
+    _conditions(parent, calibration)
     results = _child(parent, "results")
-    _parameters(_result(results, "parameters"), calibration)
+    alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
+    _parameters(_result(results, "parameters"), calibration, alike)
     if calibration.covariance is not None:
         _covariance(_result(results, "parameters with covariance"), calibration, calibration.covariance)
     for kind, model in known.items():
         _model(_result(results, f"model of the {_TITLES[kind]}"), kind, model)
+    if judged:
+        _conformity(_child(parent, "measurementMetaData"), certificate, judged)
+
+
+def _methods(parent: ET.Element, calibration: Calibration, certificate: Certificate) -> None:
+    """The method of the calibration, and that of its uncertainty."""
+    method = _typed(_child(parent, "usedMethod"), "basic_calibrationMethod")
+    _named(method, "name", f"method {calibration.method} of tumble")
+    if certificate.procedure is not None:
+        _named(method, "description", certificate.procedure)
+    uncertainty = _typed(_child(parent, "usedMethod"), "basic_methodMeasurementUncertainty")
+    _named(uncertainty, "name", "expanded uncertainty")
+    _named(uncertainty, "description", "U = k u covers 95.45 %; k = 2, or Student's t where u was estimated")
+    _child(uncertainty, "norm", "JCGM 100:2008")
+
+
+def _conditions(parent: ET.Element, calibration: Calibration) -> None:
+    """Gravity and the air."""
+    air, site = calibration.circumstances.air, calibration.site
+    found: list[tuple[str, str | None, float | None, float | None, str]] = [
+        ("temperature", "basic_temperature", air.temperature, air.temperature_u, "degC"),
+        ("relative humidity", "basic_humidityRelative", air.humidity, None, "%"),
+        ("air pressure", None, air.pressure, None, "hPa"),
+    ]
+    if site is not None:
+        said = "gravity at the place, the unit of the result" if site.gravity_is_unit else "local gravity"
+        found.insert(0, (said, None, site.gravity, site.gravity_u or None, "m/s^2"))
+    known = [(name, kind, value, u, unit) for name, kind, value, u, unit in found if value is not None]
+    every = _child(parent, "influenceConditions") if known else parent
+    for name, kind, value, u, unit in known:
+        condition = _typed(_child(every, "influenceCondition"), kind)
+        _named(condition, "name", name)
+        _real(_child(_child(condition, "data"), "quantity"), value, u, unit, np.inf)
+
+
+def _conformity(parent: ET.Element, certificate: Certificate, judged: Sequence[Verdict]) -> None:
+    """A statement of conformity for each check, by the decision rule."""
+    for verdict in judged:
+        statement = _typed(_child(parent, "metaData"), "basic_conformity")
+        _named(statement, "name", f"{verdict.occasion} check against acceptance limits")
+        if certificate.agreed is not None:
+            _named(statement, "description", f"limits and decision rule as agreed: {certificate.agreed}")
+        _child(statement, "norm", "ILAC-G8:09/2019")
+        _named(statement, "declaration", AGREED_RULE)
+        if verdict.statement in _CONFORMITY:
+            _child(statement, "conformity", _CONFORMITY[verdict.statement])
+
+
+def _typed(element: ET.Element, kind: str | None) -> ET.Element:
+    """An element with its refType, one of good practice, where it has one."""
+    if kind is not None:
+        element.set("refType", kind)
+    return element
 
 
 def _result(parent: ET.Element, name: str) -> ET.Element:
@@ -187,12 +283,20 @@ def _result(parent: ET.Element, name: str) -> ET.Element:
     return _child(result, "data")
 
 
-def _parameters(data: ET.Element, calibration: Calibration) -> None:
+def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Verdict]) -> None:
     for parameter in calibration.parameters:
-        quantity = _child(data, "quantity")
+        quantity = _typed(_child(data, "quantity"), "basic_measuredValue")
         quantity.set("id", parameter.name)
         _named(quantity, "name", parameter.name)
         _real(quantity, parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter))
+        found = [(v.occasion, j) for v in judged for j in v.judgements if j.name == parameter.name]
+        told = [(occasion, j) for occasion, j in found if j.statement in _CONFORMITY]
+        every = _child(quantity, "measurementMetaData") if told else quantity
+        for occasion, judgement in told:
+            statement = _typed(_child(every, "metaData"), "basic_conformity")
+            _named(statement, "name", f"{occasion} check")
+            _named(statement, "declaration", f"limits {judgement.low:g} to {judgement.high:g} {judgement.unit}")
+            _child(statement, "conformity", _CONFORMITY[judgement.statement])
 
 
 def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degrees: float) -> None:
@@ -231,8 +335,8 @@ def _region_factor(count: int, degrees: float) -> float:
     """How many standard deviations the ellipsoid of so many parameters is large, of a covariance that was estimated
     with so many degrees of freedom."""
     if np.isinf(degrees):
-        return float(np.sqrt(chi2.ppf(REGION_PROBABILITY, count)))
-    return float(np.sqrt(count * f.ppf(REGION_PROBABILITY, count, degrees)))
+        return float(np.sqrt(chdtri(count, 1.0 - REGION_PROBABILITY)))
+    return float(np.sqrt(count * fdtri(count, degrees, REGION_PROBABILITY)))
 
 
 def _model(data: ET.Element, kind: str, model: SensorModel) -> None:

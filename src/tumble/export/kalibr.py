@@ -22,6 +22,7 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.quiet_samples import longest_rest, noise_panels
+from tumble.calibration.results import SensorsAtRest
 from tumble.errors import InputError
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, origin, shown, triads, yaml_list, yaml_number
 from tumble.export.larger_model import g_sensitivity, not_held, still
@@ -43,11 +44,11 @@ class Densities:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoiseDensities:
-    """Noise of both kinds of sensors, the sample rate, Hz, and where it was seen."""
+    """Noise of both kinds of sensors, the sample rate, Hz, None where it is not known, and where it was seen."""
 
     accel: Densities
     gyro: Densities
-    rate: float
+    rate: float | None
     source: str
 
 
@@ -60,6 +61,40 @@ def noise_densities(session: Session) -> NoiseDensities:
         raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
     accel, gyro = (_densities(panel, kind) for panel, kind in zip(panels, ("accelerometers", "gyros"), strict=True))
     return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
+
+
+DRIFT_OF_WALK = 1.2
+"""Variance of the drift of a rest, its slope times T, over K² T: 6/5 of a random walk of the bias alone."""
+
+
+def noise_of_rests(calibration: Calibration) -> NoiseDensities:
+    """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
+    Raises InputError for a calibration without rests or gyros."""
+    kinds = {kind: [(rest, getattr(rest, kind)) for rest in calibration.rests] for kind in ("accel", "gyro")}
+    if any(not rests or None in [sensors for _, sensors in rests] for rests in kinds.values()):
+        raise InputError(
+            "export: expected --noise with kalibr and only there, found none, nor rests of accelerometers and gyros in "
+            "the calibration; give a session of the device"
+        )
+    seconds = np.array([rest.stop - rest.start for rest in calibration.rests])
+    accel, gyro = (
+        _densities_at_rest([sensors for _, sensors in rests], seconds, words)
+        for rests, words in zip(kinds.values(), ("accelerometers", "gyros"), strict=True)
+    )
+    count = len(calibration.rests)
+    return NoiseDensities(
+        accel=accel, gyro=gyro, rate=calibration.sample_rate, source=f"{count} rests of the calibration"
+    )
+
+
+def _densities_at_rest(rests: list[SensorsAtRest], seconds: Array, kind: str) -> Densities:
+    white = np.median([rest.noise for rest in rests], axis=0).max()
+    walks = np.array([rest.drift for rest in rests]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
+    said = (
+        f"random walk of the {kind}: the largest that the drifts within the rests allow is written; record an hour at "
+        "rest and give it with --noise"
+    )
+    return Densities(white=float(white), walk=float(np.sqrt(walks.mean(axis=0).max())), bounds=(said,))
 
 
 def _densities(panel: Panel, kind: str) -> Densities:
@@ -104,7 +139,12 @@ def kalibr(calibration: Calibration, noise: NoiseDensities) -> Exported:
         NO_UNCERTAINTY,
     )
     comments = [*origin(calibration), f"noise from {noise.source}", *_frame_comment(to_accel)]
-    comments += ["set rostopic", *_examples(known, to_accel), *still(sensitivity), *losses]
+    comments += [
+        "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
+        *_examples(known, to_accel),
+        *still(sensitivity),
+        *losses,
+    ]
     lines = ["%YAML:1.0", *(f"# {line}" for line in comments), "", "imu0:"]
     lines += _matrix("T_i_b", np.eye(4))
     lines += [
@@ -114,7 +154,7 @@ def kalibr(calibration: Calibration, noise: NoiseDensities) -> Exported:
         f"  gyroscope_random_walk: {yaml_number(noise.gyro.walk)}",
         "  rostopic: /imu0",
         "  time_offset: 0.0",
-        f"  update_rate: {yaml_number(round(noise.rate, 6))}",
+        *([] if noise.rate is None else [f"  update_rate: {yaml_number(round(noise.rate, 6))}"]),
         '  model: "kalibr"',
     ]
     for name, matrix in (("Tw", Tw), ("R_IMUtoGYRO", to_gyro), ("Ta", Ta), ("R_IMUtoACC", np.eye(3))):

@@ -20,6 +20,8 @@ USUAL_RATE = 100.0 * DEGREE
 """rad/s, where a calibration does not say how fast its turns were."""
 WARMER, HOUR = 10.0, 3600.0
 """K and s over which changes are stated."""
+HEATING = 1.0 / 60.0
+"""K/s at which the effect of a lag is stated."""
 NO_PLACE = "no place in this file"
 NOT_IN_MATRIX = "not in matrix and bias"
 
@@ -52,6 +54,8 @@ def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, st
         return rate**2 * float(np.linalg.norm(own.reshape(-1, 3), axis=1).max()), at_rate
     if group.motion == "delay":
         return rate * G_STANDARD * float(np.abs(own).max()), f"in 1 g {at_rate}"
+    if group.variable == "lag":
+        return _of_lag(values, float(own[0]))
     if group.base is not None:
         return _of_change(group, float(np.abs(own).max()), rate, at_rate)
     effect = float(np.abs(_effects(calibration, group, values, rate)).max())
@@ -62,10 +66,19 @@ def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, st
 def _of_change(group: ParameterGroup, largest: float, rate: float, at_rate: str) -> tuple[float, str]:
     """The effect of the change of a bias or a scale factor."""
     span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
+    if group.variable == "hysteresis":
+        span, over = 1.0, "on the way up or down"
+    span = WARMER**2 if group.variable == "temperature²" else span
     if group.base is not None and group.base.endswith("bias"):
         return largest * span, over
     size, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
     return largest * span * size, f"{over} {where}"
+
+
+def _of_lag(values: Mapping[str, float], lag: float) -> tuple[float, str]:
+    """The effect of a lag on a bias of the accelerometers."""
+    slopes = [abs(value) for name, value in values.items() if name.startswith("accel.bias.") and name.endswith(".t1")]
+    return abs(lag) * HEATING * max(slopes, default=0.0), "at 1 K/min"
 
 
 def _names(calibration: Calibration, group: ParameterGroup) -> tuple[str, ...]:

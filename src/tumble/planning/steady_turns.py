@@ -59,13 +59,12 @@ def steady_moments(vector: Array, T: Array, start: Array, setup: Setup, own: Own
     felt = np.einsum("knij,knj->kni", C, force)
     dt = weights * T[:, None]
     beta = np.concatenate([np.ones((K, NODES, 1)), rate, force, force[..., _FIRST] * force[..., _SECOND]], axis=2)
-    of_gyro, of_accel = np.abs(rate @ own.gyro.T), force @ own.accel.T
-    own_accel = np.concatenate([np.abs(of_accel), of_accel**3], axis=2)
+    own_gyro, own_accel = _own(rate @ own.gyro.T), _own(force @ own.accel.T)
     squares = rate[..., _FIRST] * rate[..., _SECOND]
     to_go = T[:, None, None] * np.einsum("nm,kmi->kni", to_end, felt)  # V(T) − V(t)
     crossed = -skew(to_go) @ C
     V = np.einsum("kn,kni->ki", dt, felt)
-    m = len(own.accel)
+    n, m = len(own.gyro), len(own.accel)
     ends = np.concatenate([np.zeros((K, 3)), np.ones((K, 1))], axis=1)
     first, last = ends.copy(), ends.copy()
     first[:, :3], last[:, :3] = force[:, 0], force[:, -1]
@@ -76,17 +75,22 @@ def steady_moments(vector: Array, T: Array, start: Array, setup: Setup, own: Own
         Psi=_sums(dt, crossed, beta[..., :_LINEAR]),
         W=_sums(dt, C, squares),
         sweep=_sums(dt, C @ skew(rate), force),
-        Phi_gyro=_sums(dt, C, of_gyro),
-        Psi_gyro=_sums(dt, crossed, of_gyro),
+        Phi_gyro=_sums(dt, C, own_gyro).reshape(K, 3, 3, 2, n),
+        Psi_gyro=_sums(dt, crossed, own_gyro).reshape(K, 3, 3, 2, n),
         Phi_accel=_sums(dt, C, own_accel).reshape(K, 3, 3, 2, m),
         body=np.einsum("kn,knb->kb", dt, beta).reshape(K, REGRESSORS),
         body_rates=np.einsum("kn,knb->kb", dt, squares),
-        body_gyro=np.einsum("kn,knb->kb", dt, of_gyro),
+        body_gyro=np.einsum("kn,knb->kb", dt, own_gyro).reshape(K, 2, n),
         body_accel=np.einsum("kn,knb->kb", dt, own_accel).reshape(K, 2, m),
         jumps=np.zeros(K),
         head=first,
         tail=last,
     )
+
+
+def _own(along: Array) -> Array:
+    """|u|, then u³ (K, n, 2 m) of components u (K, n, m)."""
+    return np.concatenate([np.abs(along), along**3], axis=2)
 
 
 def _sums(dt: Array, matrices: Array, functions: Array) -> Array:

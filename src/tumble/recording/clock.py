@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from datetime import UTC, datetime, timedelta
+
 import polars as pl
 
 _DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[-./](\d{4}))"
@@ -12,6 +15,17 @@ _DAY = 86400
 def day_of(text: str) -> int:
     """The day of a text's date, counted from 1970-01-01; 0 without a date."""
     return int(_days(pl.Series([text], dtype=pl.String)).fill_null(0)[0])
+
+
+def date_of(text: str) -> str | None:
+    """The date with the time of a text, ISO 8601, with a time zone in UTC; None without a date."""
+    day = day_of(text)
+    seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
+    if not day or seconds is None:
+        return None
+    zone = UTC if re.search(_TIME, text)[5] else None  # type: ignore[index]
+    start = datetime(1970, 1, 1, tzinfo=zone) + timedelta(days=day)
+    return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 
 
 def seconds_of(text: pl.Series, day: int) -> pl.Series:

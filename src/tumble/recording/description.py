@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tumble.recording.autopilot import sensors_content
+from tumble.recording.circumstances import Circumstances, circumstances_content
 from tumble.recording.dialect import Dialect
 from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site
 from tumble.recording.session_keys import CLOCK
@@ -24,7 +27,8 @@ def description_of(session: Session) -> dict[str, Any]:
     >>> tumble.description_of(session)["log"]
     {'rate_hz': 100.0, 'accel': {'columns': ['accel_x', 'accel_y', 'accel_z'], 'unit': 'm/s^2'}}
     """
-    device = {"serial": session.device.serial, "model": session.device.model}
+    device: dict[str, Any] = {"serial": session.device.serial, "model": session.device.model}
+    device |= {"imu": sensors_content(session.device.imu)} if session.device.imu else {}
     passport = session.device.systematic
     content: dict[str, Any] = {
         "format": 1,
@@ -32,7 +36,16 @@ def description_of(session: Session) -> dict[str, Any]:
         "site": _site(session.site),
         "log": _log(session.log),
     }
-    return content | ({} if session.programme is None else {"programme": _programme(session.programme)})
+    content |= {} if session.programme is None else {"programme": _programme(session.programme)}
+    return content | _circumstances(session.circumstances)
+
+
+def _circumstances(given: Circumstances) -> dict[str, Any]:
+    """The table [session], where there is anything to say."""
+    stated = circumstances_content(given)
+    if given.date is not None:
+        stated["date"] = datetime.fromisoformat(given.date) if "T" in given.date else given.day
+    return {"session": stated} if stated else {}
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -60,6 +73,7 @@ def _log(spec: LogSpec) -> dict[str, Any]:
         "time_unit": None if spec.time is None or unit == "s" else unit,
         "regular": spec.regular or None,
         "rate_hz": spec.rate,
+        "clock_ppm_u": 1e6 * spec.clock_u or None,
         "accel": _channels(spec.accel, ACCEL_UNITS),
         "gyro": None if spec.gyro is None else _channels(spec.gyro, GYRO_UNITS),
         "temperature": None if spec.temperature is None else {"columns": [spec.temperature], "unit": "degC"},

@@ -13,8 +13,9 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 LINE_BYTES = 1 << 20
 BLANKS = " "
@@ -66,6 +67,8 @@ class Dialect:
 
     def is_row(self, cells: Sequence[str]) -> bool:
         """Whether cells are a row of numbers: at least three, and as many as everything else."""
+        if len(cells) < _LEAST_NUMBERS:
+            return False
         numbers = sum(map(self.is_number, cells))
         return numbers >= _LEAST_NUMBERS and 2 * (numbers + sum(map(is_clock, cells))) >= sum(map(bool, cells))
 
@@ -105,14 +108,15 @@ class Recoded(io.BufferedIOBase):
 # -------------------- what stands above the numbers --------------------
 
 
-def top_of(lines: Sequence[str], dialect: Dialect) -> Top | None:
-    """What stands above the first row of numbers in the first lines of a file; None where no such row is."""
-    cells = [dialect.cells(line) for line in lines]
-    first = _first_row(lines, cells, dialect)
+@lru_cache(maxsize=4)
+def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
+    """What stands above the first row of numbers in the first lines of a file; None where no such row is. Remembered,
+    because a file is opened several times on the way to a calibration."""
+    rows = {i: len(cells) for i, line in enumerate(lines) if dialect.is_row(cells := dialect.cells(line))}
+    first = _first_row({i: width for i, width in rows.items() if not dialect.is_comment(lines[i])})
     if first is None:
         return None
-    widths = [len(c) for line, c in zip(lines[first:], cells[first:], strict=True) if dialect.is_row(c)]
-    width = Counter(widths).most_common(1)[0][0]
+    width = Counter(width for i, width in rows.items() if i >= first).most_common(1)[0][0]
     if not dialect.header:
         return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
     above = [(i, _uncommented(line, dialect)) for i, line in enumerate(lines[:first])]
@@ -132,11 +136,11 @@ def top_of(lines: Sequence[str], dialect: Dialect) -> Top | None:
     return Top(names=names, lines=first, remarks=_said(rest, dialect))
 
 
-def _first_row(lines: Sequence[str], cells: Sequence[Sequence[str]], dialect: Dialect) -> int | None:
-    """The first row of numbers that the next row is as wide as, or that nothing follows."""
-    rows = [i for i, c in enumerate(cells) if not dialect.is_comment(lines[i]) and dialect.is_row(c)]
-    for i, following in zip(rows, [*rows[1:], None], strict=True):
-        if following is None or len(cells[i]) == len(cells[following]):
+def _first_row(rows: Mapping[int, int]) -> int | None:
+    """The first of the rows of numbers, given with their widths, that the next is as wide as, or that nothing
+    follows."""
+    for (i, width), following in zip(rows.items(), [*list(rows.values())[1:], None], strict=True):
+        if following is None or width == following:
             return i
     return None
 
@@ -179,14 +183,14 @@ def _said(lines: Sequence[str], dialect: Dialect) -> tuple[str, ...]:
     return tuple(text for line in lines if (text := " ".join(_uncommented(line, dialect).split())))
 
 
-def head_lines(stream: io.BufferedIOBase) -> list[str]:
+def head_lines(stream: io.BufferedIOBase) -> tuple[str, ...]:
     """The first lines of a stream, whole and without their ends."""
     seen = stream.read(_SEEN_BYTES)
     text = seen.decode("utf-8", errors="replace").removeprefix("\ufeff")
     lines = text.split("\n")
     if len(seen) == _SEEN_BYTES and len(lines) > 1:
         lines = lines[:-1]
-    return [line.rstrip("\r") for line in lines[:_TOP_LINES]]
+    return tuple(line.rstrip("\r") for line in lines[:_TOP_LINES])
 
 
 # -------------------- which dialect --------------------
@@ -239,7 +243,7 @@ def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
     if best is None:
         return None
     dialect = best[1]
-    top = top_of(lines, dialect)
+    top = top_of(tuple(lines), dialect)
     if top is None:
         return None
     named = any(not name.isdecimal() for name in top.names)

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from tumble.errors import LogError
+from tumble.recording.circumstances import date_of_unix
 from tumble.recording.dialect import LINE_BYTES
 from tumble.recording.gaps import Bridge, Gap, Grid, check_head, is_reading, rows_of
 from tumble.recording.readers import Kind, LogSource, readable, source_of
@@ -61,6 +62,16 @@ class Log:
     def gaps(self) -> tuple[Gap, ...]:
         """What was bridged or left out in the chunks read so far by the latest `chunks()`."""
         return tuple(self._gaps)
+
+    @property
+    def recorded(self) -> str | None:
+        """When the first sample was taken, ISO 8601; None where the times of the log are not absolute."""
+        spec = self.session.log
+        if spec.time is None:
+            return None
+        if spec.clock:
+            return self._sources[0].first_date(spec.time)
+        return date_of_unix(float(self._sources[0].head(spec.time, 1)[0]) * spec.time_factor)
 
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
         """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any

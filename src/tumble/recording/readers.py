@@ -27,7 +27,7 @@ import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.clock import day_of, seconds_of
+from tumble.recording.clock import date_of, day_of, seconds_of
 from tumble.recording.dialect import BLANKS, LINE_BYTES, Dialect, Recoded, head_lines, top_of
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec
@@ -94,6 +94,9 @@ class LogSource(Protocol):
 
     def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
         """The first numbers of a column, at most `rows`."""
+
+    def first_date(self, column: str) -> str | None:
+        """The date with the time, ISO 8601, in the first row of a column; None where it has no date."""
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
         """Its rows in order as tables of a bounded size: these columns as float64, times of day and dates in the column
@@ -180,6 +183,12 @@ class _Frame:
         self._check_no_nulls(table, 1)
         return table[column].to_numpy()
 
+    def first_date(self, column: str) -> str | None:
+        if not isinstance(self.types[column], pl.Datetime):
+            return None
+        first = self.scan().select(pl.col(column).first()).collect().item()
+        return None if first is None else str(first.isoformat(timespec="seconds"))
+
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
         first = 1
         with readable(self.path):
@@ -247,6 +256,9 @@ class _Csv:
             if sum(map(len, found)) >= rows:
                 break
         return np.concatenate(found)[:rows]
+
+    def first_date(self, column: str) -> str | None:
+        return date_of(self._cell(next(self.pieces(), b""), column))
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
         first, text = 1, _Text(self, columns, clock)

@@ -21,9 +21,12 @@ from tumble.documents import text_of_document, toml_of
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath, whole_file
+from tumble.recording.autopilot import AutopilotSensor, sensors_from
+from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
 from tumble.recording.dialect import Dialect
 from tumble.recording.session_keys import (
     CLOCK,
+    CircumstancesTable,
     ExcludeTable,
     LogTable,
     MagnetometerTable,
@@ -63,6 +66,8 @@ class Device:
     """The class of instrument, where the session says it."""
     prior: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of groups of parameters, where the data sheet gives them."""
+    imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
+    """Which "accel" and "gyro" of an autopilot it is, where it is one."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,6 +82,8 @@ class Site:
     field: float | None = None
     gravity_confirmed: bool = False
     """That gravity is meant, however far it is from normal gravity."""
+    gravity_is_unit: bool = False
+    """That gravity at the place, whatever it is, is the unit, and `gravity` stands for it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -125,7 +132,8 @@ class Magnetometer:
 class LogSpec:
     """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
     `rate`, Hz. `clock`: the times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever
-    their times are; `dialect`: how text files are written, None for CSV files with their names in the first line."""
+    their times are; `dialect`: how text files are written, None for CSV files with their names in the first line;
+    `clock_u`: the relative standard uncertainty of the time base."""
 
     files: tuple[Path | Samples, ...]
     time: str | None
@@ -138,6 +146,12 @@ class LogSpec:
     clock: bool = False
     regular: bool = False
     dialect: Dialect | None = None
+    clock_u: float = 0.0
+
+    @property
+    def gyro_clock_u(self) -> float:
+        """The uncertainty of the time base as far as it makes gyros wrong: increments are angles already."""
+        return 0.0 if self.gyro is None or self.gyro.unit.kind == "increment" else self.clock_u
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -201,6 +215,7 @@ class Session:
     log: LogSpec
     programme: ProgrammeSpec | None
     excluded: tuple[Exclusion, ...] = ()
+    circumstances: Circumstances = UNKNOWN
 
     @property
     def name(self) -> str:
@@ -352,12 +367,18 @@ def _session(document: SessionDocument, folder: Path | None) -> Session:
             systematic=None if device.systematic is None else place / device.systematic,
             grade=device.grade,
             prior=device.priors(),
+            imu=sensors_from(device.imu.model_dump()),
         ),
         site=_site(document.site),
         log=_log(document.log, place),
         programme=None if document.programme is None else _programme(document.programme),
         excluded=tuple(_exclusion(given) for given in document.exclude),
+        circumstances=_circumstances(document.session),
     )
+
+
+def _circumstances(given: CircumstancesTable) -> Circumstances:
+    return circumstances_from(given.model_dump())
 
 
 def _exclusion(given: ExcludeTable) -> Exclusion:
@@ -402,6 +423,7 @@ def _log(log: LogTable, folder: Path) -> LogSpec:
         clock=log.time_unit == CLOCK,
         regular=bool(log.regular),
         dialect=log.dialect(),
+        clock_u=1e-6 * (log.clock_ppm_u or 0.0),
     )
 
 

@@ -11,6 +11,8 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import date as date_type
+from datetime import datetime
 from difflib import get_close_matches
 from typing import Any, ClassVar, Literal, Self
 
@@ -46,6 +48,15 @@ class SessionTable(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+class ImuTable(SessionTable):
+    """[device.imu]"""
+
+    accel_number: int | None = Field(default=None, ge=1, le=9, description="a number from 1 to 9")
+    accel_id: int | None = Field(default=None, ge=1, lt=2**32, description="a device id, a whole number")
+    gyro_number: int | None = Field(default=None, ge=1, le=9, description="a number from 1 to 9")
+    gyro_id: int | None = Field(default=None, ge=1, lt=2**32, description="a device id, a whole number")
+
+
 class DeviceTable(SessionTable):
     """[device]"""
 
@@ -55,6 +66,7 @@ class DeviceTable(SessionTable):
     grade: Literal["navigation", "tactical", "mems", "consumer"] | None = Field(
         default=None, description="one of navigation, tactical, mems, consumer"
     )
+    imu: ImuTable = Field(default_factory=ImuTable, description="a table of sensors of an autopilot")
     prior: dict[str, str | dict[str, str]] = Field(
         default_factory=dict, description='standard deviations such as accel_quadratic = "20 ug/g^2"'
     )
@@ -223,6 +235,7 @@ class LogTable(SessionTable):
     time_unit: str | None = Field(default=None, description=f"one of {', '.join([*TIME_UNITS, CLOCK])}")
     rate_hz: float | None = Field(default=None, gt=0, description="a positive number")
     regular: bool | None = Field(default=None, description="true or false")
+    clock_ppm_u: float | None = Field(default=None, ge=0, description="a number that is not negative")
     delimiter: str | None = Field(default=None, description="a character, or a blank for one or more blanks")
     decimal: str | None = Field(default=None, description='"." or ","')
     comment: str | None = Field(
@@ -340,6 +353,28 @@ class ProgrammeTable(SessionTable):
         return self
 
 
+class ConditionsTable(SessionTable):
+    """session.conditions"""
+
+    temperature_degC: float | None = Field(  # noqa: N815
+        default=None, ge=-90, le=200, description="a number from -90 to 200 (°C)"
+    )
+    temperature_u: float | None = Field(default=None, ge=0, description="a number, not negative (K)")
+    humidity_percent: float | None = Field(default=None, ge=0, le=100, description="a number from 0 to 100 (%)")
+    pressure_hPa: float | None = Field(  # noqa: N815
+        default=None, gt=0, le=1200, description="a number from 0 to 1200 (hPa)"
+    )
+
+
+class CircumstancesTable(SessionTable):
+    """[session]"""
+
+    date: datetime | date_type | None = Field(default=None, description="a date, or a date with a time, without quotes")
+    operator: str | None = Field(default=None, min_length=1, description="a name, a string")
+    conditions: ConditionsTable = Field(default_factory=ConditionsTable, description="a table of conditions")
+    equipment: list[str] = Field(default_factory=list, description="a list of strings")
+
+
 class ExcludeTable(SessionTable):
     """[[exclude]]"""
 
@@ -373,6 +408,7 @@ class SessionDocument(SessionTable):
     site: SiteTable = Field(default_factory=SiteTable, description="the table [site]")
     log: LogTable = Field(description="the table [log]")
     programme: ProgrammeTable | None = Field(default=None, description="the table [programme]")
+    session: CircumstancesTable = Field(default_factory=CircumstancesTable, description="the table [session]")
     exclude: list[ExcludeTable] = Field(default_factory=list, description="tables [[exclude]]")
 
     @model_validator(mode="after")
@@ -393,6 +429,7 @@ class SessionDocument(SessionTable):
 
 TABLES: Mapping[str, type[SessionTable]] = {
     "device": DeviceTable,
+    "imu": ImuTable,
     "site": SiteTable,
     "log": LogTable,
     "accel": AccelTable,
@@ -401,6 +438,8 @@ TABLES: Mapping[str, type[SessionTable]] = {
     "temperature": TemperatureTable,
     "programme": ProgrammeTable,
     "position": PositionTable,
+    "session": CircumstancesTable,
+    "conditions": ConditionsTable,
 }
 """The table behind every key that is one."""
 

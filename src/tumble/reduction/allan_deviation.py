@@ -28,9 +28,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import nnls
-from scipy.special import ndtr
-from scipy.stats import chi2
+from scipy.special import gammaincinv, ndtr
 
 from tumble.errors import InputError
 from tumble.reduction import kernels as _kernels
@@ -130,7 +128,7 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     deviation = np.sqrt(sums / (2.0 * terms * sizes.astype(float) ** 2)[:, None])
     tau = sizes / rate
     degrees = np.column_stack([_degrees(count + 1, sizes, _exponents(tau, d)) for d in deviation.T])
-    low, high = (deviation * np.sqrt(degrees / chi2.ppf(ndtr(z), degrees)) for z in (1.0, -1.0))
+    low, high = (deviation * np.sqrt(0.5 * degrees / gammaincinv(0.5 * degrees, ndtr(z))) for z in (1.0, -1.0))
     return AllanDeviation(tau=tau, deviation=deviation, degrees=degrees, low=low, high=high)
 
 
@@ -230,6 +228,8 @@ class _Fit:
     def squares(self, active: Sequence[int]) -> Array:
         """Squares (4,) of the coefficients, zero where not active: non-negative least squares, weighted by the
         fitted σ² and not by the data, where an estimate that is low by chance would gain weight by it."""
+        from scipy.optimize import nnls
+
         columns = _slopes(self.transfer.tau)[:, active]
         model, out = self.variance, np.zeros(len(_TERMS))
         for _ in range(8):

@@ -28,6 +28,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tumble.reduction import kernels as _kernels
 from tumble.units import Array
 
 BATCHES = 120
@@ -183,29 +184,23 @@ def _fit_channel(series: list[Array], longest: int, sloping: bool) -> tuple[Arra
         corrected = raw + lost + bent
         filters, powers = _levinson(corrected)
         best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
-        autocovariance = _continued(corrected, filters[best], longest)
+        prediction_filter = filters[best, : best + 1]
+        autocovariance = _continued(corrected, prediction_filter, longest)
         now = float(shares @ [_variance_of_mean(autocovariance, float(n)) for n in different])
         if abs(now - lost) <= 1e-4 * now:
             break
         lost = now
         if sloping:
             bent = _slope_lost(autocovariance, int(np.median(lengths)), order_limit + 1)
-    return filters[best], autocovariance
+    return prediction_filter, autocovariance
 
 
-def _levinson(autocovariance: Array) -> tuple[list[Array], Array]:
-    """Prediction-error filters and innovation variances of every order from 0 (Levinson's recursion), up to where the
-    estimated autocovariances stop being those of a process."""
-    filters, powers = [np.array([1.0])], [autocovariance[0]]
-    for order in range(1, len(autocovariance)):
-        previous = filters[-1]
-        reflection = -(previous @ autocovariance[order:0:-1]) / powers[-1]
-        if reflection**2 > 1.0 - 1e-9:
-            break
-        padded = np.append(previous, 0.0)
-        filters.append(padded + reflection * padded[::-1])
-        powers.append(powers[-1] * (1.0 - reflection**2))
-    return filters, np.array(powers)
+def _levinson(autocovariance: Array) -> tuple[Array, Array]:
+    """Prediction-error filters, a row each, and innovation variances of every order from 0, up to where the estimated
+    autocovariances stop being those of a process."""
+    filters, powers = np.zeros((len(autocovariance),) * 2), np.zeros(len(autocovariance))
+    count = _kernels.levinson(autocovariance, filters, powers)
+    return filters[:count], powers[:count]
 
 
 def _continued(autocovariance: Array, prediction_filter: Array, length: int) -> Array:
@@ -213,11 +208,8 @@ def _continued(autocovariance: Array, prediction_filter: Array, length: int) -> 
     order = len(prediction_filter) - 1
     out = np.zeros(max(length, order + 1))
     out[: order + 1] = autocovariance[: order + 1]
-    weights = -prediction_filter[:0:-1]
-    for lag in range(order + 1, length if order else 0):
-        out[lag] = weights @ out[lag - order : lag]
-        if lag % 64 == 0 and np.abs(out[lag - order : lag + 1]).max() < NEGLIGIBLE * out[0]:
-            break
+    if order:
+        _kernels.continue_autocovariance(out, prediction_filter, NEGLIGIBLE)
     return out[:length]
 
 

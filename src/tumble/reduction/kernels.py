@@ -22,14 +22,22 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def _compiled(**flags: Any) -> Callable[[Function], Function]:
     """numba.njit that keeps the machine code on disk, or in memory alone where no folder can be written."""
+    flags = {"nogil": True, "no_cfunc_wrapper": True, **flags}
 
     def decorate(function: Function) -> Function:
         try:
-            return numba.njit(cache=True, nogil=True, **flags)(function)  # type: ignore[no-any-return]
+            return numba.njit(cache=True, **flags)(function)  # type: ignore[no-any-return]
         except RuntimeError:
-            return numba.njit(nogil=True, **flags)(function)  # type: ignore[no-any-return]
+            return numba.njit(**flags)(function)  # type: ignore[no-any-return]
 
     return decorate
+
+
+def _part_of_compiled(**flags: Any) -> Callable[[Function], Function]:
+    """numba.njit for a loop that only compiled loops call: neither kept on disk nor made callable from Python, since it
+    is in the machine code of those that call it."""
+    flags = {"nogil": True, "no_cfunc_wrapper": True, "no_cpython_wrapper": True, **flags}
+    return numba.njit(**flags)  # type: ignore[no-any-return]
 
 
 # Allan variance ----------------------------------------------------------------------------------------------
@@ -52,7 +60,7 @@ def allan_sums(phase: Array, sizes: IntArray) -> Array:
     return sums
 
 
-@_compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _squared_differences(a: Array, b: Array, c: Array) -> float:
     """Sum of (c − 2 b + a)²."""
     total = 0.0
@@ -60,6 +68,43 @@ def _squared_differences(a: Array, b: Array, c: Array) -> float:
         difference = (c[j] - b[j]) - (b[j] - a[j])
         total += difference * difference
     return total
+
+
+# Autoregressive noise ----------------------------------------------------------------------------------------
+
+
+@_compiled(error_model="numpy")
+def levinson(autocovariance: Array, filters: Array, powers: Array) -> int:
+    """Prediction-error filters (P, P), a row an order from 0, and innovation variances (P,) of autocovariances (P,) by
+    Levinson's recursion, both zero before; returns how many orders there are until the process would be no longer
+    stationary."""
+    filters[0, 0], powers[0] = 1.0, autocovariance[0]
+    for order in range(1, len(autocovariance)):
+        total = 0.0
+        for k in range(order):
+            total += filters[order - 1, k] * autocovariance[order - k]
+        reflection = -total / powers[order - 1]
+        if reflection * reflection > 1.0 - 1e-9:
+            return order
+        for k in range(order + 1):
+            filters[order, k] = filters[order - 1, k] + reflection * filters[order - 1, order - k]
+        powers[order] = powers[order - 1] * (1.0 - reflection * reflection)
+    return len(autocovariance)
+
+
+@_compiled(error_model="numpy")
+def continue_autocovariance(autocovariance: Array, prediction_filter: Array, negligible: float) -> None:
+    """Write the autocovariances of an autoregressive process of order p behind the first p + 1, until a filter's length
+    of them is below `negligible` of the first."""
+    order = len(prediction_filter) - 1
+    for lag in range(order + 1, len(autocovariance)):
+        total, largest = 0.0, 0.0
+        for k in range(1, order + 1):
+            total -= prediction_filter[k] * autocovariance[lag - k]
+            largest = max(largest, abs(autocovariance[lag - k]))
+        autocovariance[lag] = total
+        if lag % 64 == 0 and max(largest, abs(total)) < negligible * autocovariance[0]:
+            return
 
 
 # Means of blocks and the state of channels --------------------------------------------------------------------
@@ -118,7 +163,7 @@ def block_sums(
     return blocks
 
 
-@_compiled()
+@_part_of_compiled()
 def _end_row(channel: Array, value: float, length: float, stop: float) -> None:
     """Take note of a row of equal values that ends, or goes on after this chunk."""
     if length > channel[6]:

@@ -7,7 +7,7 @@ instructions. A pass that did everything at once would not be: beyond some fifty
 
     _fill  readings of nominal sensors and dt          → rows y_g (3), y_a (3), dt
     _compensate  sensor model, delay                   → rows ω (3), f (3), dt
-    _regress  products with dt                         → `right`: dt, ω, f, f f, ω ω and |a·ω|, |a·f|, (a·f)³, times dt
+    _regress  products with dt                         → `right`: dt, ω, f, f f, ω ω and |a·ω|, (a·ω)³, |a·f|, (a·f)³
     _turn  the step (A1) with the attitude C_m in its middle → `left`: C_m, and C_m × V by columns
     _turn_about  C_m [ω×] dt                           → `swept`
     _add_products  left ⊗ right                        → `sums`
@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.reduction.kernels import _compiled
+from tumble.reduction.kernels import _compiled, _part_of_compiled
 from tumble.units import Array, IntArray
 
 STRETCH = 500
@@ -123,7 +123,7 @@ def integrate_stretches(
         _join(state, total, piece[used], sums)
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _begin(
     samples: Samples,
     first: IntArray,
@@ -155,7 +155,7 @@ def _begin(
     return longest
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _fill(samples: Samples, first: IntArray, stop: IntArray, done: int, steps: int, tile: Array) -> None:
     """Copy `steps` samples of each lane after the first `done` to `tile`, with zeros behind the end of a lane and in
     lanes that are not used. A sample before the first of all is the first, over no time."""
@@ -179,7 +179,7 @@ def _fill(samples: Samples, first: IntArray, stop: IntArray, done: int, steps: i
 # Compensation ------------------------------------------------------------------------------------------------
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _compensate(tile: Array, steps: int, model: Model, lanes: int, state: Array) -> None:
     """Rates and specific forces of the body in place of the readings, in the order of Part II, A1: force; rate with
     g-sensitivity to the late force; force moved by the delay with that rate; rate with g-sensitivity to the moved one.
@@ -200,7 +200,7 @@ def _compensate(tile: Array, steps: int, model: Model, lanes: int, state: Array)
     _subtract_terms(tile, many, gyro, scratch)
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _transform(tile: Array, many: int, A: Array, a: Array, B: Array, b: Array) -> None:
     """ω = A y_g + a and f = B y_a + b, in place."""
     a00, a01, a02 = A[0]
@@ -222,7 +222,7 @@ def _transform(tile: Array, many: int, A: Array, a: Array, B: Array, b: Array) -
         tile[5 * ROW + i] = b2 + b20 * u + b21 * v + b22 * w
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _subtract_terms(vector: Array, many: int, terms: Terms, scratch: Array) -> None:
     """Solve x + Σ_p effect_p (K₂ u² + K₃ u³ + κ |u|) = linear, u = a_p·x, by two fixed-point steps in place; at once
     where no sensor has such a term."""
@@ -238,7 +238,7 @@ def _subtract_terms(vector: Array, many: int, terms: Terms, scratch: Array) -> N
             _subtract_term(vector, before, many, axes[p], coefficients[p], effect[p])
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _copy(source: Array, target: Array, many: int) -> None:
     """Copy a vector."""
     for i in range(many):
@@ -247,7 +247,7 @@ def _copy(source: Array, target: Array, many: int) -> None:
         target[2 * ROW + i] = source[2 * ROW + i]
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _subtract_term(vector: Array, before: Array, many: int, axis: Array, coefficients: Array, effect: Array) -> None:
     """Take off the nonlinear term of one sensor, at the vector `before`."""
     a0, a1, a2 = axis
@@ -261,7 +261,7 @@ def _subtract_term(vector: Array, before: Array, many: int, axis: Array, coeffic
         vector[2 * ROW + i] -= e2 * term
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _move(tile: Array, steps: int, lanes: int, delay: float, state: Array) -> None:
     """f ← f − τ ω̄×f + ½τ² ω̄×(ω̄×f), with ω̄ = ω − ½τ ω̇ the rate in the middle of the delay and ω̇ from the sample
     before. The number added to the time keeps 0/0 out of samples that take no time."""
@@ -283,7 +283,7 @@ def _move(tile: Array, steps: int, lanes: int, delay: float, state: Array) -> No
             state[(_RATE + 2) * LANES + i], state[(_RATE + 3) * LANES + i] = z, dt
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _subtract_force(tile: Array, many: int, G: Array) -> None:
     """ω ← ω − G f; at once where there is no G."""
     if len(G) == 0:
@@ -315,7 +315,7 @@ def ends_of(intervals: Array, starts: IntArray, stops: IntArray, seconds: float)
     return head_stop, tail_start
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _add_ends(tile: Array, steps: int, piece: IntArray, first: IntArray, stop: IntArray, done: int, ends: Ends) -> None:
     """Add f dt and dt of the samples in the head and in the tail of their piece."""
     head_stop, tail_start, head, tail = ends
@@ -328,7 +328,7 @@ def _add_ends(tile: Array, steps: int, piece: IntArray, first: IntArray, stop: I
             _add_end(tile, LANES * step + lane, tail[k])
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _add_end(tile: Array, cell: int, end: Array) -> None:
     """Add (f dt, dt) of one sample."""
     dt = tile[6 * ROW + cell]
@@ -340,7 +340,7 @@ def _add_end(tile: Array, cell: int, end: Array) -> None:
 # Regressors --------------------------------------------------------------------------------------------------
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _regress(tile: Array, steps: int, lanes: int, right: Array, state: Array) -> None:
     """1, ω, f, f_k f_l, ω_k ω_l (k ≤ l) times dt; and dt² |f − f'|² with f' of the sample before."""
     for step in range(steps):
@@ -374,19 +374,20 @@ def _regress(tile: Array, steps: int, lanes: int, right: Array, state: Array) ->
             right[18 * ROW + o] = z * zt
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _regress_own(tile: Array, steps: int, own_axes: tuple[Array, Array], right: Array) -> None:
-    """|a_p·ω| of the gyros, then |a_p·f| and then (a_p·f)³ of the accelerometers, times dt."""
+    """|a_p·ω| and then (a_p·ω)³ of the gyros, then |a_p·f| and then (a_p·f)³ of the accelerometers, times dt."""
     gyros, accels = own_axes
     n, m = len(gyros), len(accels)
     for p in range(n):
         _magnitude(tile, tile[6 * ROW :], steps * LANES, gyros[p], right[(COMMON + p) * ROW :])
+        _cube(tile, tile[6 * ROW :], steps * LANES, gyros[p], right[(COMMON + n + p) * ROW :])
     for p in range(m):
-        _magnitude(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + n + p) * ROW :])
-        _cube(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + n + m + p) * ROW :])
+        _magnitude(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + 2 * n + p) * ROW :])
+        _cube(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + 2 * n + m + p) * ROW :])
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _magnitude(vector: Array, dt: Array, many: int, axis: Array, out: Array) -> None:
     """|a·x| dt."""
     a0, a1, a2 = axis
@@ -394,7 +395,7 @@ def _magnitude(vector: Array, dt: Array, many: int, axis: Array, out: Array) -> 
         out[i] = abs(a0 * vector[i] + a1 * vector[ROW + i] + a2 * vector[2 * ROW + i]) * dt[i]
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _cube(vector: Array, dt: Array, many: int, axis: Array, out: Array) -> None:
     """(a·x)³ dt."""
     a0, a1, a2 = axis
@@ -406,7 +407,7 @@ def _cube(vector: Array, dt: Array, many: int, axis: Array, out: Array) -> None:
 # The step ----------------------------------------------------------------------------------------------------
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _turn(right: Array, steps: int, lanes: int, state: Array, left: Array) -> None:
     """Carry attitude and velocity of the lanes through the tile, with primes for the sample before (A1):
 
@@ -479,14 +480,14 @@ def _turn(right: Array, steps: int, lanes: int, state: Array, left: Array) -> No
             left[17 * ROW + o] = c02 * gy - c12 * gx
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _turn_about(left: Array, right: Array, steps: int, swept: Array) -> None:
     """C_m [ω×] dt, row by row."""
     for i in range(3):
         _turn_row(left[3 * i * ROW :], right, steps * LANES, swept[3 * i * ROW :])
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _turn_row(row: Array, right: Array, many: int, out: Array) -> None:
     """One row of C_m times [ω×] dt."""
     for i in range(many):
@@ -500,7 +501,7 @@ def _turn_row(row: Array, right: Array, many: int, out: Array) -> None:
 # Sums --------------------------------------------------------------------------------------------------------
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _add_all(
     left: Array, right: Array, swept: Array, tile: Array, steps: int, lanes: int, rows: int, linear: int, total: Array
 ) -> None:
@@ -518,7 +519,7 @@ def _add_all(
         _add_row(right[r * ROW :], groups, lanes, total[(9 * (rows + linear + 3) + r) * LANES :])
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _add_products(left: Array, right: Array, groups: int, lanes: int, total: Array) -> None:
     """Products of nine rows with one; GROUP samples of every lane before a sum is written back."""
     for group in range(groups):
@@ -535,7 +536,7 @@ def _add_products(left: Array, right: Array, groups: int, lanes: int, total: Arr
                 total[row * LANES + i] = s + h * left[7 * LANES + p]
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _add_row(right: Array, groups: int, lanes: int, total: Array) -> None:
     """Sums of one row, GROUP samples of every lane before a sum is written back."""
     for group in range(groups):
@@ -547,7 +548,7 @@ def _add_row(right: Array, groups: int, lanes: int, total: Array) -> None:
             total[i] += first + last
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _join(state: Array, total: Array, piece: IntArray, sums: Sums) -> None:
     """Append the stretches of a group to their pieces. With C and V of the piece so far and the stretch marked 2:
     ΔΦ = C ΔΦ₂, ΔΦ × V = C ΔΦ₂ × V + C (ΔΦ₂ × V₂), V += C V₂, C ← C C₂ (as quaternions, of unit length again)."""
@@ -573,7 +574,7 @@ def _join(state: Array, total: Array, piece: IntArray, sums: Sums) -> None:
         _append_attitude(attitude[k], state, lane)
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _add_rotated(C: Array, matrix: Array, out: Array) -> None:
     """Add C times a matrix that lies in every LANES-th number, row by row."""
     for j in range(3):
@@ -582,7 +583,7 @@ def _add_rotated(C: Array, matrix: Array, out: Array) -> None:
             out[3 * i + j] += C[i, 0] * a + C[i, 1] * b + C[i, 2] * c
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
+@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _add_crossed(C: Array, matrix: Array, V: Array, out: Array) -> None:
     """Add the cross products of the columns of C times a matrix, which lies in every LANES-th number, with V."""
     for j in range(3):
@@ -595,7 +596,7 @@ def _add_crossed(C: Array, matrix: Array, V: Array, out: Array) -> None:
         out[6 + j] += x * V[1] - y * V[0]
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _append_attitude(a: Array, state: Array, lane: int) -> None:
     """a ← a b, with b the attitude of the lane."""
     b0, b1, b2, b3 = state[lane], state[LANES + lane], state[2 * LANES + lane], state[3 * LANES + lane]
@@ -622,7 +623,7 @@ def finish(sums: Sums, C: Array) -> None:
                 Psi[6 + j] = x * V[k, 1] - y * V[k, 0] - Psi[6 + j]
 
 
-@_compiled(error_model="numpy")
+@_part_of_compiled(error_model="numpy")
 def _matrix_of(q: Array, C: Array) -> None:
     """Write the matrix of a unit quaternion, scalar first, to C (3, 3)."""
     C[0, 0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])

@@ -12,7 +12,7 @@ inverse with which the readings were compensated. Then a group of parameters is 
     gyros           ∂φ = −Φ_ijb s_jp w_pbm,   ∂V = −Ψ_ijb s_jp w_pbm                                    Eq. (A6)
     accelerometers  ∂V = −Φ_ijb s_jp w_pbm
 
-with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·ω|, |a_p·f| and (a_p·f)³ have sums of their own, for the axes asked for.
+with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·x| and (a_p·x)³, x = ω or f, have sums of their own, for the axes asked for.
 
 The effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on the force through
 the delay, is left out of the columns: it is of second order, and gone when the turn is integrated about the new values.
@@ -21,8 +21,8 @@ the delay, is left out of the columns: it is of second order, and gone when the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -128,9 +128,9 @@ class Moments:
     sweep: Array
     """∫ (C [ω×])_im f_l dt (K, 3, 3, 3)."""
     Phi_gyro: Array
-    """∫ C_ij |a_p·ω| dt (K, 3, 3, n)."""
+    """∫ C_ij |a_p·ω| dt, and then ∫ C_ij (a_p·ω)³ dt (K, 3, 3, 2, n)."""
     Psi_gyro: Array
-    """The same as Ψ for |a_p·ω| (K, 3, 3, n)."""
+    """The same as Ψ for |a_p·ω|, and then for (a_p·ω)³ (K, 3, 3, 2, n)."""
     Phi_accel: Array
     """∫ C_ij |a_p·f| dt, and then ∫ C_ij (a_p·f)³ dt (K, 3, 3, 2, m)."""
     body: Array
@@ -138,7 +138,7 @@ class Moments:
     body_rates: Array
     """∫ ω_k ω_l dt (K, 6)."""
     body_gyro: Array
-    """∫ |a_p·ω| dt (K, n)."""
+    """∫ |a_p·ω| dt, ∫ (a_p·ω)³ dt (K, 2, n)."""
     body_accel: Array
     """∫ |a_p·f| dt, ∫ (a_p·f)³ dt (K, 2, m)."""
     jumps: Array
@@ -200,7 +200,7 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
     starts, stops = (np.ascontiguousarray(x, dtype=np.int64) for x in (pieces.start, pieces.stop))
     count, n, m = len(starts), len(own.gyro), len(own.accel)
-    rows, linear = _kernels.COMMON + n + 2 * m, _kernels.LINEAR + n
+    rows, linear = _kernels.COMMON + 2 * n + 2 * m, _kernels.LINEAR + 2 * n
     attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
     products, moved, sweep = (np.zeros((count, size, 9)) for size in (rows, linear, 3))
     body, head, tail = np.zeros((count, rows)), np.zeros((count, 4)), np.zeros((count, 4))
@@ -219,7 +219,7 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
     C = np.empty((count, 3, 3))
     _kernels.finish(sums, C)
     Phi, Psi = _matrices(products), _matrices(moved)
-    gyros, accels = slice(_kernels.COMMON, _kernels.COMMON + n), slice(_kernels.COMMON + n, None)
+    gyros, accels = slice(_kernels.COMMON, _kernels.COMMON + 2 * n), slice(_kernels.COMMON + 2 * n, None)
     return Moments(
         C=C,
         V=V,
@@ -227,12 +227,12 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
         Psi=Psi[..., : _kernels.LINEAR],
         W=Phi[..., REGRESSORS : _kernels.COMMON],
         sweep=_matrices(sweep),
-        Phi_gyro=Phi[..., gyros],
-        Psi_gyro=Psi[..., _kernels.LINEAR :],
+        Phi_gyro=Phi[..., gyros].reshape(count, 3, 3, 2, n),
+        Psi_gyro=Psi[..., _kernels.LINEAR :].reshape(count, 3, 3, 2, n),
         Phi_accel=Phi[..., accels].reshape(count, 3, 3, 2, m),
         body=body[:, :REGRESSORS],
         body_rates=body[:, REGRESSORS : _kernels.COMMON],
-        body_gyro=body[:, gyros],
+        body_gyro=body[:, gyros].reshape(count, 2, n),
         body_accel=body[:, accels].reshape(count, 2, m),
         jumps=jumps,
         head=head,
@@ -299,15 +299,39 @@ def _short(moments: Moments) -> BoolArray:
 
 def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
     """Moments of whole turns, of which every batch holds at most one piece each, in order of time."""
+    whole = _nothing(turns, compensation, own)
+    for pieces in batches:
+        _add(whole, pieces, moments_of(pieces, compensation, own))
+    return whole
+
+
+def integrate_each(
+    batches: Iterable[Pieces], compensations: Sequence[Compensation], own: OwnAxes = NO_OWN_AXES
+) -> Moments:
+    """The same with a compensation for each turn."""
+    whole = _nothing(len(compensations), compensations[0], own)
+    for pieces in batches:
+        for i, turn in enumerate(pieces.turn):
+            one = replace(
+                pieces, turn=pieces.turn[i : i + 1], start=pieces.start[i : i + 1], stop=pieces.stop[i : i + 1]
+            )
+            _add(whole, one, moments_of(one, compensations[turn], own))
+    return whole
+
+
+def _nothing(turns: int, compensation: Compensation, own: OwnAxes) -> Moments:
+    """Moments of turns without samples."""
     none = np.zeros(turns, dtype=np.int64)
     nothing = Pieces(rates=NO_AXES, forces=NO_AXES, intervals=np.empty(0), turn=none, start=none, stop=none)
-    whole = moments_of(nothing, compensation, own)
-    for pieces in batches:
-        before = Moments(**{f.name: getattr(whole, f.name)[pieces.turn] for f in fields(Moments)})
-        joined = combined(before, moments_of(pieces, compensation, own))
-        for f in fields(Moments):
-            getattr(whole, f.name)[pieces.turn] = getattr(joined, f.name)
-    return whole
+    return moments_of(nothing, compensation, own)
+
+
+def _add(whole: Moments, pieces: Pieces, moments: Moments) -> None:
+    """Join pieces to what there is of their turns, in place."""
+    before = Moments(**{f.name: getattr(whole, f.name)[pieces.turn] for f in fields(Moments)})
+    joined = combined(before, moments)
+    for f in fields(Moments):
+        getattr(whole, f.name)[pieces.turn] = getattr(joined, f.name)
 
 
 # Columns -------------------------------------------------------------------------------------------------------
@@ -325,8 +349,8 @@ def accel_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
 
 
 def gyro_own_columns(moments: Moments, left_inverse: Array, w: Array) -> tuple[Array, Array]:
-    """∂φ and ∂V (K, 3, m) of gyro parameters that add w_pm |a_p·ω|, w (n, m)."""
-    weights = left_inverse[:, :, None] * w
+    """∂φ and ∂V (K, 3, m) of gyro parameters that add w_p0m |a_p·ω| + w_p1m (a_p·ω)³, w (n, 2, m)."""
+    weights = np.einsum("jp,pqm->jqpm", left_inverse, w)
     return -_contracted(moments.Phi_gyro, weights), -_contracted(moments.Psi_gyro, weights)
 
 

@@ -16,7 +16,7 @@ Forster et al. 2017) with body-frame sensors and the two-sample coning term.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
@@ -36,12 +36,14 @@ from tumble.reduction.moments import (
     OwnAxes,
     Pieces,
     integrate,
+    integrate_each,
     moments_of,
 )
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.rest_noise import accel_covariance, channel_rounding, density, drift
 from tumble.reduction.rounding import Rounding, rounding_notes
 from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.thermometer import Thermometer
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
@@ -107,15 +109,23 @@ class Turns:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnSamples:
-    """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`."""
+    """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`; those of further
+    sessions are `others`, after so many turns."""
 
     samples: MotionSamples
     start: IntArray
     stop: IntArray
+    others: tuple[tuple[int, TurnSamples], ...] = ()
     _only_batch: list[Pieces] = field(default_factory=list, repr=False)
 
     def pieces(self) -> Iterator[Pieces]:
-        """Batches of whole or cut turns, of no turn two pieces. Turns that fill one batch at most are gathered once."""
+        """Batches of whole or cut turns, of no turn two pieces."""
+        yield from self._own_pieces()
+        for before, other in self.others:
+            yield from (replace(pieces, turn=pieces.turn + before) for pieces in other.pieces())
+
+    def _own_pieces(self) -> Iterator[Pieces]:
+        """Those of these samples. Turns that fill one batch at most are gathered once."""
         if self._only_batch:
             return iter(self._only_batch)
         if int(np.sum(self.stop - self.start)) < BATCH_SAMPLES:
@@ -124,26 +134,30 @@ class TurnSamples:
         return self._gathered()
 
     def _gathered(self) -> Iterator[Pieces]:
-        parts: list[tuple[Array, Array, Array]] = []
-        pieces: list[tuple[int, int, int]] = []
+        parts: list[tuple[int, int, int, int]] = []
         count = 0
         for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True)):
             for at in range(int(start), int(stop), BATCH_SAMPLES):
                 end, ahead = min(at + BATCH_SAMPLES, int(stop)), min(AHEAD, at)
-                parts.append(self.samples.read(at - ahead, end))
-                pieces.append((turn, count + ahead, count + ahead + end - at))
+                parts.append((turn, at - ahead, at, end))
                 count += end - at + ahead
                 if count >= BATCH_SAMPLES:
-                    yield _pieces(parts, pieces)
-                    parts, pieces, count = [], [], 0
-        if pieces:
-            yield _pieces(parts, pieces)
+                    yield self._pieces(parts, count)
+                    parts, count = [], 0
+        if parts:
+            yield self._pieces(parts, count)
 
-
-def _pieces(parts: list[tuple[Array, Array, Array]], pieces: list[tuple[int, int, int]]) -> Pieces:
-    rates, forces, intervals = (np.concatenate(part) for part in zip(*parts, strict=True))
-    turn, start, stop = np.array(pieces).T
-    return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turn, start=start, stop=stop)
+    def _pieces(self, parts: list[tuple[int, int, int, int]], count: int) -> Pieces:
+        """So many samples in parts of turns: turn, first sample to be read, first of the part, and its end."""
+        rates, forces, intervals = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+        pieces, done = [], 0
+        for turn, first, at, end in parts:
+            into = slice(done, done + end - first)
+            rates[into], forces[into], intervals[into] = self.samples.read(first, end)
+            pieces.append((turn, done + at - first, done + end - first))
+            done += end - first
+        turns, start, stop = np.array(pieces).T
+        return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turns, start=start, stop=stop)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -153,6 +167,16 @@ class TurnReadings:
 
     integral: Array
     covariance: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Together:
+    """Several sessions in one: their names, which of them every rest (N,) is of, in order, and the number of the rest
+    in it (N,); parts of a rest have the same."""
+
+    names: tuple[str, ...]
+    session: IntArray
+    number: IntArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -176,8 +200,25 @@ class Observations:
     """Resolution of the accelerometers, "accel", and of the gyros, "gyro", and what it does to their means."""
     notes: tuple[str, ...] = ()
     """What is remarkable in the log, in words."""
+    thermometer: Thermometer | None = None
+    """The course of the temperature, where there is a thermometer."""
+    together: Together | None = None
+    """Where these are several sessions."""
+    clock_u: float = 0.0
+    """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
+
+    @property
+    def session(self) -> IntArray | None:
+        """Which session each rest (N,) is of, where there are several."""
+        return None if self.together is None else self.together.session
+
+    def rest_named(self, i: int) -> str:
+        """What rest i is called: by its number, of several sessions with the name of its own."""
+        if self.together is None:
+            return f"rest {i + 1}"
+        return f"{self.together.names[self.together.session[i]]}: rest {self.together.number[i] + 1}"
 
     def start_values(self, block: Block) -> Array:
         """Start values of a block's parameters, in their order."""
@@ -188,6 +229,12 @@ class Observations:
         if self.turns is None or self.turn_samples is None:
             raise ValueError("moments_about: expected observations of a log with gyros and turns, found none")
         return integrate(self.turn_samples.pieces(), len(self.turns), compensation, own)
+
+    def moments_about_each(self, compensations: Sequence[Compensation], own: OwnAxes = NO_OWN_AXES) -> Moments:
+        """The same with samples of each turn compensated in a way of its own."""
+        if self.turns is None or self.turn_samples is None:
+            raise ValueError("moments_about_each: expected observations of a log with gyros and turns, found none")
+        return integrate_each(self.turn_samples.pieces(), compensations, own)
 
     def turns_about(self, gyro: SensorModel) -> Turns:
         """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the
@@ -279,7 +326,13 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         turn_readings=readings,
         rounding=rounded,
         notes=(*_copies(reduction), *rounding_notes(rounded)),
+        thermometer=None if rests.temperature is None else _thermometer(reduction),
     )
+
+
+def _thermometer(reduction: Reduction) -> Thermometer:
+    """The record of the thermometer: a temperature is that at the end of a block."""
+    return Thermometer.of({f.file: (f.edges[1:], f.temperature) for f in reduction.files if f.temperature is not None})
 
 
 def _copies(reduction: Reduction) -> tuple[str, ...]:

@@ -19,14 +19,17 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tumble.calibration.coverage import expanded_of
 from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError
-from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
+from tumble.registry.records import OCCASIONS, Occasion, ParameterRow, parameter_rows
 from tumble.sensors.frames import FRAMES
 from tumble.sensors.parameters import ParameterGroup, group_name, group_of, quantity_of
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
 
 FORMAT = 1
 
@@ -35,7 +38,17 @@ RULE = (
     "more than U, otherwise undecided (guard band w = U: ISO 14253-1, JCGM 106)"
 )
 
+AGREED_RULE = (
+    "decision rule: pass where the value is inside its limits by at least U (95.45 %), conditional pass where it is "
+    "inside by less, conditional fail where it is outside by no more than U, fail where it is outside by more (guard "
+    "band w = U: ILAC-G8:09/2019, 4.2.3)"
+)
+"""RULE with the four outcomes of a statement of conformity."""
+
 Result = Literal["pass", "fail", "undecided"]
+Statement = Literal["pass", "conditional pass", "conditional fail", "fail", "undecided"]
+STATEMENTS: tuple[Statement, ...] = ("fail", "undecided", "conditional fail", "conditional pass", "pass")
+"""The worst first; undecided is what has no value or no U."""
 
 _KEYS = ("format", "frame", "systematic", "interval_months", "device_interval_months", *OCCASIONS)
 _FORMS = 'a text such as "5 mg", or a table with min and max, or one with deviation'
@@ -88,12 +101,21 @@ class LimitJudgement:
     high: float
     result: Result
 
+    @property
+    def statement(self) -> Statement:
+        """The result as one of the four outcomes (ILAC-G8); undecided without a value or without U."""
+        unknown = self.value is None or self.expanded is None or math.isnan(self.low) or math.isnan(self.high)
+        if self.result != "undecided" or self.value is None or unknown:
+            return self.result
+        return "conditional pass" if self.low <= self.value <= self.high else "conditional fail"
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """Every parameter that has a limit, judged."""
+    """Every parameter that has a limit, judged in the frame of the limits."""
 
     occasion: Occasion
+    frame: str
     judgements: tuple[LimitJudgement, ...]
 
     @property
@@ -101,6 +123,11 @@ class Verdict:
         """Fail if one fails, else undecided if one is, else pass."""
         results = [j.result for j in self.judgements]
         return "fail" if "fail" in results else "undecided" if "undecided" in results else "pass"
+
+    @property
+    def statement(self) -> Statement:
+        """The worst of the outcomes."""
+        return min((j.statement for j in self.judgements), key=STATEMENTS.index)
 
     def reasons(self) -> list[str]:
         """Which parameters do not pass, and why, in words."""
@@ -136,7 +163,17 @@ def judge(
     missing = [name for name in unobservable if limits.of(name, occasion) is not None]
     missing += [key for key in own if not any(_is_of(name, key) for name in named)]
     judged += [_not_determined(name, limits.of(name, occasion) or (-math.inf, math.inf)) for name in missing]
-    return Verdict(occasion=occasion, judgements=tuple(judged))
+    return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judged))
+
+
+def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
+    """What the limits say of a calibration, for each check that they are for.
+
+    Raises CalibrationError where it cannot be taken to the frame of the limits."""
+    if calibration.frame != limits.frame:
+        calibration = calibration.in_frame(limits.frame)
+    rows, unseen = list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable
+    return [found for occasion in OCCASIONS if (found := judge(limits, occasion, rows, unseen)) is not None]
 
 
 def _not_determined(name: str, limits: tuple[float, float]) -> LimitJudgement:
@@ -171,6 +208,11 @@ def judge_value(value: float, u: float | None, low: float, high: float, dof: flo
 
 
 # -------------------- the file --------------------
+
+
+def limits_of(path: Path) -> Limits:
+    """The limits of a file. Raises InputError, one line."""
+    return parse_limits(*read_limits(path), str(path))
 
 
 def read_limits(path: Path) -> tuple[str, str | None]:

@@ -51,7 +51,8 @@ class LaunchRow:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Particulars:
-    """What a calibration file does not say: when the device was calibrated (default: when the file was made), at what
+    """What a calibration file does not say: when the device was calibrated (default: when it
+    was recorded, or else when the file was made), at what
     check (default: `incoming` for the first record of a device, then `periodic`), in what state, and which record this
     one corrects, and why."""
 
@@ -174,6 +175,8 @@ def _launch_rows(calibration: Calibration) -> tuple[LaunchRow, ...]:
 def _performed(calibration: Calibration, particulars: Particulars, name: str) -> datetime:
     performed = particulars.performed
     if performed is None:
+        if calibration.circumstances.date is not None:
+            return utc(calibration.circumstances.date, f"{name}: session.date")
         if "created" not in calibration.provenance:
             raise InputError(f"{name}: provenance.created: expected a time, found none; give --date")
         performed = utc(calibration.provenance["created"], f"{name}: provenance.created")

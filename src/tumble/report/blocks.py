@@ -41,13 +41,15 @@ class Facts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReportTable:
-    """Rows of cells. Columns in `text` are words, set to the left; all others are numbers, set to the right."""
+    """Rows of cells. Columns in `text` are words, set to the left; all others are numbers, set to the right. A long
+    table may stand on a page in `halves` beside each other."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     text: tuple[int, ...] = (0,)
     caption: str = ""
     dense: bool = False
+    halves: bool = False
     kind: Literal["table"] = "table"
 
 
@@ -99,16 +101,37 @@ class Section:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Part:
-    """Sections under one title; a report of one calibration has a single part without a title."""
+    """Sections under one title; a report of one calibration has a single part without a title, whose first sections,
+    so many as `customer` says, stand on the page for the customer, and the others are annexes."""
 
     title: str
     sections: tuple[Section, ...]
+    customer: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Letterhead:
+    """The laboratory: name, lines of its address, and its logo (base64) with the type of that, where it has one."""
+
+    name: str
+    lines: tuple[str, ...]
+    logo: str = ""
+    logo_type: Literal["", "svg", "png"] = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Signature:
+    """A line to sign on: what stands below it, and in what function."""
+
+    name: str
+    role: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Document:
     """A whole report: the device, the worst verdict on its calibrations as a colour and in words, facts for the first
-    page, when the latest calibration was made (ISO 8601), and the parts."""
+    page, when the latest calibration was made (ISO 8601), and the parts; of a certificate its number and letterhead;
+    `statements` stand above the signatures, `closing` at the very end."""
 
     title: str
     device: str
@@ -117,3 +140,8 @@ class Document:
     facts: tuple[tuple[str, str], ...]
     created: str
     parts: tuple[Part, ...]
+    statements: tuple[str, ...]
+    signatures: tuple[Signature, ...]
+    closing: str
+    number: str = ""
+    letterhead: Letterhead | None = None

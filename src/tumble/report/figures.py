@@ -37,7 +37,7 @@ MOST_WITH_NUMBERS, MOST_WITH_LABELS = 30, 45
 PAGE = 6.7
 """Width of a figure as wide as the page, inches."""
 
-_STYLE: Any = {
+STYLE: Any = {
     "svg.fonttype": "path",
     "svg.hashsalt": "tumble",
     "text.parse_math": False,
@@ -61,13 +61,15 @@ _STYLE: Any = {
     "legend.fontsize": 7.5,
     "lines.linewidth": 1.2,
 }
+"""How every picture of a report looks."""
+
 _DATA_OF_THE_FILE = {"Creator": None, "Date": None, "Format": None, "Type": None}
 
 
 def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
     """The SVG of a figure of this size in inches that `draw` fills. `name` is put before every identifier in it:
     several figures of a page share one name space."""
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         draw(figure)
         out = io.StringIO()

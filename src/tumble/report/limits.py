@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
-from tumble.registry.limits import RULE, LimitJudgement, Limits, Verdict, judge
-from tumble.registry.records import OCCASIONS, parameter_rows
-from tumble.report.blocks import Block, Items, ReportTable, Section, Text
+from tumble.registry.limits import AGREED_RULE, RULE, LimitJudgement, Limits, verdicts
+from tumble.report.blocks import Block, Items, ReportTable, Section, Text, Tone
 from tumble.report.numbers import NONE, minus
 from tumble.terminal.text import shown_units
 from tumble.units import engineering, rounded
@@ -18,38 +16,31 @@ from tumble.units import engineering, rounded
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 
 
-def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
-    """What the limits say of a calibration, for each check that they are for.
-
-    Raises CalibrationError where it cannot be taken to the frame of the limits."""
-    if calibration.frame != limits.frame:
-        calibration = calibration.in_frame(limits.frame)
-    rows, unseen = list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable
-    return [found for occasion in OCCASIONS if (found := judge(limits, occasion, rows, unseen)) is not None]
-
-
-def section(calibration: Calibration, limits: Limits | None) -> Section:
-    """Limits, verdict and decision rule."""
+def section(calibration: Calibration, limits: Limits | None, agreed: str | None = None) -> Section:
+    """Limits, verdict and decision rule; of a certificate, where the rule is `agreed`, with its four outcomes."""
     if limits is None:
         said = "No acceptance limits were given: this report states values and uncertainties, not conformity."
         return Section(title="Limits and verdict", blocks=(Text(text=said),))
-    rule = f"{RULE[0].upper()}{RULE[1:]}. Limits hold in the frame “{limits.frame}”."
-    blocks: list[Block] = [Text(text=rule)]
+    stated = RULE if agreed is None else AGREED_RULE
+    rule = f"{stated[0].upper()}{stated[1:]}. Limits hold in the frame “{limits.frame}”."
+    blocks: list[Block] = [Text(text=f"{rule} Agreed beforehand: {agreed}." if agreed else rule)]
     if found := remarks(calibration):
         blocks.append(Items(items=found))
     units = shown_units(calibration.parameters)
     for verdict in verdicts(calibration, limits):
         check = _CHECKS[verdict.occasion]
-        tone: Literal["good", "bad"] = "good" if verdict.result == "pass" else "bad"
+        tone: Tone = "good" if verdict.result == "pass" else "bad"
         reasons = "; ".join(verdict.reasons())
-        said = f"{check}: {verdict.result}" + (f" ({reasons})" if reasons else "")
-        rows = tuple(_row(judgement, units) for judgement in verdict.judgements)
+        outcome = verdict.result if agreed is None else verdict.statement
+        tone = "doubt" if outcome == "conditional pass" else tone
+        said = f"{check}: {outcome}" + (f" ({reasons})" if reasons else "")
+        rows = tuple(_row(j, units, j.result if agreed is None else j.statement) for j in verdict.judgements)
         columns = ("parameter", "low", "value", "U", "high", "unit", "verdict")
         blocks += [Text(text=said + ".", tone=tone), ReportTable(columns=columns, rows=rows, text=(0, 5, 6))]
     return Section(title="Limits and verdict", blocks=tuple(blocks))
 
 
-def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]]) -> tuple[str, ...]:
+def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]], outcome: str) -> tuple[str, ...]:
     finite = [abs(v) for v in (judgement.low, judgement.high) if math.isfinite(v)]
     size, unit = units.get(judgement.name) or engineering(judgement.unit, max(finite, default=0.0))
     value, expanded = NONE, NONE
@@ -58,7 +49,7 @@ def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]]) -> t
     elif judgement.value is not None:
         value = f"{judgement.value / size:.6g}"
     low, high = (_limit(v, size) for v in (judgement.low, judgement.high))
-    return judgement.name, low, minus(value), expanded, high, unit, judgement.result
+    return judgement.name, low, minus(value), expanded, high, unit, outcome
 
 
 def _limit(value: float, size: float) -> str:

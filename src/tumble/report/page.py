@@ -22,8 +22,14 @@ def page(document: Document) -> str:
         lstrip_blocks=True,
     )
     environment.filters["inline"] = _inline
+    environment.filters["css"] = _css
     content = everywhere(asdict(document), visible, except_key="svg")
     return environment.get_template("page.html").render(document=content) + "\n"
+
+
+def _css(text: str) -> Markup:
+    """A text in a string of CSS: every character by its code, so that none can end the string."""
+    return Markup("".join(f"\\{ord(character):06x}" for character in text))
 
 
 def _inline(svg: str) -> Markup:

@@ -4,6 +4,7 @@ markup. Fonts are those that typst and matplotlib bring along, so that a report 
 
 from __future__ import annotations
 
+import base64
 import json
 from dataclasses import asdict
 from datetime import datetime
@@ -19,6 +20,8 @@ from tumble.report.characters import drawable, everywhere
 def pdf(document: Document) -> bytes:
     """The PDF of a report. Its date is that of the calibration."""
     content = everywhere(asdict(document), drawable, except_key="svg")
+    if content["letterhead"] is not None:
+        content["letterhead"]["logo"] = list(base64.b64decode(content["letterhead"]["logo"]))
     template = files("tumble.report").joinpath("templates/document.typ").read_bytes()
     fonts = typst.Fonts(include_system_fonts=False, font_paths=[f"{get_data_path()}/fonts/ttf"])
     compiler = typst.Compiler(template, font_paths=fonts, sys_inputs={"document": json.dumps(content)})

@@ -18,6 +18,7 @@ from tumble.recording.session import Site
 from tumble.report import drawings, figures
 from tumble.report.blocks import Block, Facts, Figure, ReportTable, Section, Text
 from tumble.report.numbers import NONE, fixed, minus, significant
+from tumble.report.recording_picture import overview
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array, engineering
@@ -71,6 +72,10 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
         return (("site", "not in the calibration file"),)
     latitude = NONE if site.latitude is None else f"{fixed(site.latitude / DEGREE, 5)}°"
     gravity = f"{fixed(site.gravity, 7)} m/s², U = {significant(2.0 * site.gravity_u, 2)} m/s² (k = 2)"
+    if site.gravity_is_unit:
+        gravity = f"not stated: g at the place is the unit, {fixed(site.gravity, 5)} m/s² stands for it"
+    elif site.gravity_u == 0.0:
+        gravity = f"{fixed(site.gravity, 7)} m/s², taken as exact: no uncertainty of it was stated"
     height = () if site.latitude is None else (("height", f"{fixed(site.height, 1)} m"),)
     return (("latitude", latitude), *height, ("gravity", gravity))
 
@@ -94,7 +99,17 @@ def found(recording: RecordedSession, name: str) -> Section | None:
         return None
     positions = [_position(rest.attitude) for rest in recording.rests]
     verticals = _verticals(recording)
-    blocks: list[Block] = [Text(text=_programme_said(recording)), _rest_table(recording, positions, verticals)]
+    blocks: list[Block] = [Text(text=_programme_said(recording))]
+    if all(rest.accel is not None for rest in recording.rests):
+        columns = recording.readings["accel"].columns if "accel" in recording.readings else ()
+        blocks.append(
+            Figure(
+                svg=overview(f"{name}-time", recording.rests, recording.turns, columns),
+                caption="The recording: mean readings of the accelerometers at its numbered rests, and between them "
+                "the turns, with their angles as the gyros saw them.",
+            )
+        )
+    blocks.append(_rest_table(recording, positions, verticals))
     if verticals is not None:
         nominal = np.array([p.vertical_b for p in positions if p is not None]).reshape(-1, 3)
         gap = drawings.farthest_from(verticals) / DEGREE
@@ -103,7 +118,7 @@ def found(recording: RecordedSession, name: str) -> Section | None:
                 svg=drawings.sphere(name, drawings.Directions(found=verticals, nominal=nominal)),
                 caption="Orientation coverage: where the vertical was in the body at each rest, on both sides of the "
                 f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
-                width=0.75,
+                width=0.6,
             )
         )
     if recording.turns:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -46,6 +46,10 @@ _NAME = re.compile(
     r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
 )
 _STRONGEST = 8
+_MOST_ROWS = 26
+"""Rows of the table of results that the page for the customer has room for."""
+_MOST_COLUMNS = 14
+"""Columns of a covariance that a page has room for."""
 MODEL_DIGITS, TRUE_DIGITS = 10, 8
 """Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
 _HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
@@ -73,25 +77,34 @@ def described(name: str) -> str:
     return f"{sensor}, {said[found['what']]}"
 
 
-def parameter_table(calibration: Calibration) -> ReportTable:
-    """Parameters of the linear model with U (95 %); where there are such, coverage factors other than 2, deviations
-    from the systematic values and from launch to launch."""
+def parameter_table(
+    calibration: Calibration, as_found: Calibration | None = None, outcomes: Mapping[str, str] | None = None
+) -> ReportTable:
+    """Parameters of the linear model with U (95 %); where there are such, the values as found before an adjustment,
+    coverage factors other than 2, deviations from the systematic values and from launch to launch, and the outcomes
+    of the checks by parameter."""
     parameters = linear_parameters(calibration.parameters)
     units = shown_units(parameters)
     launches, factors = bool(calibration.launches), other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
+    before = {} if as_found is None else {p.name: p.value for p in as_found.parameters}
     columns = ["parameter", "", "mean" if launches else "value", "U (95 %)", "unit"]
+    columns += ["as found"] if before else []
     columns += ["k"] if factors else []
+    columns += ["verdict"] if outcomes else []
     columns += (["run to run"] if launches else []) + (["from nominal"] if passport else [])
     rows = []
     for p in parameters:
         size, unit = units[p.name]
         row = [p.name, described(p.name), *with_expanded(p, size), unit]
+        row += [as_value(before.get(p.name), p, size)] if before else []
         row += [fixed(p.k, 2)] if factors else []
+        row += [outcomes.get(p.name, NONE)] if outcomes else []
         row += [as_value(p.run_to_run, p, size)] if launches else []
         row += [as_value(p.deviation, p, size)] if passport else []
         rows.append(tuple(row))
-    return ReportTable(columns=tuple(columns), rows=tuple(rows), text=(0, 1, 4))
+    words = (0, 1, 4, columns.index("verdict")) if outcomes else (0, 1, 4)
+    return ReportTable(columns=tuple(columns), rows=tuple(rows), text=words, halves=len(rows) > _MOST_ROWS)
 
 
 def beyond(calibration: Calibration) -> Section | None:
@@ -283,7 +296,7 @@ def frame(calibration: Calibration, name: str) -> Section:
         if factor > 1.0:
             caption = f"{caption[:-1]}, their deviations from the body axes drawn {factor:.0f} times larger."
         svg = drawings.frame(name, calibration.accel, calibration.gyro)
-        blocks.append(Figure(svg=svg, caption=caption, width=0.72))
+        blocks.append(Figure(svg=svg, caption=caption, width=0.42))
     return Section(title="The frame", blocks=tuple(blocks))
 
 
@@ -311,11 +324,14 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
             svg=figures.correlations(name, names, r),
             caption="Correlation coefficients of the parameters"
             + (", in hundredths." if len(names) <= figures.MOST_WITH_NUMBERS else "."),
-            width=0.85,
+            width=0.6,
         ),
     ]
     if rows:
-        said = "The covariance of two parameters is their coefficient times both standard uncertainties. The strongest:"
+        said = (
+            "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
+            "the calibration file. The strongest:"
+        )
         blocks += [Text(text=said), ReportTable(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
@@ -335,7 +351,7 @@ def _not_contained(calibration: Calibration) -> str:
 
 
 def covariance(calibration: Calibration) -> Section | None:
-    """The whole covariance matrix, a table for each pair of kinds of sensor."""
+    """The whole covariance matrix, a table for each pair of kinds of sensor; none where a page has no room for it."""
     if calibration.covariance is None:
         return None
     names = [p.name for p in calibration.parameters]
@@ -346,6 +362,8 @@ def covariance(calibration: Calibration) -> Section | None:
     kinds = list(dict.fromkeys(sensor_kind(name) for name in linear))
     members = {kind: [names.index(name) for name in linear if name.startswith(f"{kind}.")] for kind in kinds}
     blocks: list[Block] = [Text(text=said)]
+    if any(len(own) > _MOST_COLUMNS for own in members.values()):
+        return None
     for n, first in enumerate(kinds):
         for second in kinds[: n + 1]:
             rows = tuple(

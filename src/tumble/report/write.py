@@ -15,11 +15,15 @@ ENDINGS = (".html", ".pdf")
 
 
 def write_report(
-    calibrations: FilePath | Sequence[FilePath], out: FilePath, *, limits: FilePath | None = None
+    calibrations: FilePath | Sequence[FilePath],
+    out: FilePath,
+    *,
+    limits: FilePath | None = None,
+    certificate: FilePath | None = None,
 ) -> list[str]:
     """Write the report of a calibration file, or of several of one device, to `out`, HTML or PDF by its ending, and
     return why it is not accepted: the reasons of the calibrations, and what is not within the acceptance limits of the
-    file `limits`.
+    file `limits`. With the file `certificate` it is the certificate of one calibration, whose limits that file names.
 
     Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`.
 
@@ -38,13 +42,18 @@ def write_report(
         from tumble.report.content import Source, document, not_accepted
         from tumble.report.page import page
         from tumble.report.pdf import pdf
-    from tumble.registry.limits import parse_limits, read_limits
+    from tumble.export.certificate import read_certificate
+    from tumble.registry.limits import limits_of
 
-    acceptance = None if limits is None else parse_limits(*read_limits(Path(limits)), str(limits))
+    stated = None if certificate is None else read_certificate(Path(certificate))
+    if limits is None and stated is not None:
+        limits = stated.limits
+    acceptance = None if limits is None else limits_of(Path(limits))
+    as_found = None if stated is None or stated.as_found is None else read_calibration(stated.as_found)
     sources = [
         Source(file=path.name, sha256=_sha256(path), calibration=read_calibration(path)) for path in map(Path, files)
     ]
-    made = document(sources, acceptance)
+    made = document(sources, acceptance, stated, as_found)
     content = page(made).encode() if ending == ".html" else pdf(made)
     try:
         with whole_file(out) as temporary:

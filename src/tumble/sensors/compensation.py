@@ -54,17 +54,20 @@ def _solved(
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
-    biases and scale factors change by per K of temperature (n,), about a reference, °C, where there is one. Lever arms
-    (n, 3), m, need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
+    biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about a reference,
+    °C, where there is one; the sensors follow the thermometer with the time constant `lag`, s. Lever arms (n, 3), m,
+    need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
 
     accel: Block
     gyro: Block | None
     accel_coefficients: Array
     gyro_coefficients: Array
     slopes: Mapping[str, Array]
+    curvatures: Mapping[str, Array]
     levers: Array
     delay: float = 0.0
     reference: float | None = None
+    lag: float = 0.0
 
     @staticmethod
     def of(
@@ -91,17 +94,24 @@ class Compensator:
             gyro=gyro if models[1] is not None else None,
             accel_coefficients=coefficients[0],
             gyro_coefficients=coefficients[1],
-            slopes=_slopes(blocks, values),
+            slopes=_changes(blocks, values, "t1"),
+            curvatures=_changes(blocks, values, "t2"),
             levers=instrument.levers(further),
             delay=instrument.delay(further),
             reference=reference,
+            lag=values.get("temperature.lag", 0.0),
         )
 
     @property
     def linear(self) -> bool:
         """Whether matrix and bias of each kind are all there is, whatever the temperature."""
         kinds = ((self.accel, self.accel_coefficients), (self.gyro, self.gyro_coefficients))
-        return not self.slopes and all(block is None or is_linear(block, K) for block, K in kinds)
+        return not self.warm and all(block is None or is_linear(block, K) for block, K in kinds)
+
+    @property
+    def warm(self) -> bool:
+        """Whether anything changes with temperature."""
+        return bool(self.slopes or self.curvatures)
 
     def model(self, kind: str) -> SensorModel:
         """Matrix and bias of a kind of sensors, without what is beyond them."""
@@ -119,7 +129,7 @@ class Compensator:
         return np.asarray(readings - np.einsum("npk,pk->np", added, self.accel_coefficients[:, FORCE]))
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
-        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C."""
+        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C, of the sensors."""
         change = self._change(self.accel, self.accel_coefficients, temperature)
         return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)), change)
 
@@ -131,25 +141,31 @@ class Compensator:
 
     def _change(self, block: Block, K: Array, temperature: Array | None) -> tuple[Array, Array] | None:
         """Changes (N, n) of the biases from the reference temperature, and factors (N, n) of the sensitivities."""
-        bias, scale = self.slopes.get(f"{block.kind}.bias"), self.slopes.get(f"{block.kind}.scale")
-        if temperature is None or self.reference is None or bias is None or scale is None:
+        if temperature is None or self.reference is None or not self.warm:
             return None
         warmer = (temperature - self.reference)[:, None]
-        size = np.linalg.norm(K[:, _measured(block)], axis=1)
-        return bias * warmer, 1.0 + scale * warmer / size
+        bias, scale = (
+            sum(
+                (by.get(f"{block.kind}.{what}", 0.0) * warmer**power)
+                for power, by in ((1, self.slopes), (2, self.curvatures))
+            )
+            for what in ("bias", "scale")
+        )
+        return np.asarray(bias), 1.0 + np.asarray(scale) / np.linalg.norm(K[:, _measured(block)], axis=1)
 
 
-def _slopes(blocks: tuple[Block, Block | None], values: Mapping[str, float]) -> dict[str, Array]:
-    """Changes per K (n,) by channel of biases and scale factors, where the values have some."""
+def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float], ending: str) -> dict[str, Array]:
+    """Changes (n,) by channel of biases and scale factors, per K for `t1` and per K² for `t2`, where the values have
+    some."""
     out = {}
     for block in blocks:
         for what in ("bias", "scale"):
             if block is None:
                 continue
             out[f"{block.kind}.{what}"] = np.zeros(block.size)
-            by_sensor = [values.get(f"{block.kind}.{what}.{sensor}.t1", 0.0) for sensor in block.sensors]
+            by_sensor = [values.get(f"{block.kind}.{what}.{sensor}.{ending}", 0.0) for sensor in block.sensors]
             out[f"{block.kind}.{what}"][block.channels] = by_sensor
-    return out if any(np.any(slope) for slope in out.values()) else {}
+    return out if any(np.any(change) for change in out.values()) else {}
 
 
 def _measured(block: Block) -> slice:

@@ -118,6 +118,28 @@ GRADES: Mapping[str, Grade] = MappingProxyType(
     }
 )
 
+TURN_ON: Mapping[str, Mapping[str, Spread]] = MappingProxyType(
+    {
+        "navigation": {
+            "accel": Spread(bias=2e-4, scale=1e-5, axis=2 * ARCSEC),
+            "gyro": Spread(bias=0.01 * DEGREE_PER_HOUR, scale=5e-6, axis=2 * ARCSEC),
+        },
+        "tactical": {
+            "accel": Spread(bias=3e-3, scale=1e-4, axis=10 * ARCSEC),
+            "gyro": Spread(bias=1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
+        },
+        "mems": {
+            "accel": Spread(bias=5e-3, scale=3e-4, axis=1e-4),
+            "gyro": Spread(bias=0.02 * DEGREE, scale=3e-4, axis=1e-4),
+        },
+        "consumer": {
+            "accel": Spread(bias=3e-2, scale=1e-3, axis=3e-4),
+            "gyro": Spread(bias=0.1 * DEGREE, scale=1e-3, axis=3e-4),
+        },
+    }
+)
+"""By grade and kind of sensor, how far parameters change from one power-on to the next: standard deviations."""
+
 
 def grade(name: str) -> Grade:
     """The grade of this name. Raises InputError for any other name."""

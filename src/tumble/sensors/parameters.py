@@ -34,9 +34,9 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """k and l of the products f_k f_l."""
 
 Motion = Literal["lever", "delay"]
-Variable = Literal["time", "temperature", "temperature²"]
-"""What the change of a parameter within a session goes with: time from its middle, s, or temperature from the
-reference, K, and its square."""
+Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag"]
+"""What the change of a parameter goes with: time from the middle of a session, s, temperature from the reference, K,
+its square, the direction it came from, −1 … 1, or that a session is another one; the lag moves the temperatures."""
 Regressors = Callable[[Block], Array]
 """∂K/∂θ (n, 15, m) of a block for a group's parameters."""
 
@@ -50,9 +50,9 @@ class ParameterGroup:
     `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what
     reports call it. `suffixes` makes the names of its parameters for a block. `limit`, SI, is how far from nominal a
     value may reasonably be; `usual` the standard deviation over instruments of a grade, the prior where a parameter
-    has one. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where
-    `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
-    `variable`."""
+    has one; a grade that is not there has the group only where a data sheet says so. `regressors` is None for bias,
+    scale and axis angles, whose derivative `Block.jacobian` has, and where `motion` says how a turn sees the group, or
+    where the group is the change of another, its `base`, with a `variable`, or the lag, which has no base."""
 
     name: str
     kind: SensorKind
@@ -70,7 +70,7 @@ class ParameterGroup:
     @property
     def linear(self) -> bool:
         """Whether the group belongs to the 21 of the linear model: bias, scale factor and axis angles."""
-        return self.regressors is None and self.motion is None and self.base is None
+        return self.regressors is None and self.motion is None and self.variable is None
 
     def names(self, block: Block) -> tuple[str, ...]:
         """Parameter names for a block of sensors."""
@@ -78,8 +78,22 @@ class ParameterGroup:
         return tuple(f"{stem}.{suffix}{ending}" if suffix else f"{stem}{ending}" for suffix in self.suffixes(block))
 
 
-_ENDINGS: dict[Variable | None, str] = {"time": "drift", "temperature": "t1", "temperature²": "t2"}
+_ENDINGS: dict[Variable | None, str] = {
+    "time": "drift",
+    "temperature": "t1",
+    "temperature²": "t2",
+    "hysteresis": "hysteresis",
+    "launch": "launch",
+}
 """How the name of a parameter ends that is the change of another."""
+_CHANGES: dict[Variable, tuple[str, str]] = {
+    "time": ("s", "drift of the "),
+    "temperature": ("K", "slope over temperature of the "),
+    "temperature²": ("K^2", "curvature over temperature of the "),
+    "hysteresis": ("", "hysteresis over temperature of the "),
+    "launch": ("", "change from session to session of the "),
+}
+"""What a change is divided by in its unit, and its words."""
 
 
 def _every_sensor(block: Block) -> tuple[str, ...]:
@@ -138,6 +152,8 @@ def g_sensitivity(block: Block) -> Array:
 _MASS = ((MICRO_G, "µg"), (1e3 * MICRO_G, "mg"))
 _PARTS = ((1e-6, "ppm"),)
 _TURN_RATE = ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s"))
+_AT_TEN = 1e-6 / (10.0 * DEGREE) ** 2
+"""s²/rad²: what changes the scale factor by 1 ppm at 10 °/s."""
 _PER_G = tuple((size / G_STANDARD, f"{name}/g") for size, name in _TURN_RATE)
 
 
@@ -209,6 +225,16 @@ FURTHER: list[ParameterGroup] = [
         regressors=_own(OWN_SIZE),
     ),
     ParameterGroup(
+        name="gyro.cubic",
+        kind="gyro",
+        unit="s^2/rad^2",
+        words="cubic nonlinearity of the gyros: their scale factors with the square of the rate",
+        suffixes=_every_sensor,
+        limit=1e-2 / (10.0 * DEGREE) ** 2,
+        shown=((0.01 * _AT_TEN, "ppm at 100 °/s"), (_AT_TEN, "ppm at 10 °/s")),
+        regressors=_own(OWN_CUBE),
+    ),
+    ParameterGroup(
         name="gyro.g_sensitivity",
         kind="gyro",
         unit="rad*s/m",
@@ -253,14 +279,12 @@ FURTHER: list[ParameterGroup] = [
 def _changing(base: str, variable: Variable, usual: dict[str, float], shown: tuple[tuple[float, str], ...]) -> None:
     """Add the change of a group of the linear model with a variable to the table."""
     group = next(group for group in LINEAR if group.name == base)
-    per, said = {"time": ("s", "drift of the "), "temperature": ("K", "slope over temperature of the ")}.get(
-        variable, ("K^2", "curvature over temperature of the ")
-    )
+    per, said = _CHANGES[variable]
     FURTHER.append(
         ParameterGroup(
             name=f"{base}.{_ENDINGS[variable]}",
             kind=group.kind,
-            unit=f"{group.unit}/{per}" if group.unit != "1" else f"1/{per}",
+            unit=f"{group.unit}/{per}" if per else group.unit,
             words=said + group.words,
             suffixes=group.suffixes,
             limit=group.limit,
@@ -277,6 +301,9 @@ def _scaled(values: dict[str, float], factor: float) -> dict[str, float]:
 
 
 _HOUR = 3600.0
+_FINER = {"accel.bias": ((1e-3 * MICRO_G, "ng"),), "accel.scale": ((1e-9, "ppb"),), "gyro.scale": ((1e-9, "ppb"),)}
+_CURVED = 1.0 / 60.0
+"""Usual curvature over temperature, K⁻¹, in parts of the usual slope: at 60 K from the reference they do as much."""
 for _base, _units, _per_hour, _per_kelvin in (
     (
         "accel.bias",
@@ -296,6 +323,29 @@ for _base, _units, _per_hour, _per_kelvin in (
     _hourly = tuple((size / _HOUR, f"{name}/h") for size, name in _units)
     _changing(_base, "time", _scaled(_per_hour, 1.0 / _HOUR), _hourly)
     _changing(_base, "temperature", _per_kelvin, tuple((size, f"{name}/°C") for size, name in _units))
+    _squared = tuple((size, f"{name}/°C²") for size, name in (*_FINER.get(_base, ()), *_units))
+    _changing(_base, "temperature²", _scaled(_per_kelvin, _CURVED), _squared)
+_FURTHER_CHANGES: tuple[tuple[str, tuple[tuple[float, str], ...], Variable, dict[str, float]], ...] = (
+    ("accel.bias", _MASS, "hysteresis", _scaled(_grades(20.0, 50.0, 500.0, 1e3), MICRO_G)),
+    ("gyro.bias", _TURN_RATE, "hysteresis", _scaled(_grades(0.01, 0.5, 20.0, 50.0), DEGREE_PER_HOUR)),
+    ("accel.bias", _MASS, "launch", _scaled(_grades(20.0, 100.0, 500.0, 2e3), MICRO_G)),
+    ("gyro.bias", _TURN_RATE, "launch", _scaled(_grades(0.005, 0.5, 20.0, 100.0), DEGREE_PER_HOUR)),
+)
+for _name, _shown, _variable, _sizes in _FURTHER_CHANGES:
+    _changing(_name, _variable, _sizes, _shown)
+FURTHER.append(
+    ParameterGroup(
+        name="temperature.lag",
+        kind="accel",
+        unit="s",
+        words="lag of all sensors behind the thermometer",
+        suffixes=_once,
+        limit=_HOUR,
+        shown=((1.0, "s"),),
+        usual=_grades(200.0, 200.0, 200.0, 200.0),
+        variable="lag",
+    )
+)
 
 
 def groups() -> tuple[ParameterGroup, ...]:
@@ -364,12 +414,14 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
     deviation, SI, of a text such as "20 ug/g^2". Raises ValueError, one line, for a group or a unit that is none."""
     stem, _, of = key.partition(".")
     kind, _, what = stem.partition("_")
-    name = f"{kind}.{of}.{'t1' if what == 'temperature' else what}" if of else f"{kind}.{what}"
+    ending = {"temperature": "t1", "curvature": "t2"}.get(what, what)
+    name = f"{kind}.{of}.{ending}" if of else f"{kind}.{what}"
     group = next((group for group in groups() if group.name == name and not group.linear), None)
     if group is None:
-        known = ", ".join(g.name.replace(".", "_") for g in FURTHER if g.base is None)
+        known = ", ".join(g.name.replace(".", "_") for g in FURTHER if g.variable is None)
         raise ValueError(
-            f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_drift, gyro_drift"
+            f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_curvature, gyro_curvature, "
+            "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, accel_launch, gyro_launch, temperature_lag"
         )
     found = _quantity(group, text)
     if found is None or found <= 0.0:

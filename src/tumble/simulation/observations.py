@@ -22,6 +22,7 @@ The stated gravity differs from the true one by a draw with the stated uncertain
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,6 +48,8 @@ from tumble.reduction.observations import (
 from tumble.rotation import onto_body, rotation_matrix, skew
 from tumble.sensors.instrument import readings
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import Variable
+from tumble.simulation.climate import Climate
 from tumble.simulation.scenario import Itinerary, OnTable, Scenario, itinerary
 from tumble.units import Array, IntArray
 
@@ -69,8 +72,8 @@ def simulate_observations(
         )
     geometry, noise, place = rng.spawn(3)
     way = itinerary(scenario, geometry)
-    accel = _NoisyBlock.of(scenario.accel, scenario, len(way.rests), noise)
-    gyro = _NoisyBlock.of(scenario.gyro, scenario, len(way.rests), noise)
+    accel = _NoisyBlock.of(scenario.accel, scenario, way, noise)
+    gyro = _NoisyBlock.of(scenario.gyro, scenario, way, noise)
     rests = _rests(scenario, way, accel, gyro, noise)
     linked = np.array(way.programmed, dtype=bool) | (not only_programmed)
     turns, samples, integrals = _turns(scenario, way, np.flatnonzero(linked).astype(np.int64), accel, gyro, noise)
@@ -86,34 +89,43 @@ def simulate_observations(
         position=np.array(way.positions) if isinstance(scenario.course, OnTable) else None,
         turn_readings=integrals if scenario.gyro.size > 3 else None,
         usual=scenario.usual,
+        thermometer=None if scenario.climate is None else scenario.climate.record,
     )
     return replace(observations, turns=observations.turns_about(scenario.gyro.nominal()))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _NoisyBlock:
-    """A block at work: its coefficients K (n, 15) in the middle of the session and their drift, 1/s, the change (N,
-    n) that its bias has at each rest and in the move that follows, and the density of its white noise."""
+    """A block at work: its coefficients K (n, 15) in the middle of the session, or at the reference temperature, and
+    their `changes` (n, 15) by time, 1/s, and by what goes with the temperature, the climate and the time of the middle
+    in it, the change (N, n) that its bias has at each rest and in the move that follows, and the density of its white
+    noise."""
 
     block: Block
     coefficients: Array
-    drift: Array
+    changes: Mapping[Variable, Array]
+    climate: Climate | None
+    middle: float
     bias: Array
     white: float
 
     @staticmethod
-    def of(block: Block, scenario: Scenario, rests: int, rng: np.random.Generator) -> _NoisyBlock:
+    def of(block: Block, scenario: Scenario, way: Itinerary, rng: np.random.Generator) -> _NoisyBlock:
         noise = scenario.noise
         white, instability = (
             (noise.accel_white, noise.accel_instability)
             if block.kind == "accel"
             else (noise.gyro_white, noise.gyro_instability)
         )
+        instrument, values = scenario.instrument, scenario.values
+        changes = {variable: instrument.change(block, values, variable) for _, _, variable in instrument.changes}
         return _NoisyBlock(
             block=block,
-            coefficients=scenario.instrument.coefficients(block, scenario.values),
-            drift=scenario.instrument.drift(block, scenario.values),
-            bias=instability * rng.standard_normal((rests, block.size)),
+            coefficients=instrument.coefficients(block, values),
+            changes={variable: change for variable, change in changes.items() if np.any(change)},
+            climate=scenario.climate,
+            middle=way.middle,
+            bias=instability * rng.standard_normal((len(way.rests), block.size)),
             white=white,
         )
 
@@ -134,7 +146,15 @@ class _NoisyBlock:
     def _read(self, force: Array, rate: Array, when: Array) -> Array:
         """Readings (N, n) at times (N,), s, from the middle of the session."""
         out = readings(self.block, self.coefficients, force, rate)
-        return out + when[:, None] * readings(self.block, self.drift, force, rate) if np.any(self.drift) else out
+        if not self.changes:
+            return out
+        now: dict[Variable, Array] = {"time": when}
+        if self.climate is not None:
+            times, at = np.unique(when + self.middle, return_inverse=True)
+            now |= {variable: values[at] for variable, values in self.climate.variables(times).items()}
+        for variable, change in self.changes.items():
+            out = out + now[variable][:, None] * readings(self.block, change, force, rate)
+        return out
 
     def covariance(self, seconds: Array, floor: float) -> Array:
         """Covariance (N, n, n) of the means over so many seconds."""
@@ -162,7 +182,7 @@ def _rests(
         gyro_covariance=gyro.covariance(seconds, GYRO_FLOOR),
         gyro_drift=np.zeros_like(gyro.bias),
         gyro_noise=np.full_like(gyro.bias, gyro.white),
-        temperature=None,
+        temperature=None if scenario.climate is None else scenario.climate.thermometer(way.rests.mean(axis=1)),
     )
 
 

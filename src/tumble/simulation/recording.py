@@ -143,7 +143,7 @@ class _SampledBlock:
             block=block,
             scenario=scenario,
             coefficients=instrument.coefficients(block, scenario.values),
-            drift=instrument.drift(block, scenario.values),
+            drift=instrument.change(block, scenario.values, "time"),
             middle=0.25 * float(rests[0].sum() + rests[-1].sum()),
             arms=instrument.levers(scenario.values) if accel else np.zeros((block.size, 3)),
             late=late,

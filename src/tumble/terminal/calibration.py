@@ -102,6 +102,16 @@ def _against(parameter: Parameter, truth: Mapping[str, float], size: float) -> l
     return [_shown(true, parameter.u, size), f"{(parameter.value - true) / parameter.u:+.2f}"]
 
 
+def session_table(calibration: Calibration) -> Table:
+    """The sessions of one estimate: rests, turns and temperatures of each."""
+    table = plain_table("session")
+    add_numbers(table, "rests", "turns", "from °C", "to °C")
+    for member in calibration.together:
+        low, high = member.temperatures
+        table.add_row(Text(member.session), f"{member.rests}", f"{member.turns}", f"{low:z.1f}", f"{high:z.1f}")
+    return table
+
+
 def launch_table(calibration: Calibration, *, deviations: bool = False) -> Table:
     """The value of every parameter in every launch, the mean and the standard deviation from launch to launch, as in
     the paper's Tables 1 to 3; with `deviations`, those from the systematic values, which is what the paper has."""
@@ -189,6 +199,8 @@ def calibration_report(
         parts += [Text(""), launch_table(calibration)]
         if any(p.deviation is not None for p in calibration.parameters):
             parts += [Text(""), launch_table(calibration, deviations=True)]
+    if calibration.together:
+        parts += [Text(""), session_table(calibration)]
     if calibration.method in ITERATED_METHODS and calibration.iterations:
         parts += [Text(""), iteration_table(calibration), Text(WHAT_AN_INCREMENT_SAYS)]
     for other in others if calibration.parameters else ():

@@ -15,9 +15,11 @@ import click
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.check import FieldCheck
 from tumble.calibration.compare import Comparison
 from tumble.calibration.observed import Observed
 from tumble.calibration.quiet_samples import RecordedNoise
+from tumble.calibration.results import fits_content
 from tumble.calibration.verify import Verification
 from tumble.reduction.observations import Observations
 
@@ -97,6 +99,26 @@ def verification_data(verification: Verification) -> dict[str, Any]:
                 verification.labels, verification.difference, verification.u, verification.sigmas, strict=True
             )
         ],
+    }
+
+
+def field_check_data(check: FieldCheck) -> dict[str, Any]:
+    """What has changed since a calibration, and what would have been found."""
+    result = check.result
+    return {
+        "valid": check.valid,
+        "reasons": list(check.reasons),
+        "rests": check.rests,
+        "turns": check.turns,
+        "changes": [asdict(change) for change in result.changes],
+        "parameters": [
+            {"name": name, "change": change, "u": u, "detectable": result.detectable[name]}
+            for name, (change, u) in result.tests.items()
+        ],
+        "largest": result.largest,
+        "limit": result.limit,
+        "misfit": fits_content({"misfit": result.misfit})["misfit"],
+        "notes": list(check.notes),
     }
 
 

@@ -95,6 +95,7 @@ function finish() {
   show(of("finish"), Boolean(result));
   if (!result) return;
   say(of("result"), result.accepted ? "Calibrated: accepted" : "Calibrated: not accepted");
+  say(of("registered"), result.registered);
   of("reasons").replaceChildren(...result.reasons.map((reason) => made("li", reason)));
   of("files").replaceChildren(...result.files.map((name) => {
     const link = made("a", name);

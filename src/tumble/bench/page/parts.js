@@ -40,7 +40,8 @@ export function groups(box, list) {
     const row = made("div", "", `group ${!group.determined ? "unknown" : group.enough ? "enough" : ""}`);
     const name = made("div", "", "name");
     const found = group.determined ? `${number(group.u)} ${group.unit}` : "not determined";
-    const wanted = ` of ${number(group.wanted)} ${group.unit}`;
+    const limit = `${number(group.wanted)} ${group.unit}`;
+    const wanted = group.determined ? ` of ${limit}` : `, wanted ${limit}`;
     name.append(made("span", group.group), made("span", found + wanted));
     row.append(name, bar(group, found));
     return row;

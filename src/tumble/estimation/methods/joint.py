@@ -43,11 +43,13 @@ import numpy as np
 from scipy import special
 
 from tumble.earth import EARTH_RATE
+from tumble.estimation.common_errors import common_covariance
 from tumble.estimation.elimination import carry
-from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, GroupFinding
+from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, GroupFinding, OwnEstimate
 from tumble.estimation.likelihood import (
     COMPONENTS,
     NO_PRIOR,
+    OWN,
     Left,
     Linearised,
     Noise,
@@ -58,19 +60,20 @@ from tumble.estimation.likelihood import (
     Scatter,
     Step,
     Weights,
+    at_reference,
     left,
     linearise,
     noise_of,
     solve,
-    variables_of,
 )
 from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.estimation.variables import variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 30
@@ -82,9 +85,17 @@ SCATTER_PROBABILITY = 0.25
 median would find scatter in most sessions that have none, and give intervals that cover too much; a strict one would
 miss scatter that is there."""
 ROUNDS = 6
+ALL_STEPS = MAX_ITERATIONS * (ROUNDS + 2)  # more than there can be
+QUICK_STEPS = 20
+"""Steps that the fit of a quick estimate may take: that of a sound session takes ten."""
 SCATTER_STEPS = 40
 SCATTER_CONVERGED = 0.02  # of the standard deviation of a component of variance
 WIDENING_STEPS = 50
+LAGS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, -25.0, -100.0)
+"""s: time constants of the sensors behind the thermometer from which the best is sought."""
+LAG_HELD = 1e-3  # s
+LAG_GRID = np.linspace(-5.0, 8.0, 40)
+"""Lags at which the likelihood is taken, in units of u from the maximum."""
 WIDENED = 1.01  # λ of a step that counts as settled
 KEPT = 1e-3  # learned fraction of a group that the session says anything of
 LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
@@ -105,19 +116,36 @@ TOTAL = "noise within rests"
 
 
 def joint(
-    observations: Observations, *, prior: Prior = NO_PRIOR, robust: bool = False, instrument: Instrument | None = None
+    observations: Observations,
+    *,
+    prior: Prior = NO_PRIOR,
+    robust: bool = False,
+    instrument: Instrument | None = None,
+    quick: bool = False,
 ) -> Estimate:
     """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
     where None, the groups whose usual size the observations know. With `robust`, the estimate is that without the
-    rests and turns that do not fit; their sigmas say which they are."""
+    rests and turns that do not fit; their sigmas say which they are. A `quick` one ends after
+    QUICK_STEPS, settled or not, and then does not look for what does not fit: it is for a page that follows a session
+    and cannot wait for one that contradicts itself."""
     accel, gyro = observations.accel_block, observations.gyro_block
-    instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables_of(observations))
-    problem = Problem.of(observations, prior, instrument=instrument, usual=observations.usual)
+    variables, own = set(variables_of(observations)), None
+    if observations.together is not None:
+        variables, own = variables - set(OWN), _of_each(accel, gyro, observations.usual)
+    instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables)
+    problem = Problem.of(observations, prior, instrument=instrument, own=own, usual=observations.usual)
     at, first = _started(problem)
-    everything = _fitted(problem, at, _Out.nothing(problem))
-    fitting = _fitting(everything)
-    shown = fitting if robust else everything
+    at = _with_lag(problem, at)
+    everything = _fitted(problem, at, _Out.nothing(problem), QUICK_STEPS if quick else ALL_STEPS)
+    fitting = everything if quick and not everything.settled else _fitting(everything)
+    shown = _with_posterior(fitting if robust else everything)
     return _estimate(shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
+
+
+def _of_each(accel: Block, gyro: Block | None, usual: Mapping[str, float]) -> Instrument:
+    """The groups that each of several sessions has of its own."""
+    every = Instrument.of(accel, gyro, usual, OWN)
+    return replace(every, further=tuple(group for group in every.further if group.variable in OWN))
 
 
 # Which rests and turns count
@@ -171,8 +199,9 @@ def _started(problem: Problem) -> tuple[_At, tuple[Array, ...]]:
     about = None
     if instrument.gyro is not None:
         about, values[instrument.own(instrument.gyro)] = _started_gyros(problem, values, vertical)
-    attitudes = _headings(problem, vertical, values, about)
-    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
+    attitudes = headings(problem, vertical, values, about)
+    own = np.zeros((len(problem.parts), len(problem.own_known)))
+    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, own=own)
     return _At.of(problem, point, about), (values,)
 
 
@@ -212,7 +241,7 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
     return (about if near else TurnsAbout.of(observations, instrument, started)), started[own]
 
 
-def _headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
+def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
     """Attitudes (N, 3, 3) with these verticals. With N', E' the axes of a chain whose heading is any, the rates at
     rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a and s of each chain."""
     observations, link = problem.observations, problem.link
@@ -273,8 +302,8 @@ class _Solved:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Fitted:
     """The solution of a problem, whose priors are as wide as the data ask for: with its scatter and what was left out,
-    what it leaves of the residuals with scatter and what without, the weights of both, and the covariance of the
-    variances of the scatter."""
+    what it leaves of the residuals with scatter and what without, the weights of both, the covariance of the
+    variances of the scatter, and whether it `settled` within its steps."""
 
     problem: Problem
     solved: _Solved
@@ -286,23 +315,24 @@ class _Fitted:
     out: _Out
     fits: Mapping[str, Fit]
     increments: tuple[Array, ...]
+    settled: bool
 
 
-def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
-    """The solution with the scatter that it shows."""
+def _fitted(problem: Problem, start: _At, out: _Out, most: int = ALL_STEPS) -> _Fitted:
+    """The solution with the scatter that it shows, after so many steps at most."""
     scatter, components, wide = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem
-    solved = _iterated(problem, start, out, scatter)
-    increments = solved.increments
+    solved = _iterated(problem, start, out, scatter, most)
+    increments, steps = solved.increments, len(solved.increments)
     without = _left(problem, solved, out, scatter)
     for _ in range(ROUNDS):
         found, components = _scattered(wide, solved.last.rows, out, scatter)
         wider = _widened(wide, solved.last, out, found)
-        if found == scatter and wider is wide:
+        if (found == scatter and wider is wide) or steps >= most:
             break
         wide, scatter = wider, found
         at = _At.of(wide, solved.last.point, solved.last.about)
-        solved = _iterated(wide, at, out, scatter)  # the last step again, with scatter
-        increments = increments[:-1] + solved.increments
+        solved = _iterated(wide, at, out, scatter, most - steps)  # the last step again, with scatter
+        increments, steps = increments[:-1] + solved.increments, steps + len(solved.increments)
     after = _left(wide, solved, out, scatter)
     return _Fitted(
         problem=wide,
@@ -315,6 +345,7 @@ def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
         out=out,
         fits=_fits(wide, after[0], scatter, without[0]),
         increments=increments,
+        settled=steps < most,
     )
 
 
@@ -323,15 +354,15 @@ def _left(problem: Problem, solved: _Solved, out: _Out, scatter: Scatter) -> tup
     return left(problem, solved.step), out.noise(problem, solved.last.rows).weights(scatter)
 
 
-def _iterated(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> _Solved:
-    """Gauss–Newton with this scatter."""
+def _iterated(problem: Problem, at: _At, out: _Out, scatter: Scatter, most: int = MAX_ITERATIONS) -> _Solved:
+    """Gauss–Newton with this scatter, by so many steps at most."""
     increments: list[Array] = []
     while True:
         step = solve(problem, at.rows, out.noise(problem, at.rows).weights(scatter))
-        point, moved = _moved(problem, at.point, step)
-        increments.append(moved)
-        about = _integrated(problem, point, at.about)
-        if (_negligible(problem, step) and about is at.about) or len(increments) == MAX_ITERATIONS:
+        point, change = moved(problem, at.point, step)
+        increments.append(change)
+        about = integrated(problem, point, at.about)
+        if (_negligible(problem, step) and about is at.about) or len(increments) == min(most, MAX_ITERATIONS):
             return _Solved(point=point, last=at, step=step, increments=tuple(increments))
         at = _At.of(problem, point, about)
 
@@ -343,7 +374,7 @@ def _negligible(problem: Problem, step: Step) -> bool:
     return bool(np.all(after <= CONVERGED * u + 1e-15))
 
 
-def _moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
+def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
     parameters. Chains whose heading is hardly seen keep it."""
     share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
@@ -351,7 +382,7 @@ def _moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     seen = np.bincount(problem.chain, _heading_information(problem, step))
     mean = np.bincount(problem.chain, angles[:, 2]) / np.bincount(problem.chain)
     angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[problem.chain]
-    return point.moved(share * step.parameters, angles), share * step.parameters[1:]
+    return point.moved(share * step.parameters, angles, share * step.own), share * step.parameters[1:]
 
 
 def _heading_information(problem: Problem, step: Step) -> Array:
@@ -364,7 +395,7 @@ def _heading_information(problem: Problem, step: Step) -> Array:
     return np.asarray(own)
 
 
-def _integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
+def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
     """The turns, integrated again if the parameters have moved too far since."""
     turns = problem.observations.turns
     if about is None or turns is None:
@@ -373,9 +404,13 @@ def _integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Tur
     velocity = np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
     if not problem.instrument.in_velocities:
         velocity = np.full_like(velocity, np.inf)
-    if about.good_for(problem.instrument, point.values, (noise, velocity)):
+    changes: tuple[Array, Array] | None = problem.changed_in_turns(point)
+    if changes is not None and about.small(changes[0], (noise, velocity)):
+        changes = None
+    gyro_changes = 0.0 if changes is None else changes[0]
+    if about.good_for(problem.instrument, point.values, (noise, velocity), gyro_changes):
         return about
-    return TurnsAbout.of(problem.observations, problem.instrument, point.values)
+    return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)
 
 
 # Scatter
@@ -438,33 +473,126 @@ def _scored(problem: Problem, rows: Rows, noise: Noise, variance: Array) -> tupl
     return step.deviance, score, information + np.triu(information, 1).T
 
 
+# The lag
+
+
+def _with_lag(problem: Problem, at: _At) -> _At:
+    """The start with the best of LAGS. The likelihood of a lag, which multiplies the coefficients over temperature, has
+    several maxima: everything else is found at none, and from there the likelihood of each in one step."""
+    if problem.lag is None:
+        return at
+    solved = _iterated(_held(problem, 0.0), at, _Out.nothing(problem), Scatter())
+    at = _At.of(problem, solved.point, solved.last.about)
+    tried = [_at_lag(problem, at, lag, (_Out.nothing(problem), Scatter())) for lag in LAGS]
+    best = min(range(len(LAGS)), key=lambda i: tried[i][1])
+    step = tried[best][0]
+    point = _point_of(solved.point.moved(step.parameters, step.angles, step.own), problem.lag, LAGS[best])
+    return _At.of(problem, point, solved.last.about)
+
+
+def _held(problem: Problem, lag: float) -> Problem:
+    """The problem with a lag that is known."""
+    assert problem.lag is not None
+    expected, u = (values.copy() for values in problem.measured)
+    expected[1 + problem.lag], u[1 + problem.lag] = lag, LAG_HELD
+    return replace(problem, measured=(expected, u))
+
+
+def _point_of(point: Point, where: int, lag: float) -> Point:
+    """A point with another lag."""
+    values = point.values.copy()
+    values[where] = lag
+    return replace(point, values=values)
+
+
+def _at_lag(problem: Problem, at: _At, lag: float, noise: tuple[_Out, Scatter]) -> tuple[Step, float]:
+    """The step from a point to the solution with a lag, and −2 log of the likelihood of the lag, whatever the other
+    parameters are, with its prior."""
+    assert problem.lag is not None
+    out, scatter = noise
+    held = _held(problem, lag)
+    rows = linearise(held, _point_of(at.point, problem.lag, lag), at.about)
+    step = solve(held, rows, out.noise(held, rows).weights(scatter))
+    expected, u = (values[1 + problem.lag] for values in problem.measured)
+    return step, step.deviance + ((lag - expected) / u) ** 2
+
+
+def _with_posterior(fitted: _Fitted) -> _Fitted:
+    """The fit with the lag at the mean of what is known of it, and its spread in all uncertainties: with g = ∂θ/∂λ,
+
+        C = C(λ) + g gᵀ u_λ²                                                                                     (A5)
+
+    Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
+    maximum. A lag that the session says nothing of stays what it is."""
+    problem, solved = fitted.problem, fitted.solved
+    if problem.lag is None:
+        return fitted
+    where, free = 1 + problem.lag, solved.step.covariance
+    u = float(np.sqrt(free[where, where]))
+    if 1.0 - (u / problem.measured[1][where]) ** 2 < KEPT:
+        return fitted
+    lags = solved.point.values[problem.lag] + u * LAG_GRID
+    noise = fitted.out, fitted.scatter
+    at = _At.of(problem, solved.point, solved.last.about)
+    deviance = np.array([_at_lag(problem, at, float(lag), noise)[1] for lag in lags])
+    weight = np.exp(-0.5 * (deviance - deviance.min()))
+    mean = float(weight @ lags / weight.sum())
+    square = float(weight @ (lags - mean) ** 2 / weight.sum())
+    held = _held(problem, mean)
+    start = _At.of(held, _point_of(solved.point, problem.lag, mean), solved.last.about)
+    there = _iterated(held, start, *noise)
+    g = free[where] / free[where, where]
+    step = replace(there.step, covariance=there.step.covariance + square * np.outer(g, g))
+    after = _left(held, there, *noise)
+    return replace(fitted, solved=replace(there, step=step), left=after[0], weights=after[1])
+
+
 # Priors
 
 
 def _widened(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> Problem:
     """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where
     none is."""
-    members = problem.instrument.members
-    if not members:
+    members, own_members = problem.instrument.members, _own_members(problem)
+    if not members and not own_members:
         return problem
     weight = out.noise(problem, at.rows).weights(scatter)
     expected, u = problem.measured
-    now = u.copy()
+    now, own = u.copy(), problem.own_known.copy()
     for _ in range(WIDENING_STEPS):
-        rows = replace(at.rows, prior=_with_prior(at.rows.prior, now, expected, at.point))
-        step = solve(problem, rows, weight)
+        rows = replace(at.rows, prior=_with_prior(at.rows.prior, now, expected, at.point), own=-at.point.own / own)
+        step = solve(replace(problem, own_known=own), rows, weight)
         values, variance = at.point.values + step.parameters[1:], np.diag(step.covariance)[1:]
         most = 1.0
-        for own in members.values():
-            widened = float(np.sqrt(np.mean(((values - expected[1:])[own] ** 2 + variance[own]) / now[1:][own] ** 2)))
-            if widened > 1.0:
-                now[1:][own] *= widened
-                most = max(most, widened)
+        for name, group in members.items():
+            if name == "temperature.lag":
+                continue  # it multiplies others: a wide prior would let both grow
+            most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variance))
+        own_variance = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, : len(own)]
+        own_square = ((at.point.own + step.own) ** 2 + own_variance).mean(axis=0)
+        for group in own_members:
+            most = max(most, _widen(own, group, own_square))
         if most < WIDENED:
             break
-    if np.all(now <= u * WIDENED):
+    if np.all(now <= u * WIDENED) and np.all(own <= problem.own_known * WIDENED):
         return problem
-    return replace(problem, measured=(expected, now))
+    return replace(problem, measured=(expected, now), own_known=own)
+
+
+def _widen(known: Array, group: slice, square: Array) -> float:
+    """Widen the priors of a group, in place, that the squares of its parameters and variances exceed; by how much."""
+    widened = float(np.sqrt(np.mean(square[group] / known[group] ** 2)))
+    if widened > 1.0:
+        known[group] *= widened
+    return max(widened, 1.0)
+
+
+def _own_members(problem: Problem) -> list[slice]:
+    """Where the groups stand of what each session has of its own."""
+    if problem.own is None:
+        return []
+    first = problem.own.linear_count
+    return [slice(of.start - first, of.stop - first) for of in problem.own.members.values()]
 
 
 def _with_prior(prior: Array, u: Array, expected: Array, point: Point) -> Array:
@@ -658,7 +786,8 @@ def _again(problem: Problem, fitted: _Fitted, out: _Out) -> _Fitted:
 def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array, turn_sigmas: Array) -> Estimate:
     problem, instrument = fitted.problem, fitted.problem.instrument
     observations, linear = problem.observations, instrument.linear_count
-    values, covariance = fitted.solved.point.values, fitted.solved.step.covariance[1:, 1:]
+    values, last = fitted.solved.point.values, fitted.solved.last
+    covariance = fitted.solved.step.covariance[1:, 1:] + common_covariance(observations, instrument)
     spread = problem.spread[:linear]
     variance, combinations = np.linalg.eigh(covariance[:linear, :linear] / np.outer(spread, spread))
     observable = np.ones(len(values), dtype=bool)
@@ -677,12 +806,12 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
         null=combinations[:, variance > DETERMINED**-2].T,
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
-        rest_residual=np.linalg.norm(_force(problem, values), axis=1) - observations.site.gravity,
+        rest_residual=np.linalg.norm(_force(fitted), axis=1) - observations.site.gravity,
         rest_sigmas=rest_sigmas,
         turn_sigmas=turn_sigmas,
         increments=increments,
         fits=fitted.fits,
-        converged=_negligible(problem, fitted.solved.step),
+        converged=fitted.settled and _negligible(problem, fitted.solved.step),
         instrument=instrument,
         groups=findings,
         degrees=_degrees(fitted, covariance),
@@ -691,9 +820,10 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
             values,
             covariance,
             gravity=observations.site.gravity,
-            rate=_usual_rate(fitted.solved.last.about),
+            rate=_usual_rate(last.about),
         ),
-        linearised=_linearised(fitted),
+        linearised=None if observations.together is not None else _linearised(fitted),
+        own=_own(fitted),
     )
 
 
@@ -718,9 +848,29 @@ def _usual_rate(about: TurnsAbout | None) -> float | None:
     return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
 
 
-def _force(problem: Problem, values: Array) -> Array:
+def _force(fitted: _Fitted) -> Array:
     """Specific forces (N, 3) at rest by the whole model."""
-    return specific_force(problem.instrument, values, problem.observations.rests.accel)
+    problem, last = fitted.problem, fitted.solved.last
+    accel = problem.observations.rests.accel
+    if "temperature" in problem.variables:
+        accel = at_reference(problem, last.point, last.rows)
+    return specific_force(problem.instrument, fitted.solved.point.values, accel)
+
+
+def _own(fitted: _Fitted) -> OwnEstimate | None:
+    """What each of several sessions has of its own."""
+    own = fitted.problem.own
+    if own is None:
+        return None
+    first, q = own.linear_count, len(fitted.problem.own_known)
+    variance = np.diagonal(fitted.solved.step.own_covariance, axis1=1, axis2=2)[:, :q]
+    return OwnEstimate(
+        names=own.names[first:],
+        units=own.units[first:],
+        values=fitted.solved.point.own,
+        u=np.sqrt(variance),
+        priors=fitted.problem.own_known,
+    )
 
 
 def _findings(fitted: _Fitted, covariance: Array) -> Iterator[GroupFinding]:
@@ -748,9 +898,11 @@ def _degrees(fitted: _Fitted, covariance: Array) -> Array:
     if not len(active):
         return degrees
     noise, slopes = fitted.out.noise(problem, rows), np.zeros((len(COMPONENTS), len(covariance)))
+    now = np.diag(solve(problem, rows, noise.weights(fitted.scatter)).covariance)[1:]
     for a in active:
         step = 0.1 * variance[a]
         more = noise.weights(Scatter.of_variances(variance + step * np.eye(len(variance))[a]))
-        slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - np.diag(covariance)) / step
+        slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - now) / step
     of_u = np.einsum("am,ab,bm->m", slopes, fitted.components, slopes)
-    return np.asarray(np.minimum(2.0 * np.diag(covariance) ** 2 / np.maximum(of_u, 1e-300), MOST_DEGREES))
+    least = 2.0 * np.diag(covariance) ** 2 / MOST_DEGREES
+    return np.asarray(MOST_DEGREES * least / np.maximum(of_u, least))

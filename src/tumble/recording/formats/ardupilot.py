@@ -7,8 +7,9 @@ ArduPilot subtracts its own offsets and divides by its own scales before it logs
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,14 @@ import numpy as np
 import polars as pl
 from pymavlink.DFReader import DFReader_binary
 
+from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.formats.message import AXES, TIME, Message, triad
 
 NOTHING = "no messages IMU or ACC; set bit 'IMU' of LOG_BITMASK and record again"
 
 _STDERR = 2
+_PARAMETER = "PARM"
+_NAMED_INSIDE = 3  # INS_ACC3_ID, but INS4_ACC_ID
 _SECOND = 1e-6  # times are in µs
 _REMARK = (
     "ArduPilot has applied its own INS_ACCOFFS, INS_ACCSCAL and INS_GYROFFS to these readings: reset them to 0 and 1 "
@@ -41,16 +45,36 @@ _FIELDS = {
 def messages(path: Path) -> list[Message]:
     """Messages with inertial sensors, an entry for each instance; read at one pass."""
     kept: dict[tuple[str, int], list[list[float]]] = {}
+    ids: dict[str, int] = {}
     with _silent():
         log = DFReader_binary(str(path))
         try:
-            while (message := log.recv_match(type=list(_FIELDS))) is not None:
+            while (message := log.recv_match(type=[*_FIELDS, _PARAMETER])) is not None:
                 kind = message.get_type()
+                if kind == _PARAMETER:
+                    ids |= {message.Name: int(message.Value)} if message.Name.endswith("_ID") else {}
+                    continue
                 kept.setdefault((kind, int(message.I)), []).append(_reading(kind, message))
         finally:
             log.close()
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
-    return [_message(kind, instance, np.array(rows), origin) for (kind, instance), rows in sorted(kept.items())]
+    found = ((kind, instance, np.array(rows)) for (kind, instance), rows in sorted(kept.items()))
+    return [
+        replace(_message(kind, instance, rows, origin), imu=_sensors(kind, instance + 1, ids))
+        for kind, instance, rows in found
+    ]
+
+
+def _sensors(kind: str, number: int, ids: Mapping[str, int]) -> dict[str, AutopilotSensor]:
+    """Which accelerometers and gyros a message is of: the number is that of its instance, the id among the
+    parameters."""
+    prefix, counted = ("INS", "" if number == 1 else str(number)) if number <= _NAMED_INSIDE else (f"INS{number}", "")
+    wanted = {"accel": "ACC", "gyro": "GYR"}
+    return {
+        sensor: AutopilotSensor(number=number, id=ids.get(f"{prefix}_{word}{counted}_ID") or None)
+        for sensor, word in wanted.items()
+        if kind in ("IMU", word)
+    }
 
 
 @contextmanager

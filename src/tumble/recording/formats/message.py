@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import polars as pl
+
+from tumble.recording.autopilot import AutopilotSensor
 
 TIME = "t"
 """The column of the time in the rows of a message, s on a clock that all messages of a recording share."""
@@ -35,6 +37,8 @@ class Message:
     temperature: str | None = None
     timed: bool = True
     remark: str = ""
+    imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
+    """Which "accel" and "gyro" of an autopilot they are, where it is a log of one."""
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -6,7 +6,8 @@ its own calibration and averaged.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import polars as pl
 from pyulog import ULog
 
+from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.formats.message import TIME, Message, Sensors, triad
 
 NOTHING = "no messages sensor_accel or sensor_combined; set SDLOG_PROFILE to log the raw sensors"
@@ -28,6 +30,8 @@ _SENSORS = {
     "sensor_gyro": ("gyro", ("x", "y", "z")),
     "sensor_mag": ("field", ("x", "y", "z")),
 }
+_CALIBRATED = {"sensor_accel": ("accel", "CAL_ACC{}_ID"), "sensor_gyro": ("gyro", "CAL_GYRO{}_ID")}
+_MOST = 4  # sensors of a kind that PX4 has calibrations of
 _COMBINED = {
     "accel": ("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]"),
     "gyro": ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"),
@@ -40,9 +44,26 @@ def messages(path: Path) -> list[Message]:
         log = ULog(stream, [*_SENSORS, "sensor_combined"])
     kept = sorted(log.data_list, key=lambda d: (d.name, d.multi_id))
     origin = min((int(_taken(data.data)[0]) for data in kept), default=0)
-    found = [_message(data, origin) for data in kept]
+    found = [replace(_message(data, origin), imu=_sensors(data, log.initial_parameters)) for data in kept]
     raw = [m for m in found if not m.name.startswith("sensor_combined")]
     return raw if any(m.accel for m in raw) else found
+
+
+def _sensors(data: Any, parameters: Mapping[str, Any]) -> dict[str, AutopilotSensor]:
+    """Which accelerometer or gyro a message is of: that whose calibration has its device id (CAL_ACC2_ID is that of the
+    third), else by the number of its instance."""
+    kind, parameter = _CALIBRATED.get(data.name, ("", ""))
+    if not kind:
+        return {}
+    ids = data.data.get("device_id")
+    device = None if ids is None or not int(ids[0]) else int(ids[0])
+    slots = [k for k in range(_MOST) if device is not None and _unsigned(parameters.get(parameter.format(k))) == device]
+    return {kind: AutopilotSensor(number=1 + (slots[0] if slots else data.multi_id), id=device)}
+
+
+def _unsigned(parameter: Any) -> int | None:
+    """A device id, which parameters have as a number with a sign."""
+    return None if parameter is None else int(parameter) % 2**32
 
 
 def _message(data: Any, origin: int) -> Message:

@@ -1,0 +1,63 @@
+"""The end of a session: its calibration, and what is made of that."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.files import whole_file
+from tumble.recording.session import read_session
+
+CALIBRATION_FILE = "calibration.json"
+REPORT_FILE = "report.html"
+_ENDINGS = {"c": ".h", "px4": ".params", "ardupilot": ".parm", "csv": ".csv", "mat": ".mat", "dcc": ".xml"}
+
+
+def calibrated(folder: Path) -> Calibration:
+    """The calibration of a session folder, written into it."""
+    calibration = calibrate(read_session(folder))
+    calibration.write(folder / CALIBRATION_FILE, force=True)
+    return calibration
+
+
+def report_of(folder: Path) -> str:
+    """Write the report of a calibration beside it; the name of its file."""
+    from tumble.report.write import write_report
+
+    write_report([folder / CALIBRATION_FILE], folder / REPORT_FILE)
+    return REPORT_FILE
+
+
+def exported(folder: Path, to: str) -> str:
+    """Write a calibration as another program reads it, beside it; the name of the file."""
+    from tumble.calibration.calibration_file import read_calibration
+    from tumble.export import export_calibration
+
+    found = export_calibration(read_calibration(folder / CALIBRATION_FILE), to)
+    name = f"export-{to}{_ENDINGS.get(to, '.txt')}"
+    with whole_file(folder / name) as temporary:
+        temporary.write_bytes(found.content)
+    return name
+
+
+def registered(folder: Path, place: str | None) -> str:
+    """Add a calibration to the registry at `place`, as `tumble registry add` does; under which number, and what its
+    limits say of it."""
+    from tumble.registry.connect import extra_named
+
+    with extra_named():
+        from tumble.registry.connect import open_registry
+        from tumble.registry.records import Particulars, read_submission
+        from tumble.registry.series import verdict_of
+        from tumble.registry.store import add, limits_records, parameters_of
+
+        submission = read_submission(folder / CALIBRATION_FILE, Particulars())
+        with open_registry(place, create=True) as opened:
+            added = add(opened, submission)
+            rows = parameters_of(opened, [added.record.number])[added.record.number]
+            limits = {own.number: own for own in limits_records(opened)}
+            verdict = verdict_of(opened, added.record, rows, limits)
+    said = "registered as" if added.new else "registered before: it is"
+    judged = "no limits are set for it" if verdict is None else f"its limits say: {verdict.result}"
+    return f"{said} record {added.record.number}; {judged}"

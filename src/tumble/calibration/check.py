@@ -1,0 +1,337 @@
+"""The field check: whether a calibration still holds, from a few rests in any attitude, and what has changed.
+
+What is known of the parameters at the check is the calibration, with
+
+    P = Σ + diag((k²/4 − 1) u²) + diag(s²)                                                                      (1)
+
+Σ its covariance, the second term what U = k u covers beyond 2 u where u was estimated with few degrees of freedom, and
+s what turning on again changes: the standard deviation from launch to launch where the calibration has several, else
+what is usual of the grade (`tumble.sensors.grades`). Groups of parameters that the calibration does not have, and
+drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
+temperatures, parameters are taken to that of the session by their slopes, with the usual size of those that are not
+known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite sign.
+
+Rests scatter as they did in the calibration, at least by the in-run instability of the grade.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from tumble import __version__
+from tumble.calibration.calibrate import grade_of, readings_of_session
+from tumble.calibration.calibration_file import Calibration, calibration_from
+from tumble.calibration.coverage import by_gravity, shared_gravity
+from tumble.calibration.observed import inspect_session, observations_for_calibration
+from tumble.calibration.results import Parameter
+from tumble.errors import CalibrationError, InputError
+from tumble.estimation.estimate import Outcome
+from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
+from tumble.estimation.likelihood import Scatter
+from tumble.estimation.prediction import prediction
+from tumble.estimation.variables import variables_of
+from tumble.files import FilePath
+from tumble.recording.session import Session, session_from
+from tumble.reduction.observations import Observations
+from tumble.sensors.grades import GRADES, TURN_ON
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.parameters import group_name, group_of, sensor_kind, shown_in, usual_sizes
+from tumble.units import ZERO_CELSIUS, Array
+
+_FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
+_RAW = ("count", "V")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FieldCheck:
+    """What a session of `rests` rests and `turns` turns says of a calibration: the `result`, in SI, what was supposed,
+    in sentences, and the calibration in the frame `accelerometer` with the instrument it was taken for."""
+
+    calibration: Calibration
+    session: str
+    sha256: str
+    rests: int
+    turns: int
+    result: CheckResult
+    notes: tuple[str, ...]
+    frame: str
+    instrument: Instrument
+    temperature: float | None
+
+    @property
+    def valid(self) -> bool:
+        """Whether the calibration still holds, as far as the session sees."""
+        return self.result.valid
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What has changed, in sentences; none where the calibration holds."""
+        found = [_said(change) for change in self.result.changes]
+        if not self.result.explained:
+            fit = self.result.misfit
+            found.append(
+                f"no change of biases, scale factors or axes explains the session: χ² {fit.chi_square:.1f} for "
+                f"{fit.degrees:.0f}, by chance with probability {fit.probability:.1g}; look at it with "
+                "`tumble inspect`, repeat the check at rest, or calibrate"
+            )
+        return tuple(found)
+
+    def updated(self) -> Calibration:
+        """The calibration with what the check says of the parameters; those that have changed are known by the check
+        alone. It says so in its notes. Raises CalibrationError where no change explains the session."""
+        if not self.result.explained:
+            raise CalibrationError(f"{self.session}: expected a check that is explained, found {self.reasons[-1]}")
+        return _updated(self).in_frame(self.frame)
+
+
+def _said(change: ChangedParameter) -> str:
+    size, unit = shown_in(change.name, change.unit, change.value)
+    said = f"{change.name} has changed by {change.value / size:+.3g} {unit} (u {change.u / size:.2g} {unit})"
+    for name, value in change.others.items():
+        other, other_unit = shown_in(name, group_of(name).unit, value)
+        said += f", or {name} by {value / other:+.3g} {other_unit}"
+    return said
+
+
+def check_calibration(calibration: Calibration | FilePath, session: Session | FilePath) -> FieldCheck:
+    """Whether a calibration, or that of a file, still holds for its device, by three to five rests in any attitude and
+    the turns between them: a `Session` or its folder.
+
+    Raises CalibrationError for a calibration that was not accepted, has no uncertainties or is in the frame of the
+    case, and InputError for a session of another device or without rests.
+
+    >>> import tumble
+    >>> wanted = tumble.Setup.of(grade="mems", positions=18)
+    >>> calibration = tumble.calibrate(tumble.simulate_session("calibrated", wanted, seed=1))
+    >>> again = tumble.simulate_session("again", tumble.Setup.of(grade="mems", positions=4), seed=1)
+    >>> found = tumble.check_calibration(calibration, again)
+    >>> found.rests, found.valid
+    (4, True)
+    """
+    given, session = calibration_from(calibration), session_from(session)
+    _check_given(given, session)
+    own = given.in_frame("accelerometer")
+    observed = inspect_session(replace(session, programme=None))
+    observations = observations_for_calibration(observed)
+    if isinstance(observations, Outcome):
+        raise InputError(f"{session.name}: expected rests to check with, found {'; '.join(observations.reasons)}")
+    observations = _seen_by(own, observations)
+    grade, guessed = grade_of(session, observations)
+    known = known_before(own, observations, grade, session.device.prior)
+    return FieldCheck(
+        calibration=own,
+        session=session.name,
+        sha256=observed.sha256,
+        rests=len(observations.rests),
+        turns=0 if observations.turns is None else len(observations.turns),
+        result=field_check(observations, known),
+        notes=_notes(own, observations, grade, guessed=guessed),
+        frame=given.frame,
+        instrument=known.instrument,
+        temperature=_celsius(observations),
+    )
+
+
+def _check_given(calibration: Calibration, session: Session) -> None:
+    """A calibration that can be checked, and a session of its device."""
+    if not calibration.outcome.accepted or calibration.accel is None or calibration.covariance is None:
+        found = "; ".join(calibration.outcome.reasons) or "no accelerometers, or no uncertainties"
+        raise CalibrationError(f"calibration of {calibration.serial!r}: expected an accepted one, found {found}")
+    if session.device.serial != calibration.serial:
+        raise InputError(
+            f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
+            f"{session.device.serial!r}"
+        )
+    blocks = [block for block in (session.accel_block, session.gyro_block) if block is not None]
+    for block in blocks:
+        model = calibration.accel if block.kind == "accel" else calibration.gyro
+        if model is not None and len(model.bias) != block.size:
+            raise InputError(
+                f"{session.name}: log.{block.kind}: expected the {len(model.bias)} sensors of the calibration, found "
+                f"{block.size}"
+            )
+    for kind, now in readings_of_session(session).items():
+        then = calibration.readings.get(kind)
+        raw = then is not None and (now.unit in _RAW or then.unit in _RAW)
+        if then is not None and raw and (now.scale, now.offset) != (then.scale, then.offset):
+            raise InputError(
+                f"{session.name}: log.{kind}: expected the nominal scale and offset of the calibration, {then.scale} "
+                f"and {then.offset}, found {now.scale} and {now.offset}"
+            )
+
+
+def _seen_by(calibration: Calibration, observations: Observations) -> Observations:
+    """The observations of the sensors that the calibration has."""
+    if calibration.gyro is not None or observations.gyro_block is None:
+        return observations
+    rests, none = observations.rests, np.zeros((len(observations.rests), 0))
+    at_rest = replace(rests, gyro=none, gyro_covariance=np.zeros((len(rests), 0, 0)), gyro_drift=none, gyro_noise=none)
+    return replace(observations, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
+
+
+def _notes(calibration: Calibration, observations: Observations, grade: str, *, guessed: bool) -> tuple[str, ...]:
+    """What was supposed."""
+    origin = ", guessed from the noise; [device] grade says another" if guessed else ""
+    launches = ", or as from launch to launch of the calibration" if calibration.launches else ""
+    notes = [f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
+    then, now = calibration.reference_temperature, _celsius(observations)
+    if then is None or now is None:
+        notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")
+    elif abs(now - then) > 1.0:
+        notes.append(f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes")
+    return tuple(notes)
+
+
+def _celsius(observations: Observations) -> float | None:
+    temperature = observations.rests.temperature
+    return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS
+
+
+# What was known before
+
+
+def known_before(
+    calibration: Calibration, observations: Observations, grade: str, data_sheet: Mapping[str, float]
+) -> KnownBefore:
+    """Parameters and covariance at the check by the calibration, in the frame `accelerometer`, Eq. (1)."""
+    usual = usual_sizes(grade, data_sheet)
+    blocks = observations.accel_block, observations.gyro_block
+    instrument = Instrument.of(*blocks, set(usual), variables_of(observations))
+    values, own = _calibrated(calibration, instrument, usual)
+    gravity = observations.site.gravity_u
+    whole = np.zeros((len(values) + 1,) * 2)
+    whole[0, 0], whole[1:, 1:] = gravity**2, own
+    if shared_gravity(calibration.site, observations.site):
+        change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
+        by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
+        whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in instrument.names])
+    J = np.eye(len(whole))
+    J[1:, 1:] = _to_temperature(calibration, observations, instrument)
+    return KnownBefore(
+        instrument=instrument,
+        values=J[1:, 1:] @ values,
+        covariance=J @ whole @ J.T + np.diag(np.append(0.0, _turned_on(calibration, instrument, grade) ** 2)),
+        scatter=_scatter(calibration, grade),
+    )
+
+
+def _calibrated(calibration: Calibration, instrument: Instrument, usual: Mapping[str, float]) -> tuple[Array, Array]:
+    """Values (m,) and covariance (m, m) of an instrument's parameters by the calibration at its own temperature."""
+    found = {p.name: i for i, p in enumerate(calibration.parameters) if not _drifts(p)}
+    missing = [name for name in instrument.names[: instrument.linear_count] if name not in found]
+    if missing or calibration.covariance is None:
+        raise InputError(
+            f"calibration of {calibration.serial!r}: expected the parameters of the session's sensors, found none of "
+            f"{', '.join(missing)}; check with recordings of the same device"
+        )
+    values, covariance = np.zeros(len(instrument.names)), np.zeros((len(instrument.names),) * 2)
+    for name, members in instrument.members.items():
+        covariance[members, members] = usual[name] ** 2 * np.eye(members.stop - members.start)
+    at = [i for i, name in enumerate(instrument.names) if name in found]
+    of = [found[instrument.names[i]] for i in at]
+    parameters = [calibration.parameters[i] for i in of]
+    values[at] = [p.value for p in parameters]
+    few = np.array([(0.25 * p.k**2 - 1.0) * (p.u or 0.0) ** 2 for p in parameters])
+    covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(of, of)] + np.diag(few)
+    return values, covariance
+
+
+def _drifts(parameter: Parameter) -> bool:
+    """Whether a parameter is a drift, which belongs to the session it was found in."""
+    return parameter.name.endswith(".drift")
+
+
+def _to_temperature(calibration: Calibration, observations: Observations, instrument: Instrument) -> Array:
+    """The matrix (m, m) that takes parameters from the temperature of the calibration to that of the session."""
+    out, then, now = np.eye(len(instrument.names)), calibration.reference_temperature, _celsius(observations)
+    if then is None or now is None:
+        return out
+    for own, base, variable in instrument.changes:
+        if variable == "temperature":
+            out[base, own] = (now - then) * np.eye(own.stop - own.start)
+    return out
+
+
+def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> Array:
+    """Standard deviations (m,) by which parameters change when the device is turned on again."""
+    launched = {p.name: p.run_to_run for p in calibration.parameters if p.run_to_run is not None}
+    out = np.zeros(len(instrument.names))
+    for i, name in enumerate(instrument.names[: instrument.linear_count]):
+        out[i] = launched.get(name, getattr(TURN_ON[grade][sensor_kind(name)], group_name(name).partition(".")[2]))
+    return out
+
+
+def _scatter(calibration: Calibration, grade: str) -> Scatter:
+    """The scatter of the rests and turns of the calibration, at least the in-run instability of the grade."""
+    found = {name: calibration.fits[fit].scatter for name, fit in _FITS.items() if fit in calibration.fits}
+    noise = GRADES[grade].noise
+    least = {"accel": noise.accel_instability, "gyro": noise.gyro_instability}
+    return Scatter(**{name: max(found.get(name, 0.0), least.get(name, 0.0)) for name in _FITS})
+
+
+# The updated calibration
+
+
+def _updated(check: FieldCheck) -> Calibration:
+    """The calibration by the check, at the temperature of the check."""
+    before, result, instrument = check.calibration, check.result, check.instrument
+    kept = [p for p in before.parameters if not _drifts(p) and p.name in instrument.names]
+    others = [p for p in before.parameters if p.name.startswith("mag.")]
+    at = [instrument.names.index(p.name) for p in kept]
+    u = np.sqrt(np.diag(result.covariance))
+    parameters = tuple(_moved_to(p, float(result.values[i]), float(u[i])) for p, i in zip(kept, at, strict=True))
+    rate = None if before.prediction is None else before.prediction.at_rate
+    gyro = instrument.gyro
+    return replace(
+        before,
+        parameters=(*parameters, *others),
+        covariance=_with_others(before, others, result.covariance[np.ix_(at, at)]),
+        accel=instrument.model(instrument.accel, result.values),
+        gyro=None if gyro is None else instrument.model(gyro, result.values),
+        iterations=(),
+        rests=(),
+        turns=(),
+        launches=(),
+        groups=tuple(group for group in before.groups if not group.name.endswith(".drift")),
+        prediction=None
+        if before.site is None
+        else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=rate),
+        reference_temperature=check.temperature if before.reference_temperature is not None else None,
+        notes=(_how(check), *before.notes),
+        provenance={
+            **before.provenance,
+            "log_sha256": check.sha256,
+            "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
+            "software": f"tumble {__version__}",
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        },
+    )
+
+
+def _moved_to(parameter: Parameter, value: float, u: float) -> Parameter:
+    learned = parameter.learned
+    if parameter.prior is not None and learned is not None:
+        learned = min(max(1.0 - (u / parameter.prior) ** 2, 0.0), 1.0)
+    return replace(parameter, value=value, u=u, deviation=None, run_to_run=None, dof=None, learned=learned)
+
+
+def _with_others(before: Calibration, others: list[Parameter], covariance: Array) -> Array:
+    """The covariance with that of parameters which took no part."""
+    assert before.covariance is not None
+    index = [i for i, p in enumerate(before.parameters) if p in others]
+    apart = np.zeros((len(covariance), len(index)))
+    return np.block([[covariance, apart], [apart.T, before.covariance[np.ix_(index, index)]]])
+
+
+def _how(check: FieldCheck) -> str:
+    """How the calibration was updated."""
+    changed = "; ".join(check.reasons) or "nothing had changed beyond chance"
+    made = check.calibration.provenance.get("created", "an unknown date")
+    return (
+        f"no calibration of its own: that of {made}, updated by a field check of {check.rests} rests "
+        f"({check.session}): {changed}"
+    )

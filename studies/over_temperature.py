@@ -1,0 +1,279 @@
+"""What does each procedure over temperature give, and is its uncertainty honest?
+
+Instruments of the grade navigation with every parameter drawn from its usual size, coefficients over temperature
+included; programme rough-table, rests of 120 s, half turns in about 20 s, 35 minutes. Observations are made directly
+from the truth. Each session has biases of its own launch and drifts of its own.
+
+Procedures: the programme at 0, 20 and 40 °C, a launch each; the programme twice in one recording while the temperature
+goes from 0 to 40 °C and back; once while it goes from 0 to 40 °C; once at room temperature while the unit warms by
+3 °C; and the same without any change of temperature. Sensors follow the thermometer with a lag, |N(0, 200 s)| where
+none is stated, and have a hysteresis of the usual size where both ways are gone.
+
+z: root mean square of (value − truth)/u over runs and parameters. Coverage: how often the truth is within the interval
+of 95 %.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.methods.joint import joint
+from tumble.planning.setup import Setup
+from tumble.programme.positions import ANY_MOVE, Programme, programme
+from tumble.reduction.observations import Observations
+from tumble.reduction.together import joined
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.parameters import Variable, group_name, named_group, usual_sizes
+from tumble.simulation.climate import Climate
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import OnTable, Scenario, scenario_of
+from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
+
+GRADE = "navigation"
+REFERENCE = 20.0 + ZERO_CELSIUS
+ONCE = programme("rough-table")
+TWICE = Programme(
+    name="twice",
+    positions=ONCE.positions * 2,
+    moves=(*ONCE.moves, ANY_MOVE, *ONCE.moves),
+    ordered=True,
+)
+USUAL = usual_sizes(GRADE)
+LAG = USUAL["temperature.lag"]
+WITH_TEMPERATURE: tuple[Variable, ...] = ("temperature", "temperature²", "hysteresis")
+SLOPES = {
+    "accel.bias.t1": 20e-6 * G_STANDARD,
+    "accel.scale.t1": 20e-6,
+    "gyro.bias.t1": 0.01 * DEGREE_PER_HOUR,
+    "gyro.scale.t1": 10e-6,
+}
+"""Of the warm-up: those of the method's table."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Procedure:
+    """Courses of temperature, °C, of the sessions, each passed through at a constant rate, and the programme; whether
+    there is hysteresis; the minutes of a warm-up, which goes as an exponential, else None."""
+
+    name: str
+    courses: tuple[tuple[float, ...], ...]
+    programme: Programme = ONCE
+    hysteresis: bool = False
+    warm_up: float | None = None
+
+
+LEVELS = Procedure(name="three levels", courses=((0.0, 0.0), (20.0, 20.0), (40.0, 40.0)))
+BOTH_WAYS = Procedure(name="up and down", courses=((0.0, 40.0, 0.0),), programme=TWICE, hysteresis=True)
+ONE_WAY = Procedure(name="up", courses=((0.0, 40.0),))
+WARM_UP = Procedure(name="warm-up of 3 °C", courses=((20.0, 23.0),), warm_up=5.0)
+ISOTHERMAL = Procedure(name="no change", courses=((20.0, 20.0),))
+
+
+def session(procedure: Procedure, course: Sequence[float], lag: float) -> tuple[Climate, float]:
+    """The climate of a session, and how long it takes, s."""
+    setup = Setup.of(grade=GRADE)
+    turns = len(procedure.programme.moves) * (180.0 / np.rad2deg(setup.turn_rate))
+    long = setup.first_rest + setup.rest * len(procedure.programme.positions) + turns
+    kelvin = np.array(course) + ZERO_CELSIUS
+    time = np.linspace(0.0, long, len(kelvin))
+    if procedure.warm_up is not None:
+        time = np.arange(0.0, long, 5.0)
+        kelvin = kelvin[0] + (kelvin[-1] - kelvin[0]) * (1.0 - np.exp(-time / (60.0 * procedure.warm_up)))
+    span = 0.5 * (kelvin.min() + kelvin.max()), max(0.5 * float(np.ptp(kelvin)), 1.0)
+    return Climate(time=time, kelvin=kelvin, reference=REFERENCE, lag=lag, span=span), long
+
+
+def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
+    """An instrument with every parameter of the usual size."""
+    scenario = scenario_of(Setup.of(grade=GRADE, terms="full"), rng)
+    course = scenario.course
+    assert isinstance(course, OnTable)
+    every = Instrument.of(scenario.accel, scenario.gyro, USUAL, WITH_TEMPERATURE)
+    more = {
+        name: float(USUAL[group.name] * rng.standard_normal())
+        for group in every.further
+        if group.variable in WITH_TEMPERATURE and (procedure.hysteresis or group.variable != "hysteresis")
+        for name in group.names(every.block(group))
+    }
+    if procedure in (WARM_UP, ISOTHERMAL):
+        for name in more:
+            more[name] *= SLOPES.get(group_name(name), 0.0) / USUAL[group_name(name)]
+    course = replace(course, programme=procedure.programme)
+    return replace(scenario, truth=dict(scenario.truth) | more, usual=USUAL, course=course)
+
+
+def of_launch(scenario: Scenario, rng: np.random.Generator, *, several: bool) -> Scenario:
+    """The instrument in another session: with drifts of its own, and of several, with biases of its own."""
+    truth = dict(scenario.truth)
+    for name in truth:
+        group, size = group_name(name), USUAL.get(f"{group_name(name)}.launch")
+        if group.endswith(".drift"):
+            truth[name] = float(USUAL[group] * rng.standard_normal())
+        elif several and size is not None:
+            truth[name] += float(size * rng.standard_normal())
+    return replace(scenario, truth=truth)
+
+
+def observed(procedure: Procedure, number: int, lag: float | None) -> tuple[Scenario, Observations]:
+    """A device and the observations of a procedure."""
+    rng = np.random.default_rng([12, number])
+    scenario, drawn = device(procedure, rng), abs(LAG * rng.standard_normal())
+    sessions, several = [], len(procedure.courses) > 1
+    for course in procedure.courses:
+        climate, _ = session(procedure, course, drawn if lag is None else lag)
+        mine = replace(of_launch(scenario, rng, several=several), climate=climate)
+        sessions.append(simulate_observations(mine, rng))
+    scenario = replace(mine if not several else scenario, climate=climate)
+    if not several:
+        return scenario, sessions[0]
+    names = [f"session {i + 1}" for i in range(len(sessions))]
+    return scenario, joined(sessions, names, [np.arange(len(each.rests)) for each in sessions])
+
+
+def truth_at(scenario: Scenario, kelvin: float) -> dict[str, float]:
+    """True values about another reference temperature."""
+    truth, warmer = dict(scenario.truth), kelvin - REFERENCE
+    for name, value in scenario.truth.items():
+        base, _, ending = name.rpartition(".")
+        if ending == "t1":
+            curvature = scenario.truth[f"{base}.t2"]
+            truth[base] += value * warmer + curvature * warmer**2
+            truth[name] += 2.0 * curvature * warmer
+    assert scenario.climate is not None
+    return truth | {"temperature.lag": scenario.climate.lag}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Found:
+    """Of one run, by parameter: errors in units of u, u, and whether the interval of 95 % contains the truth."""
+
+    z: dict[str, float]
+    u: dict[str, float]
+    covered: dict[str, bool]
+    values: dict[str, float]
+    chi_square: float
+
+
+def found(scenario: Scenario, observations: Observations, leave: Sequence[str] = ()) -> Found:
+    """What an estimate gives, without groups that are left out."""
+    usual = {name: size for name, size in observations.usual.items() if name not in leave}
+    estimate: Estimate = joint(replace(observations, usual=usual))
+    kelvin = observations.rests.temperature
+    assert kelvin is not None
+    assert estimate.degrees is not None
+    truth = truth_at(scenario, float(kelvin.mean()))
+    error = estimate.values - np.array([truth.get(name, 0.0) for name in estimate.names])
+    within = np.abs(error) < stats.t.ppf(0.975, estimate.degrees) * estimate.u
+    kept = [i for i, seen in enumerate(estimate.observable) if seen]
+    total = estimate.fits["noise within rests"]
+    return Found(
+        z={estimate.names[i]: float(error[i] / estimate.u[i]) for i in kept},
+        u={estimate.names[i]: float(estimate.u[i]) for i in kept},
+        covered={estimate.names[i]: bool(within[i]) for i in kept},
+        values={estimate.names[i]: float(estimate.values[i]) for i in kept},
+        chi_square=total.chi_square / total.degrees,
+    )
+
+
+def rms(runs: Sequence[Found], groups: Sequence[str] = ()) -> float:
+    """Root mean square of z of groups, all where none is named."""
+    z = [value for run in runs for name, value in run.z.items() if not groups or group_name(name) in groups]
+    return float(np.sqrt(np.mean(np.square(z))))
+
+
+LINEAR = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
+THERMAL = tuple(f"{base}.{ending}" for ending in ("t1", "t2") for base in LINEAR if "axis" not in base)
+
+
+def procedures(count: int) -> float:
+    """Print what each procedure gives; the worst of the coverages of its coefficients, from 95 %."""
+    worst = 0.0
+    for procedure in (LEVELS, BOTH_WAYS, ONE_WAY):
+        runs = [found(*observed(procedure, number, None)) for number in range(count)]
+        print(f"\n{procedure.name}: {count} devices; z {rms(runs):.2f}, of the linear model {rms(runs, LINEAR):.2f}")
+        for group in (*LINEAR, *THERMAL, "temperature.lag", "accel.bias.hysteresis", "gyro.bias.hysteresis"):
+            names = [name for run in runs for name in run.z if group_name(name) == group]
+            if not names:
+                continue
+            covered = 100.0 * np.mean([run.covered[n] for run in runs for n in run.covered if group_name(n) == group])
+            u = np.sqrt(np.mean([run.u[n] ** 2 for run in runs for n in run.u if group_name(n) == group]))
+            entry = named_group(group)
+            size, unit = entry.shown[0] if entry and entry.shown else (1e-6, "µrad")
+            print(f"  {group:24s} u {u / size:9.3g} {unit:8s} z {rms(runs, (group,)):.2f}  covered {covered:.1f} %")
+        thermal = [run.covered[name] for run in runs for name in run.covered if group_name(name) in THERMAL]
+        covered = 100.0 * float(np.mean(thermal))
+        print(f"  coefficients over temperature together: covered {covered:.1f} % of {len(thermal)}")
+        worst = max(worst, abs(covered - 95.0))
+    return worst
+
+
+def lags(count: int) -> None:
+    """Print the table of lags: estimated, and what is lost where it is ignored."""
+    print(f"\nlag, {count} devices each: z of all, lag ignored → estimated; estimate")
+    for procedure, lag in (
+        (BOTH_WAYS, 30.0),
+        (BOTH_WAYS, 100.0),
+        (BOTH_WAYS, 300.0),
+        (ONE_WAY, 100.0),
+        (ONE_WAY, 300.0),
+    ):
+        made = [observed(replace(procedure, hysteresis=False), number, lag) for number in range(count)]
+        with_lag = [found(*each) for each in made]
+        without = [
+            found(*each, leave=("temperature.lag", "accel.bias.hysteresis", "gyro.bias.hysteresis")) for each in made
+        ]
+        values = [run.values["temperature.lag"] for run in with_lag]
+        u = float(np.sqrt(np.mean([run.u["temperature.lag"] ** 2 for run in with_lag])))
+        ignored, fit = rms(without, (*LINEAR, *THERMAL)), np.mean([run.chi_square for run in without])
+        print(f"  {procedure.name:12s} {lag:4.0f} s: {ignored:5.1f} (chi-square over degrees {fit:.2f})", end=" ")
+        print(
+            f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f}; {np.mean(values):.1f} ± {np.std(values):.1f} s, u {u:.1f} s"
+        )
+    made = [observed(BOTH_WAYS, number, 60.0) for number in range(count)]
+    both, lag_alone = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), ("temperature.lag",)
+    for what, leave in (
+        ("ignored", both + lag_alone),
+        ("lag alone", both),
+        ("hysteresis alone", lag_alone),
+        ("both", ()),
+    ):
+        z = rms([found(*each, leave=leave) for each in made], (*LINEAR, *THERMAL))
+        print(f"  hysteresis with a lag of 60 s, {what}: {z:.2f}")
+
+
+def warm_up(count: int) -> tuple[float, float]:
+    """Print what a warm-up costs: z of the linear parameters, and the mean of u over that of an isothermal session."""
+    leave = tuple(name for name in USUAL if name.endswith((".t1", ".t2")))
+    warm = [observed(WARM_UP, number, 0.0) for number in range(count)]
+    runs = [found(*each) for each in warm]
+    ignored = [found(*each, leave=leave) for each in warm]
+    still = [found(*observed(ISOTHERMAL, number, 0.0), leave=leave) for number in range(count)]
+    names = [name for name in runs[0].u if group_name(name) in LINEAR]
+    ratio = np.array([[run.u[n] / other.u[n] for n in names] for run, other in zip(runs, still, strict=True)])
+    z, without = rms(runs, LINEAR), rms(ignored, LINEAR)
+    print(
+        f"\nwarm-up of 3 °C, {count} devices: z {z:.2f} (without coefficients over temperature {without:.2f});", end=" "
+    )
+    print(f"u {ratio.mean():.2f} times that without a change, at most {ratio.mean(axis=0).max():.2f}")
+    return z, float(ratio.mean())
+
+
+def main() -> None:
+    short = "--short" in sys.argv
+    worst = procedures(2 if short else 60)
+    if not short:
+        lags(8)
+    z, ratio = warm_up(3 if short else 30)
+    honest = worst < (6.0 if short else 2.0) and z < (1.3 if short else 1.05) and ratio < 1.2
+    print(f"\nIs u over temperature honest, and does a warm-up cost little? {'Yes' if honest else 'No'}")
+    sys.exit(0 if honest else 1)
+
+
+if __name__ == "__main__":
+    main()

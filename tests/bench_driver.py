@@ -1,0 +1,96 @@
+"""A station at the virtual table, and its page, whose clock is driven by a test."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import uvicorn
+
+from tumble.bench.access import Access
+from tumble.bench.folder import begin
+from tumble.bench.server import app_of
+from tumble.bench.sources import in_si
+from tumble.bench.station import Station
+from tumble.bench.virtual_table import FULL_SCALE, VirtualTable
+
+SITE = {"latitude_deg": 56.84}
+TOKEN = "0123456789abcdef"
+
+
+class Bench:
+    """A station whose clock is driven by the test: a step is a fifth of a second of log time. Without a `programme`
+    positions are free; without `gyros` the session does not know of theirs."""
+
+    def __init__(
+        self, folder: Path, programme: str | None = "nine", *, temperature: bool = False, gyros: bool = True
+    ) -> None:
+        self.table = VirtualTable(f"{programme or 'nine'}@1000x", temperature=temperature)
+        log = in_si(temperature=temperature)
+        columns = [log["time"], *log["accel"]["columns"], *log["gyro"]["columns"], *(["T"] if temperature else [])]
+        log["gyro"] = log["gyro"] | {"range": FULL_SCALE}
+        if not gyros:
+            del log["gyro"]
+        begin(folder, log=log, serial="virtual-1", site=SITE, programme=programme)
+        self.file = (folder / "log.csv").open("a")
+        self.file.write(",".join(columns) + "\n")
+        self.station = Station(folder, None, wanted=("accel.bias=1mg", "gyro.bias=100deg/h"))
+
+    def run(self, seconds: float) -> None:
+        """Let so much log time pass."""
+        for _ in range(round(seconds / 0.2)):
+            self.file.write("".join(self.table.line() for _ in range(20)))
+            self.file.flush()
+            self.station.step()
+
+    def until(self, what: Callable[[], bool], seconds: float = 30.0) -> float:
+        """Let time pass until something is so; how long it took."""
+        passed = 0.0
+        while not what():
+            assert passed < seconds, f"it did not happen: {self.screen}, {self.said}"
+            self.run(0.2)
+            passed += 0.2
+        return passed
+
+    def close(self) -> None:
+        """End it."""
+        self.station.stop()
+        self.file.close()
+
+    @property
+    def screen(self) -> str:
+        return str(self.station.state["screen"])
+
+    @property
+    def said(self) -> str:
+        fault = self.station.state["fault"]
+        return str(fault["said"]) if fault else str(self.station.state["headline"])
+
+    def take(self, position: int) -> None:
+        """Go into a position and stay until the page wants the next."""
+        self.table.go_to(position - 1)
+        self.until(lambda: not self.table.moving)
+        self.until(lambda: self.screen in ("rest", "fault"))
+        self.until(lambda: self.screen != "rest")
+
+
+@contextmanager
+def served(station: Station) -> Iterator[str]:
+    """The link to the page of a station."""
+    with socket.create_server(("127.0.0.1", 0)) as bound:
+        port = bound.getsockname()[1]
+        app = app_of(station, Access(host="127.0.0.1", port=port, token=TOKEN))
+        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=1))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
+        thread.start()
+        while not server.started:
+            time.sleep(0.01)
+        try:
+            yield f"http://127.0.0.1:{port}/?token={TOKEN}"
+        finally:
+            app.state.stopping = server.should_exit = True
+            thread.join()

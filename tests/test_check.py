@@ -1,0 +1,226 @@
+"""The field check: a calibration that still holds, what has changed, and the updated calibration. How often it is right
+`studies/field_check.py` counts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.check import FieldCheck, check_calibration, known_before
+from tumble.calibration.results import Parameter
+from tumble.cli import main
+from tumble.errors import CalibrationError, InputError
+from tumble.estimation.estimate import Outcome
+from tumble.estimation.field_check import CheckResult, field_check
+from tumble.estimation.likelihood import Point, Prior, Problem, linearise
+from tumble.estimation.methods.joint import joint
+from tumble.planning.setup import Setup
+from tumble.reduction.observations import Observations
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
+from tumble.simulation.session import simulate_session
+from tumble.units import DEGREE, ZERO_CELSIUS
+
+MG = 9.80665e-3
+NOTHING: Mapping[str, float] = {}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibrated device, "calibration.json", and a session of it, "again"."""
+    out = tmp_path_factory.mktemp("check")
+    calibrate(simulate_session(out / "calibrated", Setup.of(grade="mems", positions=18), seed=3)).write(
+        out / "calibration.json"
+    )
+    simulate_session(out / "again", Setup.of(grade="mems", positions=4), seed=3)
+    return out
+
+
+@cache
+def device() -> tuple[Scenario, Calibration]:
+    rng = np.random.default_rng(5)
+    scenario = scenario_of(Setup.of(grade="mems", positions=18), rng)
+    estimate = joint(simulate_observations(scenario, rng))
+    template = Calibration(
+        serial=scenario.serial,
+        model=None,
+        method="joint",
+        frame="accelerometer",
+        parameters=(),
+        covariance=estimate.covariance,
+        accel=estimate.accel,
+        gyro=estimate.gyro,
+        outcome=Outcome(),
+        fits=estimate.fits,
+        site=scenario.site,
+    )
+    parameters = tuple(
+        Parameter(name=n, value=float(v), u=float(u), unit=unit)
+        for n, v, u, unit in zip(estimate.names, estimate.values, estimate.u, estimate.units, strict=True)
+    )
+    return scenario, replace(template, parameters=parameters)
+
+
+def seen(rests: int, changed: Mapping[str, float] = NOTHING, *, turns: bool = True) -> Observations:
+    """A session of the device in which parameters have changed."""
+    scenario, _ = device()
+    truth = dict(scenario.truth)
+    for name, change in changed.items():
+        truth[name] += change
+    again = replace(scenario, truth=truth, course=HandHeld(positions=rests))
+    return simulate_observations(again, np.random.default_rng(1), only_programmed=not turns)
+
+
+def result_of(observations: Observations) -> CheckResult:
+    return field_check(observations, known_before(device()[1], observations, "mems", {}))
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("accel.bias.y", 5 * MG),
+        ("accel.scale.z", -5e-3),
+        ("gyro.bias.x", -0.2 * DEGREE),
+        ("gyro.scale.y", 5e-3),
+        ("gyro.bias.z", 3.0 * DEGREE),
+    ],
+)
+def test_a_change_is_named_with_its_size(name: str, size: float) -> None:
+    found = result_of(seen(4, {name: size}))
+    assert [change.name for change in found.changes] == [name]
+    (change,) = found.changes
+    assert abs(change.value - size) < 4.0 * change.u
+    assert found.explained
+    assert not found.valid
+
+
+def test_two_changes_are_found_together() -> None:
+    found = result_of(seen(5, {"accel.bias.x": 10 * MG, "gyro.bias.y": 0.4 * DEGREE}))
+    sizes = {change.name: change.value for change in found.changes}
+    assert sizes.keys() == {"accel.bias.x", "gyro.bias.y"}
+    assert sizes["accel.bias.x"] == pytest.approx(10 * MG, rel=0.3)
+    assert sizes["gyro.bias.y"] == pytest.approx(0.4 * DEGREE, rel=0.3)
+
+
+def test_what_the_rests_do_not_show_is_not_judged() -> None:
+    found = result_of(seen(3, turns=False))
+    assert not [name for name in found.tests if name.startswith(("gyro.scale", "gyro.axis"))]
+    assert found.valid
+
+
+def test_a_rest_that_moved_is_explained_by_no_change() -> None:
+    observations = seen(5)
+    accel = observations.rests.accel.copy()
+    accel[2] *= 1.02
+    found = result_of(replace(observations, rests=replace(observations.rests, accel=accel)))
+    assert not found.valid
+
+
+def test_the_update_is_nearer_to_the_truth() -> None:
+    size = 0.3 * DEGREE
+    found, (scenario, calibration) = result_of(seen(5, {"gyro.bias.x": size})), device()
+    i = scenario.names.index("gyro.bias.x")
+    truth = scenario.truth["gyro.bias.x"] + size
+    assert abs(found.values[i] - truth) < 4.0 * np.sqrt(found.covariance[i, i])
+    assert np.sqrt(found.covariance[i, i]) < 0.02 * DEGREE
+    assert abs(calibration["gyro.bias.x"].value - truth) > 0.2 * DEGREE
+
+
+def test_a_prior_with_correlations_is_the_inverse_of_its_covariance() -> None:
+    observations = seen(3)
+    known = known_before(device()[1], observations, "mems", {})
+    problem = Problem.of(observations, Prior(covariance=known.covariance), instrument=known.instrument)
+    scenario = device()[0]
+    point = Point(values=known.values, gravity=scenario.site.gravity, attitudes=np.tile(np.eye(3), (3, 1, 1)))
+    W = linearise(replace(problem, observations=replace(observations, turns=None)), point, None).prior[:-1, :-1]
+    size = np.sqrt(np.diag(known.covariance))
+    known_ones = size > 0.0
+    product = (W @ known.covariance @ W.T)[np.ix_(known_ones, known_ones)]
+    assert np.abs(np.tril(W, -1)).max() == 0.0
+    np.testing.assert_allclose(product, np.eye(known_ones.sum()), atol=1e-6)
+
+
+def test_a_gravity_that_both_state_is_in_the_scale_factors() -> None:
+    here = replace(seen(3), site=device()[0].site)
+    shared = known_before(device()[1], here, "mems", {})
+    apart = known_before(replace(device()[1], site=None), here, "mems", {})
+    i = 1 + shared.instrument.names.index("accel.scale.x")
+    assert shared.covariance[0, i] < 0.0
+    assert apart.covariance[0, i] == 0.0
+
+
+def test_parameters_are_taken_to_the_temperature_of_the_check() -> None:
+    observations, calibration = seen(3), device()[1]
+    warm = np.full(3, 40.0 + ZERO_CELSIUS)
+    here = replace(observations, rests=replace(observations.rests, temperature=warm))
+    cold = replace(calibration, reference_temperature=20.0)
+    known, same = (known_before(c, here, "mems", {}) for c in (cold, replace(calibration, reference_temperature=40.0)))
+    i = 1 + known.instrument.names.index("accel.bias.x")
+    more = known.covariance[i, i] - same.covariance[i, i]
+    assert np.sqrt(more) == pytest.approx(20.0 * 0.3 * MG, rel=1e-6)
+
+
+def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:
+    runner = CliRunner()
+    out = folder / "updated.json"
+    done = runner.invoke(main, ["check", str(folder / "calibration.json"), str(folder / "again"), "-o", str(out)])
+    assert done.exit_code == 0, done.stderr
+    assert "still valid" in done.stdout
+    assert "4 rests and 3 turns" in done.stdout
+    updated = read_calibration(out)
+    assert updated.notes[0].startswith("no calibration of its own")
+    assert updated.outcome.accepted
+    refused = runner.invoke(
+        main, ["check", str(folder / "calibration.json"), str(folder / "again"), "-o", str(folder / "calibration.json")]
+    )
+    assert refused.exit_code == 2
+    assert "another log" in refused.stderr
+
+
+def test_a_changed_calibration_ends_with_one(folder: Path) -> None:
+    before = read_calibration(folder / "calibration.json")
+    off = tuple(replace(p, value=p.value + 20 * MG) if p.name == "accel.bias.x" else p for p in before.parameters)
+    replace(before, parameters=off).write(folder / "off.json")
+    done = CliRunner().invoke(main, ["check", str(folder / "off.json"), str(folder / "again")])
+    assert done.exit_code == 1
+    assert "changed: accel.bias.x has changed by -" in done.stderr
+
+
+def test_the_update_of_another_frame_is_in_that_frame(folder: Path) -> None:
+    turned = read_calibration(folder / "calibration.json").in_frame("symmetric")
+    found = check_calibration(turned, folder / "again")
+    assert found.valid
+    assert found.updated().frame == "symmetric"
+
+
+def test_accelerometers_alone_are_checked(folder: Path) -> None:
+    whole = read_calibration(folder / "calibration.json")
+    own = [i for i, p in enumerate(whole.parameters) if p.name.startswith("accel.") and "lever" not in p.name]
+    own = [i for i in own if "delay" not in whole.parameters[i].name]
+    assert whole.covariance is not None
+    alone = replace(
+        whole,
+        gyro=None,
+        parameters=tuple(whole.parameters[i] for i in own),
+        covariance=whole.covariance[np.ix_(own, own)],
+    )
+    found: FieldCheck = check_calibration(alone, folder / "again")
+    assert found.turns == 0
+    assert found.valid
+    assert found.updated().gyro is None
+
+
+def test_another_device_and_a_refused_calibration_are_refused(folder: Path) -> None:
+    calibration = read_calibration(folder / "calibration.json")
+    with pytest.raises(InputError, match="expected a session of device 'other'"):
+        check_calibration(replace(calibration, serial="other"), folder / "again")
+    with pytest.raises(CalibrationError, match="expected an accepted one"):
+        check_calibration(replace(calibration, outcome=Outcome(reasons=("no",))), folder / "again")

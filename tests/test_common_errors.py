@@ -1,0 +1,114 @@
+"""What errs alike in a whole session: the rounding of channels that read the same, and the time base."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tumble
+from tumble.estimation.common_errors import by_time_base, common_rounding
+from tumble.estimation.likelihood import Problem, linearise, noise_of
+from tumble.estimation.methods.joint import _started, joint
+from tumble.planning.setup import Setup
+from tumble.reduction.observations import Observations
+from tumble.reduction.rounding import Rounding
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.parameters import usual_of
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import scenario_of
+from tumble.units import Array
+
+STEP = 1e-3
+
+
+def rounded(noise: float) -> Rounding:
+    """Three channels of step STEP with a noise in steps."""
+    relative = np.full(3, noise)
+    size = np.full(3, STEP / np.pi * np.exp(-2.0 * (np.pi * noise) ** 2))
+    return Rounding(step=np.full(3, STEP), noise=STEP * relative, of_rest=size, common_u=size)
+
+
+def observed() -> Observations:
+    return simulate_observations(
+        scenario_of(Setup.of(grade="mems", positions=12), np.random.default_rng(1)), np.random.default_rng(2)
+    )
+
+
+def test_rests_that_read_the_same_have_all_of_the_rounding_in_common() -> None:
+    found = rounded(0.1)
+    np.testing.assert_allclose(common_rounding(found, np.full((20, 3), 7.0)), found.common_u)
+
+
+def test_rests_that_read_many_steps_apart_have_nothing_in_common() -> None:
+    readings = STEP * np.random.default_rng(0).uniform(-20.0, 20.0, (20, 3))
+    assert np.all(common_rounding(rounded(0.1), readings) < 1e-3 * rounded(0.1).common_u)
+
+
+def test_the_part_in_common_is_the_correlation_of_the_errors() -> None:
+    """Noise of 0.3 of a step leaves the first harmonic: of true values that scatter by s, the part e^(−2π²s²/L²)."""
+    s = 0.15
+    at = s * np.random.default_rng(1).standard_normal((200_000, 1))
+    phase = np.linspace(0.0, 1.0, 64, endpoint=False)
+    common = np.array([np.sin(2.0 * np.pi * (at + x)).mean() for x in phase])
+    expected = np.exp(-2.0 * (np.pi * s) ** 2)
+    assert common.std() * np.sqrt(2.0) == pytest.approx(expected, rel=0.02)
+    slope = 1.0 + 2.0 * np.exp(-2.0 * (np.pi * 0.3) ** 2)
+    found = common_rounding(rounded(0.3), STEP * slope * np.tile([-s, s], 10)[:, None] * np.ones(3))
+    np.testing.assert_allclose(found, expected * rounded(0.3).common_u, rtol=5e-3)
+
+
+def test_rounding_and_time_base_are_in_the_covariance_of_the_joint_method() -> None:
+    plain = replace(observed(), usual={})
+    coarse = replace(plain, rests=replace(plain.rests, gyro=np.round(plain.rests.gyro / 1e-9) * 1e-9))
+    with_errors = replace(coarse, rounding={"gyro": rounded(0.1)}, clock_u=3e-4)
+    before, after = joint(coarse), joint(with_errors)
+    np.testing.assert_array_equal(after.values, before.values)
+    change = after.covariance - before.covariance
+    scales = [before.names.index(f"gyro.scale.{axis}") for axis in "xyz"]
+    biases = [before.names.index(f"gyro.bias.{axis}") for axis in "xyz"]
+    np.testing.assert_allclose(change[np.ix_(scales, scales)], 9e-8, rtol=1e-6)
+    size = common_rounding(rounded(0.1), coarse.rests.gyro)
+    np.testing.assert_allclose(change[np.ix_(biases, biases)], np.diag(size**2), rtol=1e-6, atol=1e-18)
+    rest = np.delete(np.arange(len(change)), scales + biases)
+    assert np.all(change[np.ix_(rest, rest)] == 0.0)
+    assert before.prediction is not None
+    assert after.prediction is not None
+    assert (after.prediction.rate_u or 0.0) > (before.prediction.rate_u or 0.0)
+
+
+def test_the_time_base_is_that_of_rates_alone() -> None:
+    """Increments are angles, whatever the clock says."""
+    sensors = {"columns": ["x", "y", "z"], "unit": "m/s^2"}
+    samples = dict.fromkeys("xyzpqr", np.zeros(300))
+
+    def log(unit: str) -> tumble.Session:
+        gyro = {"columns": ["p", "q", "r"], "unit": unit}
+        given = {"rate_hz": 100.0, "clock_ppm_u": 20, "accel": sensors, "gyro": gyro}
+        return tumble.session_of({"format": 1, "device": {"serial": "A"}, "log": given}, samples)
+
+    assert log("rad/s").log.gyro_clock_u == pytest.approx(20e-6)
+    assert log("rad").log.gyro_clock_u == 0.0
+    names = Instrument.of(log("rad/s").accel_block, log("rad/s").gyro_block).names
+    changed = [name for name, change in zip(names, by_time_base(names, 1.0), strict=True) if change]
+    assert changed == [f"gyro.scale.{axis}" for axis in "xyz"]
+
+
+@pytest.mark.parametrize("noise", [(1.0, 1.0, 1.0), (1.0, 1e-3, 1e-3), (1e-3, 1.0, 1e-6)])
+def test_the_noise_of_a_turn_is_a_covariance_however_unlike_its_gyros_are(noise: tuple[float, ...]) -> None:
+    """Rotation R and velocity: P_Vφ = −½ X R and P_VV = ⅓ X R Xᵀ, Eq. (8), so that what the rotation leaves of P_VV is
+    X R Xᵀ/12 and the noise of the accelerometers."""
+    observations = replace(observed(), usual=usual_of("mems"))
+    turns = observations.turns
+    assert turns is not None
+    spread: Array = np.median(turns.covariance[:, 0, 0]) * np.diag(noise)
+    velocity = np.broadcast_to(1e-12 * np.eye(3), turns.covariance.shape)
+    turns = replace(turns, covariance=np.broadcast_to(spread, turns.covariance.shape), velocity_covariance=velocity)
+    observations = replace(observations, turns=turns)
+    instrument = Instrument.of(observations.accel_block, observations.gyro_block, observations.usual)
+    problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
+    at, _ = _started(problem)
+    found = noise_of(problem, linearise(problem, at.point, at.about)).merged
+    size = np.sqrt(np.diagonal(found, axis1=1, axis2=2))
+    assert np.linalg.eigvalsh(found / size[:, :, None] / size[:, None, :]).min() > 0.0

@@ -1,0 +1,62 @@
+"""What is released: the wheel holds the whole package and nothing else, the sdist what its tests need."""
+
+from __future__ import annotations
+
+import re
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def sources() -> set[str]:
+    """The files of the package, as they lie in the wheel."""
+    files = (path.relative_to(ROOT / "src") for path in (ROOT / "src/tumble").rglob("*") if path.is_file())
+    return {path.as_posix() for path in files if "__pycache__" not in path.parts}
+
+
+def test_the_wheel_holds_the_package_its_pages_its_types_and_its_command(tmp_path: Path) -> None:
+    builder = pytest.importorskip("hatchling.builders.wheel").WheelBuilder(str(ROOT))
+    wheel = zipfile.ZipFile(next(builder.build(directory=str(tmp_path), versions=["standard"])))
+    names = {name for name in wheel.namelist() if ".dist-info/" not in name}
+    assert names == sources()
+    assert {"tumble/py.typed", "tumble/bench/page/index.html", "tumble/bench/page/vendor/uPlot.LICENSE"} <= names
+    described = {name.partition(".dist-info/")[2]: wheel.read(name).decode() for name in wheel.namelist()}
+    assert "tumble = tumble.cli:main" in described["entry_points.txt"]
+    assert "Root-Is-Purelib: true" in described["WHEEL"]  # no compiler is needed to install it
+    assert described["licenses/LICENSE"] == (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert f"Requires-Python: {METADATA['requires-python']}" in described["METADATA"]
+
+
+def test_the_sdist_holds_what_its_tests_need(tmp_path: Path) -> None:
+    builder = pytest.importorskip("hatchling.builders.sdist").SdistBuilder(str(ROOT))
+    with tarfile.open(next(builder.build(directory=str(tmp_path), versions=["standard"]))) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    for folder in ("src", "tests", "docs", "studies", "benchmarks"):
+        here = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*.py")}
+        assert here <= names, f"{folder}: {sorted(here - names)}"
+    assert {"pyproject.toml", "mkdocs.yml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff", "Makefile"} <= names
+    assert not [name for name in names if "__pycache__" in name or name.startswith("dist/")]
+
+
+def test_the_version_is_the_same_wherever_it_stands() -> None:
+    version = re.escape(METADATA["version"])
+    for file, line in (
+        ("src/tumble/__init__.py", rf'^__version__ = "{version}"$'),
+        ("CHANGELOG.md", rf"^## {version}\b"),
+        ("CITATION.cff", rf"^version: {version}$"),
+        ("conda/recipe.yaml", rf'^  version: "{version}"$'),
+    ):
+        assert re.search(line, (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE), file
+
+
+def test_the_conda_recipe_wants_what_the_package_wants() -> None:
+    recipe = (ROOT / "conda/recipe.yaml").read_text(encoding="utf-8")
+    for requirement in METADATA["dependencies"]:
+        package = requirement.partition(";")[0].replace(">=", " >=").strip()
+        assert f"    - {package}\n" in recipe, package

@@ -1,0 +1,381 @@
+"""Several sessions over temperature as one estimate: its rows, its step, and the way from logs to a file."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.together import calibrate_together
+from tumble.cli import main
+from tumble.errors import InputError
+from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, linearise, noise_of, solve
+from tumble.estimation.methods.joint import joint
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.estimation.variables import variables_of
+from tumble.planning.setup import Setup
+from tumble.recording.log import open_log
+from tumble.recording.session import Session, session_of, write_session
+from tumble.reduction.observations import Observations
+from tumble.reduction.together import joined
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.parameters import prior_of, usual_sizes
+from tumble.simulation.climate import Climate
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.recording import record
+from tumble.simulation.scenario import Scenario, scenario_of
+from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
+
+LONG = 4000.0
+REFERENCE = 20.0 + ZERO_CELSIUS
+
+
+def device(grade: str, setup: Setup, seed: int = 1, *, hysteresis: bool = False) -> Scenario:
+    """A device with coefficients over temperature, of the usual size."""
+    rng = np.random.default_rng(seed)
+    scenario, usual = scenario_of(setup, rng), usual_sizes(grade)
+    sought = {"temperature", "temperature²"} | ({"hysteresis"} if hysteresis else set())
+    every = Instrument.of(scenario.accel, scenario.gyro, usual, sought)
+    more = {
+        name: float(usual[group.name] * rng.standard_normal())
+        for group in every.further
+        if group.variable is not None
+        for name in group.names(every.block(group))
+    }
+    return replace(scenario, truth=dict(scenario.truth) | more, usual=usual)
+
+
+def ramp(*celsius: float, lag: float = 0.0) -> Climate:
+    """Temperatures that are passed through at a constant rate."""
+    kelvin = np.array(celsius) + ZERO_CELSIUS
+    span = 0.5 * (kelvin.min() + kelvin.max()), max(0.5 * float(np.ptp(kelvin)), 1.0)
+    return Climate(time=np.linspace(0.0, LONG, len(kelvin)), kelvin=kelvin, reference=REFERENCE, lag=lag, span=span)
+
+
+def together(scenario: Scenario, climates: list[Climate], seed: int = 2) -> Observations:
+    """Sessions of a device in several climates, each with biases of its own launch."""
+    observed = []
+    for i, climate in enumerate(climates):
+        rng = np.random.default_rng([seed, i])
+        truth = dict(scenario.truth)
+        for name in truth:
+            kind, what, *rest = name.split(".")
+            if what == "bias" and len(rest) == 1:
+                truth[name] += scenario.usual[f"{kind}.bias.launch"] * rng.standard_normal()
+        observed.append(simulate_observations(replace(scenario, truth=truth, climate=climate), rng))
+    names = [f"session-{i + 1}" for i in range(len(climates))]
+    return joined(observed, names, [np.arange(len(each.rests)) for each in observed])
+
+
+def problem_of(observations: Observations) -> Problem:
+    accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
+    instrument = Instrument.of(accel, gyro, usual, set(variables_of(observations)) - set(OWN))
+    every = Instrument.of(accel, gyro, usual, OWN)
+    own = replace(every, further=tuple(group for group in every.further if group.variable in OWN))
+    return Problem.of(observations, instrument=instrument, own=own, usual=usual)
+
+
+def somewhere(problem: Problem, seed: int = 3) -> Point:
+    """A point with values of the usual size."""
+    rng, observations = np.random.default_rng(seed), problem.observations
+    values = 0.1 * problem.measured[1][1:] * rng.standard_normal(len(problem.instrument.names))
+    values[problem.instrument.linear_count - 21 : problem.instrument.linear_count] *= 0.01
+    assert problem.lag is not None
+    values[problem.lag] = 40.0
+    force = observations.rests.accel
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    east = np.cross(np.where(np.abs(up[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]), up)
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    return Point(
+        values=values,
+        gravity=observations.site.gravity,
+        attitudes=np.stack([np.cross(up, east), up, east], axis=1),
+        own=problem.own_known * rng.standard_normal((len(problem.parts), len(problem.own_known))),
+    )
+
+
+UP_AND_DOWN = [ramp(0.0, 40.0, 0.0, lag=50.0), ramp(40.0, 0.0, 40.0, lag=50.0)]
+SHORT = Setup.of(grade="mems", programme="cube-14", rest=60.0, rate_deg_s=20.0)
+
+
+def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences() -> None:
+    """Of coefficients over temperature, lag and hysteresis, and of what each session has of its own."""
+    problem = problem_of(together(device("mems", SHORT, hysteresis=True), UP_AND_DOWN))
+    point = somewhere(problem)
+    observations, m = problem.observations, len(point.values)
+    about = TurnsAbout.of(observations, problem.instrument, point.values, problem.changed_in_turns(point))
+    rows = linearise(problem, point, about)
+    size = np.concatenate([problem.measured[1][1:], problem.own_known])
+    thermal = [i for i, name in enumerate(problem.instrument.names) if name.rpartition(".")[2] in ("t1", "t2", "lag")]
+    thermal += [i for i, name in enumerate(problem.instrument.names) if name.endswith("hysteresis")]
+    assert len(thermal) > 30
+    for i in [*thermal, *range(m, m + len(problem.own_known))]:
+        step = 1e-3 * size[i] * np.eye(len(size))[i]
+        ends = [
+            linearise(problem, replace(point, values=point.values + d[:m], own=point.own + d[m:]), about)
+            for d in (step, -step)
+        ]
+        for which, first in (("rest", 3), ("turn", 6)):
+            found = getattr(rows, which)[..., first + 1 + i]
+            there, back = (getattr(end, which)[..., -1] for end in ends)
+            expected = (back - there) / (2.0 * step[i])
+            scale = np.abs(found).max(axis=0) + 1e-3 * np.abs(found).max() + 1e-300
+            assert np.all(np.abs(found - expected) < 2e-3 * scale), (which, i)
+
+
+def dense(problem: Problem, point: Point) -> Array:
+    """The covariance of gravity and the parameters by ordinary least squares of everything at once."""
+    rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
+    weight = noise_of(problem, rows).weights(Scatter())
+    turns = problem.observations.turns
+    assert turns is not None
+    N, m, q, S = len(problem.link), len(point.values), len(problem.own_known), len(problem.parts)
+    blocks = []
+    for i in np.flatnonzero(problem.link < 0):
+        block = np.zeros((rows.rest.shape[1], 3 * N + S * q + 1 + m))
+        own = weight.rest[i] @ rows.rest[i]
+        block[:, 3 * i : 3 * i + 3], block[:, 3 * N + S * q :] = own[:, :3], own[:, 3 : 4 + m]
+        s = problem.of_session[0][i]
+        block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = own[:, 4 + m : -1]
+        blocks.append(block)
+    for k, merged in enumerate(weight.merged @ rows.merged(turns.first)):
+        block, i, s = np.zeros((len(merged), 3 * N + S * q + 1 + m)), turns.first[k], problem.of_session[1][k]
+        block[:, 3 * i : 3 * i + 6], block[:, 3 * N + S * q :] = merged[:, :6], merged[:, 6 : 7 + m]
+        block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = merged[:, 7 + m : -1]
+        blocks.append(block)
+    prior = np.zeros((1 + m, 3 * N + S * q + 1 + m))
+    prior[:, 3 * N + S * q :] = rows.prior[:-1, :-1]
+    own_prior = np.zeros((S * q, 3 * N + S * q + 1 + m))
+    own_prior[:, 3 * N : 3 * N + S * q] = np.diag(np.tile(1.0 / problem.own_known, S))
+    A = np.concatenate([*blocks, prior, own_prior])
+    scale = np.linalg.norm(A, axis=0)
+    triangle = np.asarray(np.linalg.qr(A / scale, mode="r"))
+    information = triangle[3 * N :, 3 * N :]
+    inverse = np.linalg.inv(information) / scale[3 * N :, None]
+    return np.asarray(inverse @ inverse.T)
+
+
+def test_the_step_is_that_of_everything_at_once() -> None:
+    """What is eliminated session by session gives the covariance of ordinary least squares, and its estimates."""
+    problem = problem_of(together(device("mems", SHORT, hysteresis=True), UP_AND_DOWN))
+    point = somewhere(problem)
+    rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
+    step = solve(problem, rows, noise_of(problem, rows).weights(Scatter()))
+    S, q = step.own.shape
+    expected = dense(problem, point)
+    u = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(np.sqrt(np.diag(step.covariance)), u[S * q :], rtol=1e-5)
+    own = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, :q]
+    np.testing.assert_allclose(np.sqrt(own).ravel(), u[: S * q], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "group", "size"),
+    [
+        ("accel_curvature.bias", "1 ug/K^2", "accel.bias.t2", 1e-6 * G_STANDARD),
+        ("gyro_launch.bias", "10 deg/h", "gyro.bias.launch", 10.0 * DEGREE_PER_HOUR),
+        ("accel_hysteresis.bias", "20 ug", "accel.bias.hysteresis", 20e-6 * G_STANDARD),
+        ("temperature_lag", "60 s", "temperature.lag", 60.0),
+    ],
+)
+def test_a_data_sheet_may_say_them(key: str, text: str, group: str, size: float) -> None:
+    name, found = prior_of(key, text)
+    assert name == group
+    assert found == pytest.approx(size)
+
+
+# -------------------- over temperature --------------------
+
+
+def errors(scenario: Scenario, observations: Observations) -> dict[str, float]:
+    """Errors of an estimate in units of u, by parameter."""
+    estimate = joint(observations)
+    assert estimate.converged
+    kelvin = observations.rests.temperature
+    assert kelvin is not None
+    warmer, truth = kelvin.mean() - REFERENCE, dict(scenario.truth)
+    for name in scenario.truth:
+        base, _, ending = name.rpartition(".")
+        if ending == "t1":
+            slope, curvature = scenario.truth[name], scenario.truth[f"{base}.t2"]
+            truth[base] += slope * warmer + curvature * warmer**2
+            truth[name] += 2.0 * curvature * warmer
+    climate = scenario.climate
+    truth["temperature.lag"] = 0.0 if climate is None else climate.lag
+    return {
+        name: float((value - truth.get(name, 0.0)) / u)
+        for name, value, u in zip(estimate.names, estimate.values, estimate.u, strict=True)
+    }
+
+
+def test_three_levels_give_the_coefficients_of_a_device_with_large_ones() -> None:
+    """A MEMS device whose biases change by degrees per second: turns are integrated at their own temperatures."""
+    scenario = device("mems", SHORT, seed=5)
+    found = errors(scenario, together(scenario, [ramp(t, t) for t in (-20.0, 20.0, 60.0)]))
+    z = np.array([value for name, value in found.items() if name.rpartition(".")[2] in ("t1", "t2")])
+    assert len(z) == 24
+    assert np.sqrt(np.mean(z**2)) < 1.8
+    assert np.abs(list(found.values())).max() < 6.0
+
+
+def test_a_ramp_up_and_down_shows_the_lag() -> None:
+    scenario = device("navigation", Setup.of(grade="navigation", programme="rough-table"), seed=7)
+    lag = 100.0
+    sessions = together(scenario, [ramp(0.0, 40.0, lag=lag), ramp(40.0, 0.0, lag=lag)])
+    found = errors(replace(scenario, climate=ramp(0.0, lag=lag)), sessions)
+    assert np.abs(list(found.values())).max() < 6.0
+    estimate = joint(sessions)
+    at = estimate.names.index("temperature.lag")
+    assert estimate.u[at] < 10.0
+    assert estimate.values[at] == pytest.approx(lag, abs=6.0 * estimate.u[at])
+
+
+# -------------------- from logs --------------------
+
+
+def logged(scenario: Scenario, setup: Setup, celsius: float, seed: int) -> Session:
+    """A log of the device at a constant temperature."""
+    truth = {name: value for name, value in scenario.truth.items() if name.rpartition(".")[2] not in ("t1", "t2")}
+    warmer = celsius + ZERO_CELSIUS - REFERENCE
+    for name, value in scenario.truth.items():
+        base, _, ending = name.rpartition(".")
+        if ending in ("t1", "t2"):
+            truth[base] += value * warmer ** int(ending[1])
+    recording = record(replace(scenario, truth=truth), np.random.default_rng(seed))
+    return in_memory(recording.time, recording.accel, recording.gyro, np.full(len(recording.time), celsius), setup)
+
+
+def in_memory(time: Array, accel: Array, gyro: Array, celsius: Array, setup: Setup) -> Session:
+    columns = {"t": time, "T": celsius}
+    columns |= {f"a{x}": column for x, column in zip("xyz", accel.T, strict=True)}
+    columns |= {f"g{x}": column for x, column in zip("xyz", gyro.T, strict=True)}
+    return session_of(described(setup), columns)
+
+
+def described(setup: Setup) -> dict[str, Any]:
+    return {
+        "format": 1,
+        "device": {"serial": "A-1", "grade": "mems"},
+        "site": {"latitude_deg": np.rad2deg(setup.latitude), "gravity": setup.gravity, "gravity_u": 1e-6},
+        "log": {
+            "time": "t",
+            "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"},
+            "gyro": {"columns": ["gx", "gy", "gz"], "unit": "rad/s"},
+            "temperature": {"columns": ["T"], "unit": "degC"},
+        },
+    }
+
+
+CUBE = Setup.of(grade="mems", programme="cube-14", rest=5.0, rate_deg_s=60.0, sample_rate=50.0, gravity_u=0.0)
+
+
+def quiet(scenario: Scenario, setup: Setup, seed: int) -> Session:
+    """A device that lies in one position while it warms from 0 to 40 °C in ten minutes."""
+    rng, count = np.random.default_rng(seed), 600 * 50
+    celsius = np.linspace(0.0, 40.0, count)
+    warmer = celsius + ZERO_CELSIUS - REFERENCE
+    true = {"accel": np.array([0.0, 0.0, setup.gravity]), "gyro": np.zeros(3)}
+    made = {}
+    for block in (scenario.accel, scenario.gyro):
+        kind, truth = block.kind, scenario.truth
+        bias = np.array([[truth[f"{kind}.bias.{x}{e}"] for x in "xyz"] for e in ("", ".t1", ".t2")])
+        scale = np.array([[truth[f"{kind}.scale.{x}{e}"] for x in "xyz"] for e in ("", ".t1", ".t2")])
+        powers = np.stack([np.ones(count), warmer, warmer**2], axis=1)
+        white = (setup.noise.accel_white if kind == "accel" else setup.noise.gyro_white) * np.sqrt(50.0)
+        made[kind] = powers @ bias + (1.0 + powers @ scale) * true[kind] + white * rng.standard_normal((count, 3))
+    return in_memory(np.arange(1, count + 1) / 50.0, made["accel"], made["gyro"], celsius, setup)
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[Scenario, list[Session], Calibration]:
+    scenario = device("mems", CUBE, seed=11)
+    sessions = [logged(scenario, CUBE, celsius, seed) for seed, celsius in enumerate((0.0, 20.0, 40.0))]
+    sessions.append(quiet(scenario, CUBE, 4))
+    return scenario, sessions, calibrate_together(sessions)
+
+
+def test_levels_and_a_quiet_ramp_are_one_calibration(made: tuple[Scenario, list[Session], Calibration]) -> None:
+    scenario, _, found = made
+    assert found.outcome.accepted, found.outcome.reasons
+    assert found.reference_temperature is not None
+    warmer = found.reference_temperature + ZERO_CELSIUS - REFERENCE
+    for name, value in scenario.truth.items():
+        if name.endswith(".t2"):
+            slope = scenario.truth[f"{name[:-3]}.t1"] + 2.0 * value * warmer
+            for parameter, true in ((found[name], value), (found[f"{name[:-3]}.t1"], slope)):
+                assert parameter.u is not None
+                assert abs(parameter.value - true) < 6.0 * parameter.u, parameter.name
+    assert found["gyro.bias.x.t1"].learned == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_sessions_are_in_the_file(made: tuple[Scenario, list[Session], Calibration], tmp_path: Path) -> None:
+    _, sessions, found = made
+    assert [member.turns > 0 for member in found.together] == [True, True, True, False]
+    assert len({member.log_sha256 for member in found.together}) == len(sessions)
+    assert found.together[3].rests > 20
+    assert found.together[3].temperatures == pytest.approx((0.0, 40.0), abs=1.5)
+    assert {p.name for p in found.together[0].parameters} >= {"accel.bias.x.launch", "gyro.bias.z.drift"}
+    assert any("nothing is turned" in note for note in found.notes)
+    assert not any(name.endswith((".launch", ".drift")) for name in (p.name for p in found.parameters))
+    found.write(tmp_path / "calibration.json")
+    assert json.loads((tmp_path / "calibration.json").read_text())["temperature"]["range"] == pytest.approx(
+        [0, 40], abs=1
+    )
+    assert read_calibration(tmp_path / "calibration.json").together == found.together
+
+
+def test_a_quiet_ramp_adds_to_biases(made: tuple[Scenario, list[Session], Calibration]) -> None:
+    _, sessions, found = made
+    without = calibrate_together(sessions[:3])
+    assert not any("nothing is turned" in note for note in without.notes)
+    for name in ("gyro.bias.x.t2", "gyro.bias.x.t1"):
+        assert (found[name].u or 0.0) < 0.5 * (without[name].u or 0.0)
+
+
+def test_what_cannot_be_one_estimate_is_refused(made: tuple[Scenario, list[Session], Calibration]) -> None:
+    _, (first, second, *_), _ = made
+    with pytest.raises(InputError, match="expected two or more"):
+        calibrate_together([first])
+    with pytest.raises(InputError, match="holds the same log as"):
+        calibrate_together([first, first])
+    other = replace(second, device=replace(second.device, serial="B-2"))
+    with pytest.raises(InputError, match="expected the device 'A-1' of the first session, found 'B-2'"):
+        calibrate_together([first, other])
+    cold = replace(second, log=replace(second.log, temperature=None))
+    with pytest.raises(InputError, match=r"expected temperatures in every session, found no \[log.temperature\]"):
+        calibrate_together([first, cold])
+    elsewhere = replace(second, site=replace(second.site, gravity=second.site.gravity + 1e-3))
+    with pytest.raises(InputError, match="expected the place of the first session"):
+        calibrate_together([first, elsewhere])
+    with pytest.raises(InputError, match="frame: expected accelerometer, paper or symmetric"):
+        calibrate_together([first, second], frame="case")
+
+
+def test_the_command_writes_the_calibration(made: tuple[Scenario, list[Session], Calibration], tmp_path: Path) -> None:
+    for name, session in zip(("cold", "hot"), made[1][::2], strict=True):
+        (tmp_path / name).mkdir()
+        whole = list(open_log(session).chunks())
+        columns = {"t": np.concatenate([chunk.time for chunk in whole])}
+        for stem in ("accel", "gyro"):
+            readings = np.concatenate([getattr(chunk, stem) for chunk in whole])
+            columns |= {f"{stem[0]}{x}": column for x, column in zip("xyz", readings.T, strict=True)}
+        kelvin = np.concatenate([chunk.temperature for chunk in whole if chunk.temperature is not None])
+        pl.DataFrame(columns | {"T": kelvin - ZERO_CELSIUS}).write_parquet(tmp_path / name / "log.parquet")
+        content = described(CUBE)
+        write_session(tmp_path / name, content | {"log": {"file": "log.parquet"} | content["log"]})
+    folders, out = [str(tmp_path / "cold"), str(tmp_path / "hot")], tmp_path / "out.json"
+    done = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert re.search(r"^cold +14 +13 +0\.0 +0\.0$", done.output, re.M), done.output
+    assert [member.session for member in read_calibration(out).together] == ["cold", "hot"]
+    refused = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--method", "staged", "--out", str(out)])
+    assert refused.exit_code == 2
+    assert "--together: expected the method 'joint'" in refused.output
