@@ -24,12 +24,16 @@ from tumble import __version__
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.observed import inspect_session
+from tumble.calibration.results import Launch, Member, Parameter
 from tumble.cli import main
 from tumble.errors import CalibrationError
 from tumble.planning.setup import Setup
+from tumble.recording.autopilot import AutopilotSensor
+from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.session import Site, read_session
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import group_of
 from tumble.simulation.scenario import HandHeld, Profile, Scenario, Vibration, draw_parameters
 from tumble.simulation.session import simulate_session, write_simulation
 from tumble.units import DEGREE
@@ -170,6 +174,43 @@ def test_the_provenance_names_the_log_the_software_and_the_time(content: Any, se
     assert provenance["log_sha256"] == hashlib.sha256((session / "log.parquet").read_bytes()).hexdigest()
     assert provenance["software"] == f"tumble {__version__}"
     assert provenance["created"].endswith("+00:00")
+
+
+def test_all_that_a_calibration_can_hold_is_read_as_it_was_written(calibration: Calibration, tmp_path: Path) -> None:
+    """Circumstances, sensors of an autopilot, temperature, sessions together, launches, and notes of a field check."""
+    air = AirConditions(temperature=21.5, temperature_u=0.3, humidity=40.0, pressure=990.0)
+    recorded = Circumstances(date="2026-03-01T12:00:00+05:00", operator="A. Name", air=air, equipment=("table, 2025",))
+    further = tuple(
+        Parameter(name=name, value=1e-4, u=1e-5, unit=group_of(name).unit)
+        for name in ("accel.bias.x.t1", "accel.bias.x.t2", "gyro.bias.z.hysteresis", "temperature.lag")
+    )
+    parameters = (*calibration.parameters, *further)
+    warm = tuple(replace(rest, temperature=20.0 + i) for i, rest in enumerate(calibration.rests))
+    whole = replace(
+        calibration,
+        parameters=parameters,
+        covariance=np.diag([(p.u or 0.0) ** 2 for p in parameters]),
+        rests=warm,
+        circumstances=recorded,
+        imu={"accel": AutopilotSensor(number=2, id=2753028), "gyro": AutopilotSensor(number=1, id=None)},
+        sample_rate=399.7,
+        reference_temperature=25.0,
+        notes=("no calibration of its own: that of 2026-03-01, updated by a field check of 4 rests (again)",),
+        together=(
+            Member(
+                session="cold", log_sha256="0" * 64, rests=9, turns=8, temperatures=(-20.0, 5.0), parameters=further[:1]
+            ),
+        ),
+        launches=(
+            Launch(session="one", parameters=parameters, covariance=None, log_sha256="1" * 64, circumstances=recorded),
+        ),
+    )
+    whole.write(tmp_path / "whole.json")
+    again = read_calibration(tmp_path / "whole.json")
+    assert again.content() == whole.content()
+    assert again.circumstances == again.launches[0].circumstances == recorded
+    assert (again.imu, again.sample_rate, again.together) == (whole.imu, 399.7, whole.together)
+    assert again.content()["temperature"] == {"reference": 25.0, "range": (20.0, 33.0), "lag": 1e-4}
 
 
 def test_a_session_without_gyros_gives_the_accelerometer_parameters(session: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -183,6 +184,17 @@ def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:
     )
     assert refused.exit_code == 2
     assert "another log" in refused.stderr
+
+
+def test_a_check_is_printed_as_data(folder: Path) -> None:
+    done = CliRunner().invoke(main, ["check", str(folder / "calibration.json"), str(folder / "again"), "--json"])
+    seen = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert seen["valid"]
+    assert (seen["rests"], seen["turns"], seen["changes"]) == (4, 3, [])
+    largest = max(abs(each["change"]) / each["u"] for each in seen["parameters"])
+    assert seen["largest"] == pytest.approx(largest)
+    assert seen["largest"] < seen["limit"]
 
 
 def test_a_changed_calibration_ends_with_one(folder: Path) -> None:

@@ -82,6 +82,15 @@ def test_a_serial_number_is_printable(serial: str) -> None:
         ("launches", [{}], "found no key 'parameters' in launches[1]"),
         ("rests", [{"start": 0, "stop": True, "residual": 0}], "found True in place of a number at rests[1].stop"),
         ("provenance/created", 7, "found 7 in place of a text at provenance.created"),
+        ("device/imu", {"gyro_number": 0}, "found 0 in place of a larger number at device.imu.gyro_number"),
+        ("device/imu", {"accel_id": "7"}, "found '7' in place of a whole number at device.imu.accel_id"),
+        ("sample_rate", 0.0, "found 0.0 in place of a larger number at sample_rate"),
+        ("session", {"date": "today"}, "session.date: expected a date, or a date with a time, found 'today'"),
+        ("session", {"operator": "\x1b[2J"}, "session.operator: expected at most 10000 characters and no control"),
+        ("session", {"conditions": {"humidity_percent": "dry"}}, "found 'dry' in place of a number at session.cond"),
+        ("session", {"equipment": "a table"}, "found 'a table' in place of a list at session.equipment"),
+        ("together", [{}], "found no key 'session' in together[1]"),
+        ("temperature", {"range": [20.0]}, "found a list of 1 in place of a longer list at temperature.range"),
     ],
 )
 def test_every_fault_of_a_calibration_file_is_named_with_its_key(path: str, value: Any, said: str | None) -> None:

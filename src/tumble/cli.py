@@ -70,6 +70,7 @@ EXAMPLES = {
         "tumble calibrate imu-7",
         "tumble calibrate LOG0007.TXT --latitude 56.84 --serial A-7",
         "tumble calibrate monday tuesday --out A-7.json",
+        "tumble calibrate cold room hot --together --out A-7.json",
         "tumble calibrate imu-7 --json",
     ),
     "campaign": ("tumble campaign methods.toml -o methods",),

@@ -14,10 +14,10 @@ from tumble.errors import TumbleError
 @click.argument("file", metavar="FILE.toml", type=FILE)
 @cluster_options
 def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None, out: Path) -> None:
-    """Simulate and calibrate many times over the grid of FILE.toml: errors against the truth, their ratio to the
-    Cramér–Rao bound, coverage, failures.
+    """Simulate and calibrate many times over the grid of FILE.toml.
 
-    A campaign that was interrupted goes on where it was when the same command is given again.
+    It shows errors against the truth, their ratio to the Cramér–Rao bound, coverage and failures. A campaign that
+    was interrupted goes on where it was when the same command is given again.
     """
     from tumble.campaigns.run import campaign
     from tumble.report.campaign_picture import plot

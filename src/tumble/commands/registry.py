@@ -203,8 +203,9 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
 @click.argument("file", type=FILE, required=False)
 @_place
 def limits(model: str | None, file: Path | None, place: str | None) -> None:
-    """Put the acceptance limits of FILE (TOML) in force for the device type MODEL; without FILE show those of MODEL,
-    without MODEL list those of all types.
+    """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
+
+    Without FILE those of MODEL are shown, without MODEL those of all types are listed.
     """
     from tumble.registry.connect import open_registry
     from tumble.registry.limits import read_limits

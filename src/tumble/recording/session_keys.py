@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from tumble.documents import shown
+from tumble.documents import is_plain, shown
 from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
 from tumble.recording.dialect import DELIMITERS, Dialect
@@ -373,6 +373,13 @@ class CircumstancesTable(SessionTable):
     operator: str | None = Field(default=None, min_length=1, description="a name, a string")
     conditions: ConditionsTable = Field(default_factory=ConditionsTable, description="a table of conditions")
     equipment: list[str] = Field(default_factory=list, description="a list of strings")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for key, text in (("operator", self.operator or ""), *(("equipment", each) for each in self.equipment)):
+            if not is_plain(text):
+                raise ValueError(f"{key}: expected no control characters, found {shown(text)}")
+        return self
 
 
 class ExcludeTable(SessionTable):
