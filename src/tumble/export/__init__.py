@@ -26,14 +26,16 @@ _PLAIN = {
     "ros-imu-calib": "ros_imu_calib",
     "px4": "px4",
     "ardupilot": "ardupilot",
+    "ardupilot-thermal": "ardupilot_thermal",
     "imucal": "imucal",
     "c": "c_header",
     "mat": "mat",
     "csv": "csv_table",
+    "csv-thermal": "csv_thermal",
 }
 """Formats that need nothing but the calibration: module, and function of the same name."""
 
-FORMATS = ("kalibr", *_PLAIN, "dcc")
+FORMATS = ("kalibr", *_PLAIN, "px4-thermal", "dcc")
 
 
 def export_calibration(
@@ -42,10 +44,11 @@ def export_calibration(
     *,
     noise: NoiseDensities | Session | FilePath | None = None,
     certificate: Certificate | FilePath | None = None,
+    sensor_ids: tuple[int, int] | None = None,
 ) -> Exported:
     """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` needs the noise densities of the device or a
     session whose longest rest shows them, `dcc` the administrative data of a certificate or their file; the others
-    take neither.
+    take neither. `px4-thermal` takes the device ids of accelerometer and gyro.
 
     Raises InputError for a calibration that was not accepted or that the format has no place for.
 
@@ -58,20 +61,30 @@ def export_calibration(
     from tumble.calibration.calibration_file import calibration_from
 
     calibration = calibration_from(calibration)
-    exported = _export(calibration, to, _noise(noise), _certificate(certificate))
+    exported = _export(calibration, to, _noise(noise), _certificate(certificate), sensor_ids)
     if calibration.mag is None:
         return exported
     return replace(exported, losses=(*exported.losses, NO_MAGNETOMETER))
 
 
 def _export(
-    calibration: Calibration, to: str, noise: NoiseDensities | None, certificate: Certificate | None
+    calibration: Calibration,
+    to: str,
+    noise: NoiseDensities | None,
+    certificate: Certificate | None,
+    sensor_ids: tuple[int, int] | None,
 ) -> Exported:
     wanted = {"kalibr": ("noise", noise), "dcc": ("certificate", certificate)}
     for name, (what, given) in wanted.items():
         if (given is not None) != (to == name):
             found = "none" if given is None else f"it with {to}"
             raise InputError(f"export: expected --{what} with {name} and only there, found {found}")
+    if sensor_ids is not None and to != "px4-thermal":
+        raise InputError(f"export: expected --sensor-ids with px4-thermal only, found it with {to}")
+    if to == "px4-thermal":
+        from tumble.export.px4_thermal import px4_thermal
+
+        return px4_thermal(calibration, sensor_ids)
     if to == "kalibr" and noise is not None:
         from tumble.export.kalibr import kalibr
 

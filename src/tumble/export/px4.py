@@ -27,7 +27,7 @@ LEAST = 0.01
 def px4(calibration: Calibration) -> Exported:
     """The .params file of a calibration."""
     held = diagonal(calibration, "px4")
-    losses = (*held.losses, *_too_small(held))
+    losses = (*held.losses, *too_small(held))
     comments = [
         *origin(calibration),
         "CAL_ACC0_ID and CAL_GYRO0_ID have to be the ids of these sensors already",
@@ -36,12 +36,13 @@ def px4(calibration: Calibration) -> Exported:
         "",
         "Vehicle-Id Component-Id Name Value Type",
     ]
-    rows = [f"1\t1\t{name}\t{value}\t{REAL32}" for name, value in _parameters(held)]
+    rows = [f"1\t1\t{name}\t{value}\t{REAL32}" for name, value in parameters(held)]
     text = "\n".join([*(f"# {line}".rstrip() for line in comments), *rows, ""])
     return Exported(content=text.encode(), losses=losses)
 
 
-def _parameters(held: Diagonal) -> list[tuple[str, str]]:
+def parameters(held: Diagonal) -> list[tuple[str, str]]:
+    """Names and values of offsets and scales."""
     groups = [("CAL_ACC0_{}OFF", held.accel_offset), ("CAL_ACC0_{}SCALE", held.accel_factor)]
     groups += [] if held.gyro_offset is None else [("CAL_GYRO0_{}OFF", held.gyro_offset)]
     return [
@@ -49,7 +50,7 @@ def _parameters(held: Diagonal) -> list[tuple[str, str]]:
     ]
 
 
-def _too_small(held: Diagonal) -> list[str]:
+def too_small(held: Diagonal) -> list[str]:
     """Corrections that some releases of PX4 do not take over."""
     changes = {"accelerometer offsets": held.accel_offset, "accelerometer scales": held.accel_factor - 1.0}
     if held.gyro_offset is not None:

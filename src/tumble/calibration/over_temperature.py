@@ -1,0 +1,120 @@
+"""Parameters over temperature: θ(T) = θ + θ₁ (T − T₀) + θ₂ (T − T₀)² with its uncertainty, and the temperatures at
+which it was measured.
+
+θ₁ is the parameter `<name>.t1`, θ₂ `<name>.t2` where a calibration has it; T₀ its reference temperature. Temperatures
+are in °C. Beyond the measured range the polynomial is an extrapolation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+
+from tumble.calibration.calibration_file import Calibration
+from tumble.sensors.model import Block, SensorModel
+from tumble.units import Array
+
+_ENDINGS = ("t1", "t2")
+_LEAST_SPAN = 0.05
+"""K: rests whose temperatures are closer show nothing over temperature."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Range:
+    """The lowest and the highest temperature of a rest, °C."""
+
+    low: float
+    high: float
+
+    def temperatures(self, count: int = 201) -> Array:
+        """Temperatures (count,), °C, equally spaced from end to end."""
+        return np.linspace(self.low, self.high, count)
+
+    def __str__(self) -> str:
+        """Both ends to a tenth of a degree."""
+        return f"{self.low:.1f} to {self.high:.1f} °C"
+
+
+def measured_range(calibration: Calibration) -> Range | None:
+    """The range of temperatures of the rests of all launches; None where they have none, or all the same."""
+    rests = chain(calibration.rests, *(launch.rests for launch in calibration.launches))
+    seen = [rest.temperature for rest in rests if rest.temperature is not None]
+    if not seen or max(seen) - min(seen) < _LEAST_SPAN:
+        return None
+    return Range(low=min(seen), high=max(seen))
+
+
+def changing(calibration: Calibration) -> tuple[str, ...]:
+    """Names of the parameters that change with temperature, in the order of the file."""
+    names = {p.name for p in calibration.parameters}
+    return tuple(p.name for p in calibration.parameters if any(f"{p.name}.{ending}" in names for ending in _ENDINGS))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Curve:
+    """A parameter (N,) over temperatures (N,), °C, and its expanded uncertainty U (N,), both SI; U is None where the
+    calibration has no covariance."""
+
+    name: str
+    unit: str
+    temperature: Array
+    value: Array
+    expanded: Array | None
+
+
+def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
+    """A parameter over temperatures (N,), °C: value and U, that of U² = k² pᵀ Σ p with p = (1, T − T₀, (T − T₀)²) and
+    the largest k of the three."""
+    places = {p.name: i for i, p in enumerate(calibration.parameters)}
+    powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(_ENDINGS, 1))]
+    known = [(d, places[each]) for d, each in powers if each in places]
+    warmer = temperature - _reference(calibration)
+    P = np.stack([warmer**d for d, _ in known], axis=1)
+    own = [i for _, i in known]
+    expanded = None
+    if calibration.covariance is not None:
+        k = max(calibration.parameters[i].k for i in own)
+        S = calibration.covariance[np.ix_(own, own)]
+        expanded = k * np.sqrt(np.einsum("ni,ij,nj->n", P, S, P))
+    return Curve(
+        name=name,
+        unit=calibration[name].unit,
+        temperature=temperature,
+        value=P @ np.array([calibration.parameters[i].value for i in own]),
+        expanded=expanded,
+    )
+
+
+def coefficients(calibration: Calibration, kind: str, what: str) -> Array:
+    """What "bias" or "scale" of the sensors of a kind changes by, by channel: (n, 2), per K and per K²."""
+    block = _block(calibration, kind)
+    values = {p.name: p.value for p in calibration.parameters}
+    out = np.zeros((block.size, 2))
+    for sensor, channel in zip(block.sensors, block.channels, strict=True):
+        out[channel] = [values.get(f"{kind}.{what}.{sensor}.{ending}", 0.0) for ending in _ENDINGS]
+    return out
+
+
+def model_at(calibration: Calibration, kind: str, temperature: float) -> SensorModel:
+    """Matrix and bias of a kind of sensors at a temperature, °C: a scale factor 1 + k changes the length of its row."""
+    model = calibration.accel if kind == "accel" else calibration.gyro
+    assert model is not None
+    warmer = temperature - _reference(calibration)
+    powers = np.array([warmer, warmer**2])
+    longer = coefficients(calibration, kind, "scale") @ powers / np.linalg.norm(model.matrix, axis=1)
+    bias = model.bias + coefficients(calibration, kind, "bias") @ powers
+    return SensorModel(matrix=(1.0 + longer)[:, None] * model.matrix, bias=bias)
+
+
+def _block(calibration: Calibration, kind: str) -> Block:
+    compensator = calibration.compensator
+    block = compensator.accel if kind == "accel" else compensator.gyro
+    assert block is not None
+    return block
+
+
+def _reference(calibration: Calibration) -> float:
+    """T₀, °C; a calibration without one has no parameter that changes."""
+    return 0.0 if calibration.reference_temperature is None else calibration.reference_temperature
