@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from tumble.recording.dialect import Dialect
-from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site
-from tumble.recording.session_keys import CLOCK
+from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, Thermometer
+from tumble.recording.session_keys import CLOCK, TemperatureTable
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 
 
@@ -62,12 +62,20 @@ def _log(spec: LogSpec) -> dict[str, Any]:
         "rate_hz": spec.rate,
         "accel": _channels(spec.accel, ACCEL_UNITS),
         "gyro": None if spec.gyro is None else _channels(spec.gyro, GYRO_UNITS),
-        "temperature": None if spec.temperature is None else {"columns": [spec.temperature], "unit": "degC"},
+        "temperature": None if spec.temperature is None else _thermometer(spec.temperature),
         "magnetometer": None
         if magnetometer is None
         else {"columns": list(magnetometer.columns), "unit": magnetometer.unit},
     }
     return _given(values | _dialect(spec.dialect))
+
+
+def _thermometer(thermometer: Thermometer) -> dict[str, Any]:
+    content: dict[str, Any] = {"columns": [thermometer.column], "unit": thermometer.unit_name}
+    if thermometer.unit_name == TemperatureTable.RAW:
+        scale = 1.0 / thermometer.gain
+        content |= {"scale": scale, "offset": -thermometer.shift * scale}
+    return content
 
 
 def _dialect(dialect: Dialect | None) -> dict[str, Any]:

@@ -37,6 +37,12 @@ class Message:
     remark: str = ""
 
     @property
+    def thermometer(self) -> bool:
+        """Whether the message has a temperature, times, and nothing else."""
+        alone = self.accel is None and self.gyro is None and self.magnetometer is None
+        return self.timed and alone and self.temperature is not None
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """Names of the sensors' columns."""
         triads = (self.accel, self.gyro, self.magnetometer)
