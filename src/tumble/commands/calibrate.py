@@ -59,6 +59,7 @@ def calibrate(
     from tumble.calibration.launches import calibrate_launches
     from tumble.recording.session import read_session
     from tumble.simulation.session import read_truth
+    from tumble.simulation.temperature_profile import truth_at
     from tumble.terminal.calibration import calibration_report
     from tumble.terminal.text import print_report
 
@@ -66,7 +67,7 @@ def calibrate(
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
-    known = read_truth(truth) if truth else None
+    true = read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
     result, *others = (
         calibrate_launches(
@@ -76,6 +77,7 @@ def calibrate(
     )
     target = out or Path(described[0].name) / "calibration.json"
     result.write(target, force=force)
+    known = None if true is None else truth_at(true, result.reference_temperature)
     print_report(calibration_report(result, known, others, every=every))
     click.echo(f"written to {target}", err=True)
     for other in others:

@@ -117,11 +117,11 @@ class Instrument:
         places = positions_by_group(self.names)[name]
         return slice(places[0], places[-1] + 1)
 
-    def drift(self, block: Block, values: Array) -> Array:
-        """∂K/∂t (n, 15), 1/s, of a block from the parameters that change with time."""
+    def change(self, block: Block, values: Array, variable: Variable) -> Array:
+        """∂K (n, 15) of a block by a variable, from the parameters that change with it: by time, 1/s."""
         out = np.zeros((block.size, FUNCTIONS))
-        for own, base, variable in self.changes:
-            if variable == "time":
+        for own, base, each in self.changes:
+            if each == variable:
                 out += self.derivative(block, values)[:, :, base] @ values[own]
         return out
 

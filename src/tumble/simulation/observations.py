@@ -112,7 +112,7 @@ class _NoisyBlock:
         return _NoisyBlock(
             block=block,
             coefficients=scenario.instrument.coefficients(block, scenario.values),
-            drift=scenario.instrument.drift(block, scenario.values),
+            drift=scenario.instrument.change(block, scenario.values, "time"),
             bias=instability * rng.standard_normal((rests, block.size)),
             white=white,
         )

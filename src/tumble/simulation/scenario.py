@@ -21,7 +21,8 @@ from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vecto
 from tumble.sensors.grades import Grade, NoiseModel, Spread
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import group_name
+from tumble.sensors.parameters import Variable, group_name
+from tumble.simulation.climate import Climate
 from tumble.units import DEGREE, Array
 
 _MAX_CYCLES_PER_SAMPLE = 10.0
@@ -95,7 +96,8 @@ class HandHeld:
 class Scenario:
     """Everything a simulated session is made of, apart from chance. `truth`: values by parameter name of both
     blocks, and of the groups beyond the linear model that the instrument has; it goes into truth.json. `usual` are the
-    standard deviations of such groups over instruments like this one. The site has a latitude."""
+    standard deviations of such groups over instruments like this one. The site has a latitude. With a `climate` a
+    recording has temperatures, and parameters that change with them do."""
 
     course: OnTable | HandHeld
     accel: Block
@@ -107,6 +109,7 @@ class Scenario:
     vibration: Vibration
     serial: str
     usual: Mapping[str, float] = field(default_factory=dict, hash=False)
+    climate: Climate | None = None
 
     @property
     def latitude(self) -> float:
@@ -118,7 +121,10 @@ class Scenario:
     @property
     def instrument(self) -> Instrument:
         """The instrument whose true values are given."""
-        return Instrument.of(self.accel, self.gyro, tuple({group_name(name) for name in self.truth}))
+        variables: tuple[Variable, ...] = ("time",)
+        if self.climate is not None:
+            variables = ("time", "temperature", "temperature²")
+        return Instrument.of(self.accel, self.gyro, tuple({group_name(name) for name in self.truth}), variables)
 
     @property
     def names(self) -> tuple[str, ...]:
