@@ -7,12 +7,14 @@ are in °C. Beyond the measured range the polynomial is an extrapolation.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.results import Parameter, coverage_factor
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
 
@@ -37,10 +39,15 @@ class Range:
         return f"{self.low:.1f} to {self.high:.1f} °C"
 
 
+def rest_temperatures(calibration: Calibration) -> list[float]:
+    """Temperatures, °C, of the rests of all launches that have one."""
+    rests = chain(calibration.rests, *(launch.rests for launch in calibration.launches))
+    return [rest.temperature for rest in rests if rest.temperature is not None]
+
+
 def measured_range(calibration: Calibration) -> Range | None:
     """The range of temperatures of the rests of all launches; None where they have none, or all the same."""
-    rests = chain(calibration.rests, *(launch.rests for launch in calibration.launches))
-    seen = [rest.temperature for rest in rests if rest.temperature is not None]
+    seen = rest_temperatures(calibration)
     if not seen or max(seen) - min(seen) < _LEAST_SPAN:
         return None
     return Range(low=min(seen), high=max(seen))
@@ -65,8 +72,8 @@ class Curve:
 
 
 def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
-    """A parameter over temperatures (N,), °C: value and U, that of U² = k² pᵀ Σ p with p = (1, T − T₀, (T − T₀)²) and
-    the largest k of the three."""
+    """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, (T − T₀)²), and k by
+    the effective degrees of freedom of the sum."""
     places = {p.name: i for i, p in enumerate(calibration.parameters)}
     powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(_ENDINGS, 1))]
     known = [(d, places[each]) for d, each in powers if each in places]
@@ -75,9 +82,9 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
     own = [i for _, i in known]
     expanded = None
     if calibration.covariance is not None:
-        k = max(calibration.parameters[i].k for i in own)
         S = calibration.covariance[np.ix_(own, own)]
-        expanded = k * np.sqrt(np.einsum("ni,ij,nj->n", P, S, P))
+        u2 = np.einsum("ni,ij,nj->n", P, S, P)
+        expanded = _coverage(u2, P**2 * np.diag(S), [calibration.parameters[i] for i in own]) * np.sqrt(u2)
     return Curve(
         name=name,
         unit=calibration[name].unit,
@@ -85,6 +92,15 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
         value=P @ np.array([calibration.parameters[i].value for i in own]),
         expanded=expanded,
     )
+
+
+def _coverage(u2: Array, parts: Array, parameters: list[Parameter]) -> Array:
+    """k (N,) of sums of variance u2 (N,) by the Welch–Satterthwaite formula, of what each parameter contributes to it,
+    (N, m); JCGM 100:2008, G.4.1."""
+    per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
+    known = parts**2 @ per_degree
+    degrees = np.divide(u2**2, known, out=np.full(len(u2), math.inf), where=known > 0.0)
+    return np.array([coverage_factor(float(nu)) for nu in degrees])
 
 
 def coefficients(calibration: Calibration, kind: str, what: str) -> Array:

@@ -11,7 +11,7 @@ from tumble.calibration.coverage import remarks
 from tumble.calibration.further import predicted
 from tumble.errors import InputError
 from tumble.registry.limits import Limits, Verdict
-from tumble.report import compare, limits, recording, result
+from tumble.report import compare, limits, over_temperature, recording, result
 from tumble.report.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone
 from tumble.report.numbers import NONE
 
@@ -134,6 +134,7 @@ def _sections(source: Source, key: str, acceptance: Limits | None) -> tuple[Sect
     sections: list[Section | None] = [
         _result(calibration),
         result.beyond(calibration),
+        over_temperature.section(calibration, f"{key}-temperature"),
         limits.section(calibration, acceptance),
         result.launches(calibration) if calibration.launches else None,
         result.application(calibration),
