@@ -191,7 +191,7 @@ def test_the_table_reads_back_to_the_curves_and_names_its_example() -> None:
         d, u = T - made.reference_temperature, {p.name: p.u or 0.0 for p in made.parameters}
         own = np.sqrt(u[name] ** 2 + (u[f"{name}.t1"] * d) ** 2 + (u[f"{name}.t2"] * d**2) ** 2)
         np.testing.assert_allclose([float(row[f"U({name})"]) for row in rows], 2.0 * own, rtol=1e-3)
-    assert any(line.startswith("# example gyro at 57.25 degC: reading") for line in lines)
+    assert any(line.startswith("# example gyro at 57.2 degC: reading") for line in lines)
     fine = np.linspace(T[0], T[-1], 5001)
     error = max(
         float(np.abs(np.interp(fine, T, ours(made, n, T)) - ours(made, n, fine)).max())

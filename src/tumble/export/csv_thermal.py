@@ -15,7 +15,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.over_temperature import Curve, Range, changing, curve, model_at
 from tumble.export.exported import Exported, example, models, numbers, origin, shown
-from tumble.export.thermal import range_of, said
+from tumble.export.thermal import range_of, said, warm_end
 from tumble.units import Array
 
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
@@ -35,7 +35,7 @@ def csv_thermal(calibration: Calibration) -> Exported:
         *origin(calibration),
         f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
         f"{measured.high:.1f} degC, nothing is known outside",
-        *(_example(calibration, kind, float(at[-1])) for kind in known),
+        *(_example(calibration, kind, warm_end(measured)) for kind in known),
         *losses,
     ]
     buffer.writelines(f"# {line}\n" for line in head)

@@ -26,6 +26,9 @@ HELD = ("accel.bias.t1", "accel.bias.t2", "gyro.bias.t1", "gyro.bias.t2")
 SCALES = ("accel.scale.t1", "accel.scale.t2", "gyro.scale.t1", "gyro.scale.t2")
 """Not held, with a sentence of their own."""
 
+_NOTHING = 1e-12
+"""mg or deg/s: rounding of double precision."""
+
 Offsets = Callable[[str, Array], Array]
 """The offsets (N, 3), SI, that a target takes off the readings of a kind of sensors at temperatures (N,), °C."""
 
@@ -52,7 +55,7 @@ class Thermal:
 
     def examples(self, offsets: Offsets) -> list[str]:
         """Readings at the warmer end, what the autopilot makes of them and what they are, line by line."""
-        out, at = [], math.floor(10.0 * self.measured.high) / 10.0
+        out, at = [], warm_end(self.measured)
         for kind in self.held.known:
             model = model_at(self.calibration, kind, at)
             worked = example(kind, model)
@@ -142,6 +145,11 @@ def range_of(calibration: Calibration, target: str) -> Range:
     return measured
 
 
+def warm_end(measured: Range) -> float:
+    """A tenth of a degree at the warmer end of the range, °C, where examples are."""
+    return math.floor(10.0 * measured.high) / 10.0
+
+
 def said(accel: float, gyro: float | None) -> str:
     """Errors of accelerometers, m/s², and gyros, rad/s, in mg and deg/s, rounded up."""
     in_mg = f"{_at_most(accel / (1e-3 * G_STANDARD))} mg"
@@ -150,7 +158,7 @@ def said(accel: float, gyro: float | None) -> str:
 
 def _at_most(value: float) -> str:
     """A number of two digits that is not smaller."""
-    if value <= 0.0:
+    if value <= _NOTHING:
         return "0"
     digit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.ceil(value / digit * (1.0 - 1e-12)) * digit:.2g}"
