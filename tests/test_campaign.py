@@ -14,7 +14,6 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner, Result
-from polars.testing import assert_frame_equal
 
 from tumble.campaigns import trial
 from tumble.campaigns.campaign import Campaign, campaign_of, read_campaign, run_campaign
@@ -52,14 +51,14 @@ def test_rows_depend_on_the_seed_and_the_number_alone(
 ) -> None:
     campaign = campaign_of(content)
     serial = rows(campaign, tmp_path / "serial")
-    assert_frame_equal(rows(campaign, tmp_path / "processes", processes), serial)
+    assert rows(campaign, tmp_path / "processes", processes).equals(serial)
     job = campaign.job()
     for number in (5, 2):
         alone = pl.DataFrame(
             [{"task": number, **job.label(job.items[number]), **row} for row in job.task(number, job.items[number])],
             schema=serial.schema,
         )
-        assert_frame_equal(alone, serial.filter(pl.col("task") == number))
+        assert alone.equals(serial.filter(pl.col("task") == number))
     other = rows(campaign_of(content | {"seed": 4}), tmp_path / "other")
     column = "error.accel.bias.x" if content is SESSIONS else "mean.accel.bias.x"
     assert not np.isin(other[column].drop_nulls(), serial[column].drop_nulls()).any()
@@ -79,7 +78,7 @@ def test_a_worker_killed_in_the_middle_changes_no_row(processes: Executor, tmp_p
     endangered = dataclasses.replace(job, task=partial(deadly, os.getpid(), tmp_path, job.task))
     found = pl.read_parquet(run(endangered, tmp_path / "killed", executor=processes))
     assert (tmp_path / "ended").exists()
-    assert_frame_equal(found, rows(campaign_of(SESSIONS), tmp_path / "serial"))
+    assert found.equals(rows(campaign_of(SESSIONS), tmp_path / "serial"))
 
 
 def test_trials_of_a_number_differ_in_device_and_noise_from_those_of_another() -> None:

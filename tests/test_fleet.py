@@ -9,7 +9,6 @@ from pathlib import Path
 import polars as pl
 import pytest
 from click.testing import CliRunner, Result
-from polars.testing import assert_frame_equal
 
 from tumble.calibration.calibrate import calibrate
 from tumble.campaigns.engine import Executor
@@ -71,7 +70,7 @@ def test_a_row_holds_what_the_calibration_holds(yard: Path, serial: pl.DataFrame
 
 def test_processes_give_the_same_rows(yard: Path, serial: pl.DataFrame, processes: Executor, tmp_path: Path) -> None:
     rows = run_fleet(sessions_of(f"{yard}/*"), tmp_path / "out", method="staged", executor=processes)
-    assert_frame_equal(pl.read_parquet(rows), serial)
+    assert pl.read_parquet(rows).equals(serial)
 
 
 def test_an_interrupted_fleet_is_resumed_without_calibrating_a_session_again(
@@ -89,7 +88,7 @@ def test_an_interrupted_fleet_is_resumed_without_calibrating_a_session_again(
         run_fleet(sessions, tmp_path / "out", method="staged", progress=interrupt)
     shutil.rmtree(copy / "a")  # it is done: nothing reads it again
     found = pl.read_parquet(run_fleet(sessions, tmp_path / "out", method="staged"))
-    assert_frame_equal(found.drop("session", "error"), serial.drop("session", "error"))
+    assert found.drop("session", "error").equals(serial.drop("session", "error"))
 
 
 def test_the_tally_names_what_was_refused_and_what_failed(yard: Path, serial: pl.DataFrame, tmp_path: Path) -> None:
@@ -126,7 +125,7 @@ def test_sessions_at_urls_give_the_rows_of_the_folders(yard: Path, serial: pl.Da
     sessions = sessions_of("memory://fleet-of-the-test/*")
     assert sessions == [f"memory:///fleet-of-the-test/{name}" for name in "abcde"]
     found = pl.read_parquet(run_fleet(sessions, tmp_path / "out", method="staged"))
-    assert_frame_equal(found.drop("session", "error"), serial.drop("session", "error"))
+    assert found.drop("session", "error").equals(serial.drop("session", "error"))
     assert found["error"].to_list()[1].startswith("memory:///fleet-of-the-test/b/session.toml: log.file")
     memory.pipe_file("/fleet-of-the-test/some.txt", b"a\nc\n")
     assert sessions_of("memory://fleet-of-the-test/some.txt") == [f"memory://fleet-of-the-test/{n}" for n in "ac"]

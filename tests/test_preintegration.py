@@ -263,9 +263,12 @@ def test_a_number_that_is_not_one_spoils_its_own_turn_only() -> None:
         np.testing.assert_array_equal(np.delete(found, 7, axis=0), np.delete(expected, 7, axis=0))
 
 
-def test_importing_compiles_nothing() -> None:
-    code = """
-import tumble.reduction.kernels as kernels
+@pytest.mark.parametrize(
+    "module", ["reduction.kernels", "reduction.moment_kernels", "estimation.elimination", "campaigns.triads"]
+)
+def test_importing_compiles_nothing(module: str) -> None:
+    code = f"""
+import tumble.{module} as kernels
 compiled = [name for name, value in vars(kernels).items() if getattr(value, "signatures", None)]
 loops = [name for name, value in vars(kernels).items() if hasattr(value, "signatures")]
 assert loops and not compiled, compiled

@@ -16,6 +16,9 @@ triangle. Nothing is squared, and the cost is linear in the number of rests. A c
 is left is no information: its unknown, a heading that nothing shows, stays where it is. Rows stand in memory column
 by column, so that the loops over them are vector instructions.
 
+Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
+compilation to the next, and rows of a campaign would differ in the last digit from process to process.
+
 Nothing is compiled when this module is imported; see `tumble.reduction.kernels`, whose rules hold here.
 """
 
@@ -33,7 +36,7 @@ BUFFER = 96
 """Rows on the parameters that are folded into the triangle together."""
 
 
-@_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_compiled(error_model="numpy")
 def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
     the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
@@ -88,7 +91,7 @@ def _gather(work: Array, carried: Array, rest: Array, turn: Array, k: int) -> in
     return int(d + r + t)
 
 
-@_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_compiled(error_model="numpy")
 def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> bool:
     """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
     has nothing in it."""
@@ -118,7 +121,7 @@ def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> boo
     return True
 
 
-@_compiled(error_model="numpy", fastmath={"reassoc", "contract"})
+@_compiled(error_model="numpy")
 def _fold(kept: Array, count: int, triangle: Array) -> None:
     """Fold rows (p + 1, count), column by column in memory and overwritten, into an upper triangle (p + 1, p + 1):
     Householder reflections of the rows together with one row of the triangle at a time."""

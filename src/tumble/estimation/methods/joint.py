@@ -300,9 +300,7 @@ def _fitted(problem: Problem, start: _At, out: _Out) -> _Fitted:
         if found == scatter and wider is wide:
             break
         wide, scatter = wider, found
-        at = _At(
-            point=solved.last.point, about=solved.last.about, rows=linearise(wide, solved.last.point, solved.last.about)
-        )
+        at = _At.of(wide, solved.last.point, solved.last.about)
         solved = _iterated(wide, at, out, scatter)  # the last step again, with scatter
         increments = increments[:-1] + solved.increments
     after = _left(wide, solved, out, scatter)
