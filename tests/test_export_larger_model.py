@@ -15,7 +15,7 @@ from test_export_c import PROGRAM, gcc
 from test_export_mat_csv import read_csv, read_mat
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.over_temperature import model_at
+from tumble.calibration.temperature_curves import model_at
 from tumble.export import export_calibration
 from tumble.export.larger_model import not_held
 from tumble.units import DEGREE, G_STANDARD, Array

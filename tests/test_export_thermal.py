@@ -14,7 +14,7 @@ from calibrated import HEXAD, calibration, values_of, warmed
 from click.testing import CliRunner
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.over_temperature import curve
+from tumble.calibration.temperature_curves import curve
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.over_temperature import changing, coefficients, measured_range
+from tumble.calibration.temperature_curves import changing, coefficients, measured_range
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator

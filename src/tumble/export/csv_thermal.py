@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.over_temperature import Curve, Range, changing, curve, model_at
+from tumble.calibration.temperature_curves import Curve, Range, changing, curve, model_at
 from tumble.export.exported import Exported, example, models, numbers, origin, shown
 from tumble.export.thermal import range_of, said, warm_end
 from tumble.units import Array

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.over_temperature import Range, changing, coefficients, measured_range, model_at
+from tumble.calibration.temperature_curves import Range, changing, coefficients, measured_range, model_at
 from tumble.errors import InputError
 from tumble.export.autopilot import Diagonal, diagonal
 from tumble.export.exported import example, shown, worst

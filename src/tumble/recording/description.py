@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tumble.recording.dialect import Dialect
-from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, Thermometer
+from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, TemperatureChannel
 from tumble.recording.session_keys import CLOCK, TemperatureTable
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 
@@ -70,7 +70,7 @@ def _log(spec: LogSpec) -> dict[str, Any]:
     return _given(values | _dialect(spec.dialect))
 
 
-def _thermometer(thermometer: Thermometer) -> dict[str, Any]:
+def _thermometer(thermometer: TemperatureChannel) -> dict[str, Any]:
     content: dict[str, Any] = {"columns": [thermometer.column], "unit": thermometer.unit_name}
     if thermometer.unit_name == TemperatureTable.RAW:
         scale = 1.0 / thermometer.gain

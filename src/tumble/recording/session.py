@@ -123,7 +123,7 @@ class Magnetometer:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Thermometer:
+class TemperatureChannel:
     """The column of the temperature, and what its numbers are in °C: gain · number + shift. `unit_name` is the unit in
     session.toml."""
 
@@ -149,7 +149,7 @@ class LogSpec:
     rate: float | None
     accel: Channels
     gyro: Channels | None
-    temperature: Thermometer | None
+    temperature: TemperatureChannel | None
     magnetometer: Magnetometer | None = None
     clock: bool = False
     regular: bool = False
@@ -426,9 +426,9 @@ def _log(log: LogTable, folder: Path) -> LogSpec:
     )
 
 
-def _thermometer(given: TemperatureTable) -> Thermometer:
+def _thermometer(given: TemperatureTable) -> TemperatureChannel:
     gain, shift = given.celsius()
-    return Thermometer(column=given.columns[0], unit_name=given.unit, gain=gain, shift=shift)
+    return TemperatureChannel(column=given.columns[0], unit_name=given.unit, gain=gain, shift=shift)
 
 
 def _magnetometer(given: MagnetometerTable) -> Magnetometer:

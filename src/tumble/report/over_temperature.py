@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.over_temperature import Curve, Range, changing, curve, measured_range, rest_temperatures
+from tumble.calibration.temperature_curves import Curve, Range, changing, curve, measured_range, rest_temperatures
 from tumble.report.blocks import Block, Figure, ReportTable, Section, Text
 from tumble.report.characters import drawable
 from tumble.report.figures import COLOURS, FAINT, GREY, PAGE, drawn

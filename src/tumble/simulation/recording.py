@@ -146,7 +146,6 @@ class _SampledBlock:
             scenario=scenario,
             coefficients=instrument.coefficients(block, scenario.values),
             drift=instrument.change(block, scenario.values, "time"),
-            warmth=_warmth(block, scenario),
             middle=0.25 * float(rests[0].sum() + rests[-1].sum()),
             arms=instrument.levers(scenario.values) if accel else np.zeros((block.size, 3)),
             late=late,
@@ -154,6 +153,7 @@ class _SampledBlock:
             instability=noise.accel_instability if accel else noise.gyro_instability,
             rng=rng,
             bias=np.zeros(block.size),
+            warmth=_warmth(block, scenario),
             readings=np.empty((block.size, samples)),
         )
 
@@ -238,8 +238,9 @@ def _warmth(block: Block, scenario: Scenario) -> dict[Variable, Array]:
     """Changes of the coefficients (n, 15) by what goes with the temperature, those that there are."""
     if scenario.climate is None:
         return {}
-    wanted: tuple[Variable, ...] = ("temperature", "temperature²")
-    changes = {each: scenario.instrument.change(block, scenario.values, each) for each in wanted}
+    instrument, values = scenario.instrument, scenario.values
+    others = {variable for _, _, variable in instrument.changes if variable != "time"}
+    changes = {each: instrument.change(block, values, each) for each in sorted(others)}
     return {each: change for each, change in changes.items() if np.any(change)}
 
 

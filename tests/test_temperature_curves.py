@@ -10,8 +10,8 @@ import pytest
 from calibrated import HEXAD, calibration, warmed
 
 from tumble.calibration.calibration_file import read_calibration
-from tumble.calibration.over_temperature import changing, curve, measured_range, model_at, rest_temperatures
 from tumble.calibration.results import Launch, coverage_factor
+from tumble.calibration.temperature_curves import changing, curve, measured_range, model_at, rest_temperatures
 from tumble.report.blocks import Figure, ReportTable
 from tumble.report.content import Source, document
 from tumble.report.over_temperature import section
