@@ -15,7 +15,7 @@ from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.programme.positions import Programme, programme
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.sensors.grades import grade
+from tumble.sensors.grades import grade, spread_of
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 from tumble.usual_setup import LATITUDE_DEG
@@ -70,8 +70,8 @@ class VirtualTable:
         kind = grade("mems")
         blocks = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
         self._models = []
-        for block, spread in zip(blocks, (kind.accel, kind.gyro), strict=True):
-            size = np.array([getattr(spread, name.split(".")[1]) for name in block.names])
+        for block in blocks:
+            size = np.array([spread_of(kind, name) for name in block.names])
             self._models.append(block.model(0.5 * size * self._rng.standard_normal(len(size))))
         self._sigma = [kind.noise.accel_white * SAMPLE_RATE**0.5, kind.noise.gyro_white * SAMPLE_RATE**0.5]
         self._sample = 0

@@ -32,6 +32,7 @@ from scipy.stats import chi2
 
 from tumble.calibration.results import Parameter, coverage_factor
 from tumble.estimation.estimate import Fit
+from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -171,6 +172,6 @@ def _hidden(fit: Fit) -> float:
 
 def _of_fits(fits: Mapping[str, Fit], name: str) -> float | None:
     """The fewest of the groups of a parameter's kind of sensor that scatter; None where none does."""
-    kind = name.partition(".")[0]
+    kind = sensor_kind(name)
     groups = [fit for group, fit in fits.items() if group.startswith(kind)]
     return min((fit.degrees for fit in groups if fit.scatter > 0.0 and fit.degrees > 0.0), default=None)

@@ -10,7 +10,7 @@ import numpy as np
 
 from tumble.calibration.further import BY_PRIOR, other_factors
 from tumble.errors import MissingExtraError
-from tumble.sensors.parameters import group_name, shown_in
+from tumble.sensors.parameters import group_name, sensor_kind, shown_in
 from tumble.units import engineering, rounded
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def _draw_residuals(calibration: Calibration, axes: Axes) -> None:
 def _draw_parameters(calibration: Calibration, axes: Axes) -> None:
     shown = [p for p in calibration.parameters if p.u]
     for kind, colour in _GROUPS.items():
-        own = [(i, p) for i, p in enumerate(shown) if p.name.startswith(f"{kind}.")]
+        own = [(i, p) for i, p in enumerate(shown) if sensor_kind(p.name) == kind]
         for filled in (True, False):  # hollow: known by the prior rather than by the data
             at = [(i, p) for i, p in own if filled == (p.learned is None or p.learned >= BY_PRIOR)]
             face = colour if filled else "none"

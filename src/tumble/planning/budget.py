@@ -44,6 +44,8 @@ from tumble.planning.error_propagation import (
     second_order,
 )
 from tumble.planning.setup import Setup, check_setup
+from tumble.sensors.grades import spread_of
+from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 GROUPS = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
@@ -192,7 +194,7 @@ def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[BudgetRow]:
                 iteration=iteration,
                 unit=unit,
                 error=error,
-                relative=error / _spread(setup, group),
+                relative=error / spread_of(setup, group),
                 errors={NAMES[p]: size * math.sqrt(v) for p, v in zip(members, total, strict=True)},
                 terms=tuple(sorted(terms, key=lambda term: -term.error)),
             )
@@ -200,24 +202,18 @@ def _rows(setup: Setup, pipeline: Pipeline, iteration: int) -> list[BudgetRow]:
     return out
 
 
-UNITS = {".".join(name.split(".")[:2]): unit for name, unit in zip(NAMES, NAME_UNITS, strict=True)}
+UNITS = {group_name(name): unit for name, unit in zip(NAMES, NAME_UNITS, strict=True)}
 """The SI unit of each group of parameters."""
 
 
 def members_of(group: str) -> IntArray:
     """Indices of a group's parameters."""
-    return np.array([i for i, name in enumerate(NAMES) if name.startswith(group)])
+    return np.array([i for i, name in enumerate(NAMES) if group_name(name) == group])
 
 
 def size_of(setup: Setup, group: str) -> float:
     """One internal unit of a group in SI: biases of accelerometers are angles inside."""
     return setup.gravity if group == "accel.bias" else 1.0
-
-
-def _spread(setup: Setup, group: str) -> float:
-    """Spread of a group before calibration, SI."""
-    kind, what = group.split(".")
-    return float(getattr(setup.accel if kind == "accel" else setup.gyro, what))
 
 
 def _rms(variance: Array) -> float:
@@ -236,7 +232,7 @@ def indirect_coefficients(setup: Setup) -> dict[str, tuple[float, float]]:
     out = {}
     for group in ("gyro.scale", "gyro.axis"):
         of = np.ix_(members_of(group), np.arange(12, len(NAMES)))
-        c1, c2 = (_rms(matrix[of] @ pipeline.spread[12:] ** 2) / _spread(setup, group) for matrix in (once, twice))
+        c1, c2 = (_rms(matrix[of] @ pipeline.spread[12:] ** 2) / spread_of(setup, group) for matrix in (once, twice))
         out[group] = (c1, c2)
     return out
 

@@ -26,6 +26,7 @@ from tumble.planning.budget import (
 )
 from tumble.planning.error_propagation import BudgetedMethod
 from tumble.planning.setup import Setup, check_setup, expect
+from tumble.sensors.grades import spread_of
 from tumble.units import Array, quantity
 
 REST_SHARE = 0.25
@@ -120,7 +121,7 @@ def require(
 def wanted_of(texts: Sequence[str], relative_percent: float | None, setup: Setup) -> dict[str, float]:
     """Wanted rms errors by group, SI, from texts such as "accel.scale=3.5ppm" and, for the groups these do not name,
     from a percentage of the spreads. Raises InputError for a text it cannot read, and where nothing is wanted."""
-    spreads = {f"{kind}.{what}": getattr(getattr(setup, kind), what) for kind, what in (g.split(".") for g in GROUPS)}
+    spreads = {group: spread_of(setup, group) for group in GROUPS}
     wanted = {} if relative_percent is None else {g: 1e-2 * relative_percent * s for g, s in spreads.items()}
     for text in texts:
         group, _, value = text.partition("=")

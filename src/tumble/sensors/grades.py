@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from types import MappingProxyType
+from typing import Protocol
 
 from tumble.errors import InputError
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
@@ -53,6 +54,23 @@ class Grade:
     accel: Spread
     gyro: Spread
     noise: NoiseModel
+
+
+class _OfInstruments(Protocol):
+    """What says how far instruments are from nominal before calibration: a grade or a set-up."""
+
+    @property
+    def accel(self) -> Spread: ...
+
+    @property
+    def gyro(self) -> Spread: ...
+
+
+def spread_of(instruments: _OfInstruments, parameter: str) -> float:
+    """Standard deviation, SI, over instruments of a parameter or group of bias, scale factor or axis angles, such as
+    "accel.bias.x" or "accel.bias"."""
+    kind, what = parameter.split(".")[:2]
+    return float(getattr(getattr(instruments, kind), what))
 
 
 GRADES: Mapping[str, Grade] = MappingProxyType(

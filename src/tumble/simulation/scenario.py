@@ -18,7 +18,7 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
 from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vector_near
-from tumble.sensors.grades import Grade, NoiseModel, Spread
+from tumble.sensors.grades import Grade, NoiseModel, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Variable, group_name
@@ -178,9 +178,8 @@ def draw_parameters(instrument: Setup | Grade, blocks: Sequence[Block], rng: np.
     """True values by parameter name of blocks, Gaussian with the spreads of a set-up or a grade."""
     values: dict[str, float] = {}
     for block in blocks:
-        spread: Spread = getattr(instrument, block.kind)
         for name in block.names:
-            values[name] = float(getattr(spread, name.split(".")[1]) * rng.standard_normal())
+            values[name] = spread_of(instrument, name) * float(rng.standard_normal())
     return values
 
 

@@ -17,7 +17,8 @@ from tumble.planning.plan import PlanResult
 from tumble.planning.setup import Setup
 from tumble.programme.positions import Programme, duration
 from tumble.programme.sheet_words import clock, move_text
-from tumble.sensors.parameters import group_of, positions_by_group, shown_in
+from tumble.sensors.grades import spread_of
+from tumble.sensors.parameters import group_name, group_of, positions_by_group, shown_in
 from tumble.units import DEGREE
 from tumble.usual_setup import MOVE
 
@@ -57,9 +58,9 @@ def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
         table.add_column(heading, justify="right")
     linear = slice(bound.linear)
     for name, u, with_all in zip(bound.names[linear], bound.u[linear], whole.u[linear], strict=True):
-        kind, what, _ = name.split(".")
-        share = f"{u / getattr(getattr(setup, kind), what):.2%}" if math.isfinite(u) else ""
-        table.add_row(name, _shown(bound, f"{kind}.{what}", u), share, _shown(bound, f"{kind}.{what}", with_all))
+        share = f"{u / spread_of(setup, name):.2%}" if math.isfinite(u) else ""
+        group = group_name(name)
+        table.add_row(name, _shown(bound, group, u), share, _shown(bound, group, with_all))
     return Group(*map(Text, lines), Text(""), table, Text(""), _further(whole))
 
 
@@ -177,7 +178,7 @@ def _shown(bound: Bound, group: str, u: float) -> str:
 
 
 def _unit(bound: Bound, group: str) -> str:
-    return next(unit for name, unit in zip(bound.names, bound.units, strict=True) if name.startswith(f"{group}."))
+    return next(unit for name, unit in zip(bound.names, bound.units, strict=True) if group_name(name) == group)
 
 
 def _condition(bound: Bound) -> str:
