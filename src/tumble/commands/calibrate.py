@@ -63,6 +63,7 @@ def calibrate(
     from tumble.calibration.together import calibrate_together
     from tumble.recording.session import read_session
     from tumble.simulation.session import read_truth
+    from tumble.simulation.temperature_profile import truth_at
     from tumble.terminal.calibration import calibration_report
     from tumble.terminal.text import print_report
 
@@ -74,7 +75,7 @@ def calibrate(
         raise InputError(
             f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
-    known = read_truth(truth) if truth else None
+    true = read_truth(truth) if truth else None
     described = [read_session(session) for session in sessions]
     result, *others = (
         [calibrate_together(described, frame=frame, progress=with_progress)]
@@ -88,6 +89,7 @@ def calibrate(
     )
     target = out or Path(described[0].name) / "calibration.json"
     result.write(target, force=force)
+    known = None if true is None else truth_at(true, result.reference_temperature)
     print_report(calibration_report(result, known, others, every=every))
     click.echo(f"written to {target}", err=True)
     for other in others:
