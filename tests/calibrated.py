@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Parameter
+from tumble.calibration.results import Parameter, RestResult
 from tumble.estimation.estimate import Outcome
 from tumble.recording.session import write_session
 from tumble.sensors.frames import Frame
@@ -59,6 +60,49 @@ def calibration(
         gyro=models[1],
         outcome=Outcome(),
         provenance={"log_sha256": f"{seed:064x}", "software": "tumble 0.1.0", "created": "2026-05-04T12:00:00+00:00"},
+    )
+
+
+SLOPES = {
+    "accel.bias": (3e-3, 2e-5, "m/s^2"),
+    "accel.scale": (1.5e-4, 8e-7, "1"),
+    "gyro.bias": (4e-4, 3e-6, "rad/s"),
+    "gyro.scale": (2e-4, 1e-6, "1"),
+}
+"""Largest change per K and per K², as of a MEMS device, and the unit."""
+
+
+def warmed(
+    made: Calibration, *, low: float = -18.5, high: float = 57.25, curved: bool = True, seed: int = 7
+) -> Calibration:
+    """A calibration whose biases and scale factors change with temperature, linearly or also with its square, measured
+    at four rests from `low` to `high`, °C; its values are those at the rests' mean."""
+    rng = np.random.default_rng(seed)
+    more = []
+    for p in made.parameters:
+        slope, square, unit = SLOPES.get(".".join(p.name.split(".")[:2]), (0.0, 0.0, ""))
+        for degree, size in enumerate((slope, square) if curved else (slope,), 1):
+            if size:
+                value = float(size * rng.uniform(-1.0, 1.0))
+                per = "K" if degree == 1 else "K^2"
+                unit_of_it = f"{unit}/{per}" if unit != "1" else f"1/{per}"
+                more.append(Parameter(name=f"{p.name}.t{degree}", value=value, u=0.05 * size, unit=unit_of_it))
+    covariance = made.covariance
+    if covariance is not None:
+        covariance = np.pad(covariance, (0, len(more)))
+        at = np.arange(len(made.parameters), len(covariance))
+        covariance[at, at] = [(p.u or 0.0) ** 2 for p in more]
+    degrees = np.linspace(low, high, 4)
+    rests = tuple(
+        RestResult(file=0, start=60.0 * i, stop=60.0 * i + 50.0, residual=0.0, sigmas=0.0, temperature=float(T))
+        for i, T in enumerate(degrees)
+    )
+    return replace(
+        made,
+        parameters=(*made.parameters, *more),
+        covariance=covariance,
+        rests=rests,
+        reference_temperature=float(degrees.mean()),
     )
 
 

@@ -187,7 +187,8 @@ def test_the_angular_acceleration_is_not_known_across_a_gap() -> None:
     assert np.isnan(found[[2, 3]]).all()
 
 
-def test_a_log_with_a_thermometer_is_corrected_at_its_temperatures(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("unit", "zero"), [("degC", 0.0), ("K", 273.15)])
+def test_a_log_with_a_thermometer_is_corrected_at_its_temperatures(tmp_path: Path, unit: str, zero: float) -> None:
     """With a lost temperature, which is that of the row before, and a lost accelerometer sample, which stays lost."""
     made, instrument, values = larger()
     force, rate = truth()
@@ -198,13 +199,13 @@ def test_a_log_with_a_thermometer_is_corrected_at_its_temperatures(tmp_path: Pat
     celsius[100] = np.nan
     names = ["ax", "ay", "az", "p", "q", "r", "T"]
     table = pl.DataFrame(
-        {"t": 0.01 * np.arange(1, N + 1), **dict(zip(names, [*accel.T, *gyro.T, celsius], strict=True))}
+        {"t": 0.01 * np.arange(1, N + 1), **dict(zip(names, [*accel.T, *gyro.T, celsius + zero], strict=True))}
     )
     log = {
         "time": "t",
         "accel": {"columns": names[:3], "unit": "m/s^2"},
         "gyro": {"columns": names[3:6], "unit": "rad/s"},
-        "temperature": {"columns": ["T"], "unit": "degC"},
+        "temperature": {"columns": ["T"], "unit": unit},
     }
     session_of(tmp_path, table.write_csv(), log)
     apply_to_session(made, tmp_path, tmp_path / "out.parquet")

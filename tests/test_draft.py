@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -11,7 +12,7 @@ from click.testing import CliRunner, Result
 
 from tumble.cli import main
 from tumble.planning.setup import Setup
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name, temperature_unit
 from tumble.recording.session import Session, read_session
 from tumble.simulation.session import simulate_session
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
@@ -104,6 +105,15 @@ def test_magnetometers_and_temperature_are_known_by_their_names() -> None:
     found = columns_by_name(["t", *named("acc_"), *named("mag_", unit="_uT"), "temperature"])
     assert found.triads[MAGNETOMETER].unit == "uT"
     assert found.temperature == "temperature"
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("Temp [K]", "K"), ("imu_temp_c", "degC"), ("Temperature (°F)", "degF"), ("T", None), ("temp_raw", "raw")],
+)
+def test_thermometers_are_known_with_the_unit_of_their_name(name: str, unit: str | None) -> None:
+    assert columns_by_name(["t", *named("acc_"), name]).temperature == name
+    assert temperature_unit(name) == unit
 
 
 def test_a_second_imu_in_the_same_log_is_named_and_angular_accelerations_are_nobodys() -> None:
@@ -243,6 +253,26 @@ def test_magnetometers_are_offered_as_a_comment_that_works(handheld: pl.DataFram
     found = read_session(tmp_path / "session").log.magnetometer
     assert found is not None
     assert found.columns == ("mag_x", "mag_y", "mag_z")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "found", "said"),
+    [
+        ("T", 21.0, {"columns": ["T"], "unit": "degC"}, "temperature: T in degC (by its numbers)"),
+        ("T", 294.0, {"columns": ["T"], "unit": "K"}, "temperature: T in K (by its numbers)"),
+        ("temp_f", 70.0, {"columns": ["temp_f"], "unit": "degF"}, "temperature: temp_f in degF (from the name)"),
+        ("T", -5200.0, None, "temperature: T, about -5200, in no unit that is known; to use it, add [log.temperature]"),
+    ],
+)
+def test_the_unit_of_a_thermometer_is_found_or_asked_for(
+    handheld: pl.DataFrame, tmp_path: Path, name: str, value: float, found: dict[str, Any] | None, said: str
+) -> None:
+    session, printed = drafted(handheld.with_columns(pl.lit(value).alias(name)), tmp_path)
+    thermometer = session.log.temperature
+    assert (thermometer is None) == (found is None)
+    if thermometer is not None:
+        assert {"columns": [thermometer.column], "unit": thermometer.unit_name} == found
+    assert said in printed
 
 
 def test_a_drafted_session_calibrates_once_its_place_is_filled_in(handheld: pl.DataFrame, tmp_path: Path) -> None:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibrated import HEXAD, calibration
+from calibrated import HEXAD, calibration, warmed
 from click.testing import CliRunner
 
+from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.commands import export as command
@@ -22,7 +23,8 @@ from tumble.export.exported import NO_MAGNETOMETER
 from tumble.export.kalibr import Densities, NoiseDensities
 
 PLAIN = tuple(name for name in FORMATS if name not in ("kalibr", "dcc"))
-WITH_COMMENTS = ("ros-imu-calib", "px4", "ardupilot", "c", "csv", "imucal")
+THERMAL = ("px4-thermal", "ardupilot-thermal", "csv-thermal")
+WITH_COMMENTS = ("ros-imu-calib", "px4", "ardupilot", "c", "csv", "imucal", *THERMAL)
 NOISE = NoiseDensities(
     accel=Densities(white=1e-3, walk=2e-4, bounds=()),
     gyro=Densities(white=1e-4, walk=2e-5, bounds=("random walk of the gyros: bounded",)),
@@ -44,9 +46,14 @@ CERTIFICATE = Certificate.model_validate(
 )
 
 
+def made_for(to: str) -> Calibration:
+    """The test calibration, which changes with temperature where the format is about that."""
+    return warmed(calibration()) if to in THERMAL else calibration()
+
+
 def content_of(to: str, **changes: object) -> str:
     """An export of the test calibration as text."""
-    made = replace(calibration(), **changes)  # type: ignore[arg-type]
+    made = replace(made_for(to), **changes)  # type: ignore[arg-type]
     more = {"noise": NOISE} if to == "kalibr" else {"certificate": CERTIFICATE} if to == "dcc" else {}
     return export_calibration(made, to, **more).content.decode("latin-1" if to == "mat" else "utf-8")
 
@@ -70,13 +77,13 @@ def test_a_calibration_without_a_model_is_not_exported(to: str) -> None:
 
 @pytest.mark.parametrize("to", [*WITH_COMMENTS, "kalibr"])
 def test_what_is_lost_is_in_the_file_too(to: str) -> None:
-    made = calibration()
+    made = made_for(to)
     exported = export_calibration(made, to, noise=NOISE) if to == "kalibr" else export_calibration(made, to)
     assert exported.losses
     text = exported.content.decode()
     for loss in exported.losses:
         assert loss in text or to == "imucal"
-    assert "uncertaint" in text or to == "csv"
+    assert "uncertaint" in text or to in ("csv", "csv-thermal")
 
 
 @pytest.mark.parametrize("to", FORMATS)
@@ -102,7 +109,7 @@ def test_targets_with_three_axes_refuse_a_redundant_block(to: str) -> None:
         export_calibration(calibration(accel=HEXAD), to, noise=noise)
 
 
-@pytest.mark.parametrize("to", ["px4", "ardupilot"])
+@pytest.mark.parametrize("to", ["px4", "ardupilot", "px4-thermal", "ardupilot-thermal"])
 def test_targets_without_a_matrix_refuse_channels_in_another_order(to: str) -> None:
     for axes in ([[0, 1, 0], [1, 0, 0], [0, 0, -1]], [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]):
         with pytest.raises(InputError, match=f"export to {to}: expected accel channels along X, Y, Z in this order"):
@@ -116,6 +123,8 @@ def test_what_a_format_does_not_need_is_refused() -> None:
         export_calibration(calibration(), "px4", noise=NOISE)
     with pytest.raises(InputError, match="expected --certificate with dcc and only there, found none"):
         export_calibration(calibration(), "dcc")
+    with pytest.raises(InputError, match="expected --sensor-ids with px4-thermal only, found it with px4"):
+        export_calibration(calibration(), "px4", sensor_ids=(1, 2))
     with pytest.raises(InputError, match="expected one of kalibr"):
         export_calibration(calibration(), "elsewhere")
 
@@ -138,7 +147,7 @@ def test_the_command_writes_the_file_and_says_what_is_lost(tmp_path: Path) -> No
 @pytest.mark.parametrize("to", FORMATS)
 def test_a_magnetometer_is_named_as_lost_and_disturbs_nothing(to: str) -> None:
     """Its parameters are there or not, the numbers of the others are the same."""
-    made = calibration()
+    made = made_for(to)
     assert made.covariance is not None
     field = Parameter(name="mag.bias.x", value=3.0, u=0.5, unit="uT")
     covariance = np.pad(made.covariance, (0, 1))

@@ -1,4 +1,4 @@
-"""The pages of the exports show what is written for docs/export/example.json."""
+"""The pages of the exports show what is written for docs/export/example.json and example-thermal.json."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tumble.sensors.model import Block
 
 PAGES = Path(__file__).parents[1] / "docs" / "export"
 BLOCK = re.compile(r"<!-- example: (\S+) -->\n```text\n(.*?)^```$", re.M | re.S)
-EXAMPLE = read_calibration(PAGES / "example.json")
+EXAMPLE, WARMED = (read_calibration(PAGES / f"{name}.json") for name in ("example", "example-thermal"))
 
 
 @pytest.mark.parametrize("to", FORMATS)
@@ -27,7 +27,8 @@ def test_every_format_has_a_page_with_what_is_written_for_the_example(to: str) -
     blocks = BLOCK.findall(text)
     assert [name for name, _ in blocks] == ([] if to == "mat" else [to])
     more = {"noise": NOISE} if to == "kalibr" else {"certificate": CERTIFICATE} if to == "dcc" else {}
-    found = export_calibration(EXAMPLE, to, **more).content.decode("latin-1").encode("latin-1")
+    made = WARMED if to.endswith("thermal") else EXAMPLE
+    found = export_calibration(made, to, **more).content.decode("latin-1").encode("latin-1")
     for _, shown in blocks:
         assert same_output(lines_of(shown), lines_of(found.decode()))
 

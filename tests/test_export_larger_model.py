@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibrated import HEXAD
+from calibrated import HEXAD, calibration, warmed
 from test_applied_model import larger, read, truth
 from test_export_c import PROGRAM, gcc
 from test_export_mat_csv import read_csv, read_mat
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.temperature_curves import model_at
 from tumble.export import export_calibration
 from tumble.export.larger_model import not_held
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -22,16 +23,17 @@ from tumble.units import DEGREE, G_STANDARD, Array
 __all__ = ["gcc"]
 
 
-def run(compiler: str, folder: Path, made: Calibration, kind: str, given: Array) -> Array:
-    """What the compiled function in double makes of rows of readings, and for gyros of forces after them."""
+def run(compiler: str, folder: Path, made: Calibration, kind: str, given: Array, *, warm: bool = False) -> Array:
+    """What the compiled function in double makes of rows of readings, for gyros of forces after them, and of
+    temperatures after these where it is `warm`."""
     (folder / "imu.h").write_bytes(export_calibration(made, "c").content)
     model = made.accel if kind == "accel" else made.gyro
     assert model is not None
-    n = len(model.bias)
-    text = PROGRAM % {"n": n, "function": kind, "digits": 10, "type": "double"}
-    if kind == "gyro":
-        text = text.replace(f"r[{n}]", f"r[{n + 3}]").replace(f"i < {n}", f"i < {n + 3}")
-        text = text.replace("(r, t)", f"(r, r + {n}, t)")
+    n, count = len(model.bias), given.shape[1]
+    text = PROGRAM % {"n": n, "function": f"{kind}_at" if warm else kind, "digits": 10, "type": "double"}
+    text = text.replace(f"r[{n}]", f"r[{count}]").replace(f"i < {n}", f"i < {count}")
+    force, celsius = f", r + {n}" if kind == "gyro" else "", f", r[{count - 1}]" if warm else ""
+    text = text.replace("(r, t)", f"(r{force}{celsius}, t)")
     (folder / "main.c").write_text(text)
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function"]
     subprocess.run([compiler, *flags, str(folder / "main.c"), "-o", str(folder / kind)], check=True)
@@ -54,6 +56,34 @@ def test_the_header_applies_what_the_library_does(tmp_path: Path, gcc: str, axes
     np.testing.assert_allclose(run(gcc, tmp_path, made, "gyro", rows), found_w, rtol=0.0, atol=1e-13)
 
 
+@pytest.mark.parametrize("axes", [None, HEXAD / np.linalg.norm(HEXAD, axis=1)[:, None]], ids=["triad", "six sensors"])
+def test_the_header_applies_slopes_at_a_temperature_as_the_library_does(
+    tmp_path: Path, gcc: str, axes: Array | None
+) -> None:
+    made, instrument, values = larger(accel=axes, gyro=axes)
+    force, rate = truth(1)
+    accel, gyro = read(instrument, values, force, rate)
+    celsius = np.linspace(-20.0, 60.0, len(accel))
+    found_f, found_w = made.apply(accel, gyro, temperature=celsius + 273.15)
+    assert found_w is not None
+    rows = np.hstack([accel, celsius[:, None]])
+    np.testing.assert_allclose(run(gcc, tmp_path, made, "accel", rows, warm=True), found_f, rtol=0.0, atol=1e-12)
+    rows = np.hstack([gyro, found_f, celsius[:, None]])
+    np.testing.assert_allclose(run(gcc, tmp_path, made, "gyro", rows, warm=True), found_w, rtol=0.0, atol=1e-13)
+    assert np.abs(found_f - made.apply(accel, gyro)[0]).max() > 1e-3
+    assert "those in _at take it, in degC" in export_calibration(made, "c").content.decode()
+
+
+def test_the_header_applies_curvatures_of_a_linear_model(tmp_path: Path, gcc: str) -> None:
+    made, rng = warmed(calibration()), np.random.default_rng(1)
+    true = rng.normal(size=(8, 3))
+    for celsius in (-18.5, 30.0, 57.25):
+        reading = model_at(made, "accel", celsius).predict(true)
+        rows = np.hstack([reading, np.full((8, 1), celsius)])
+        np.testing.assert_allclose(run(gcc, tmp_path, made, "accel", rows, warm=True), true, rtol=0.0, atol=1e-12)
+    assert "measured from -18.5 to 57.2" in export_calibration(made, "c").content.decode()
+
+
 def test_tables_hold_prior_learned_k_and_degrees_of_freedom() -> None:
     made, _, _ = larger()
     made = replace(made, parameters=tuple(replace(p, dof=7.0) for p in made.parameters))
@@ -70,7 +100,7 @@ def test_tables_hold_prior_learned_k_and_degrees_of_freedom() -> None:
 def test_every_format_says_what_it_loses_of_the_larger_model(to: str) -> None:
     made, _, _ = larger(leave=())
     said = export_calibration(made, to).losses
-    held = {"c": 6, "imucal": 1}.get(to, 0)
+    held = {"c": 14, "imucal": 1}.get(to, 0)
     beyond = [s for s in said if "an error of up to" in s and (": no place" in s or ": not in matrix" in s)]
     assert len(beyond) == 16 - held
     assert all(s.isascii() for s in beyond)

@@ -3,6 +3,7 @@ must come back as the same numbers."""
 
 from __future__ import annotations
 
+import math
 import struct
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+from tumble.calibration.new_session import new_session
 from tumble.errors import InputError
 from tumble.recording.formats import Message, as_log, messages
 from tumble.units import Array
@@ -117,36 +119,48 @@ def write_bag1(path: Path, record: Array) -> None:
             bag.write(topic, stamp + 1234, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
 
 
-def write_bag2(path: Path, record: Array, topics: dict[str, Array] | None = None) -> None:
+def write_bag2(path: Path, record: Array, topics: dict[str, Array] | None = None, warmth: Array | None = None) -> None:
+    """With temperatures, °C, at every tenth sample, where they are given."""
     store = get_typestore(Stores.ROS2_JAZZY)
+    types = store.types
     with Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
         for name, rows in (topics or {"/imu": record}).items():
             topic = bag.add_connection(name, "sensor_msgs/msg/Imu", typestore=store)
             for stamp, row in zip(stamps(len(rows)), rows, strict=True):
                 message = imu_message(store, row, stamp, ros1=False)
                 bag.write(topic, stamp, store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
+        if warmth is not None:
+            topic = bag.add_connection("/imu/temperature", "sensor_msgs/msg/Temperature", typestore=store)
+            for stamp, celsius in zip(stamps(len(warmth) * 10)[::10], warmth.tolist(), strict=True):
+                time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+                header = types["std_msgs/msg/Header"](stamp=time, frame_id="imu")
+                message = types["sensor_msgs/msg/Temperature"](header=header, temperature=celsius, variance=0.0)
+                bag.write(topic, stamp, store.serialize_cdr(message, "sensor_msgs/msg/Temperature"))
 
 
 def ulog_message(kind: str, content: bytes) -> bytes:
     return struct.pack("<HB", len(content), ord(kind)) + content
 
 
-def write_ulog(path: Path, record: Array) -> None:
-    """By the published layout of ULog: header, flags, formats, subscriptions, data."""
+def write_ulog(path: Path, record: Array, warmth: tuple[float, float] = (25.0, 26.0)) -> None:
+    """By the published layout of ULog: header, flags, formats, subscriptions, data; a barometer at 31 °C."""
     layout = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float temperature;"
     out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 10)
     out += ulog_message("B", bytes(40))
     out += ulog_message("F", f"sensor_accel:{layout}".encode()) + ulog_message("F", f"sensor_gyro:{layout}".encode())
+    out += ulog_message("F", b"sensor_baro:uint64_t timestamp;float pressure;float temperature;")
+    out += ulog_message("A", struct.pack("<BH", 0, 2) + b"sensor_baro")
     out += ulog_message("A", struct.pack("<BH", 0, 0) + b"sensor_accel")
     out += ulog_message("A", struct.pack("<BH", 0, 1) + b"sensor_gyro")
     for i, row in enumerate(record):
         taken = 5_000_000 + i * 10**6 // RATE
-        out += ulog_message("D", struct.pack("<HQQ4f", 0, taken + 300, taken, *row[:3], 25.0))
-        out += ulog_message("D", struct.pack("<HQQ4f", 1, taken + 400, taken, *row[3:], 26.0))
+        out += ulog_message("D", struct.pack("<HQQ4f", 0, taken + 300, taken, *row[:3], warmth[0]))
+        out += ulog_message("D", struct.pack("<HQQ4f", 1, taken + 400, taken, *row[3:], warmth[1]))
+        out += ulog_message("D", struct.pack("<HQ2f", 2, taken, 101325.0, 31.0))
     path.write_bytes(out)
 
 
-def write_bin(path: Path, record: Array) -> None:
+def write_bin(path: Path, record: Array, celsius: tuple[float, float] | None = None) -> None:
     """By the published layout of ArduPilot logs: FMT messages, then data, each after the two bytes A3 95."""
 
     def kind_of(number: int, name: str, types: str, columns: str) -> bytes:
@@ -156,11 +170,13 @@ def write_bin(path: Path, record: Array) -> None:
         )
 
     out = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 0x80, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
-    out += kind_of(7, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    more = "" if celsius is None else ",T"
+    out += kind_of(7, "IMU", "QBffffff" + "f" * len(more[1:]), "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ" + more)
     for i, row in enumerate(record):
         for instance in (0, 1):
             shown = row + instance
             out += b"\xa3\x95\x07" + struct.pack("<QB6f", 10**6 + i * 10**6 // RATE, instance, *shown[3:], *shown[:3])
+            out += b"" if celsius is None else struct.pack("<f", celsius[instance])
     path.write_bytes(out)
 
 
@@ -239,6 +255,60 @@ def test_every_instance_of_a_flight_log_is_offered_with_what_its_autopilot_did(r
     assert "INS_ACCOFFS" in first.remark
     read = pl.concat(second.rows()).select("gyro_y").to_numpy()[:, 0]
     np.testing.assert_allclose(read, record[:, 4] + 1.0, rtol=1e-6, atol=1e-6)
+
+
+def temperature_of(path: Path) -> tuple[str | None, Array]:
+    """The message of the thermometer that `tumble new` finds in a recording, and its temperatures."""
+    draft, _ = new_session(path.parent / f"{path.name}-session", path)
+    keys = draft.content["log"].get("temperature")
+    named = [said for said in draft.said if said.startswith("temperature from")]
+    if keys is None:
+        return None, np.empty(0)
+    assert keys["unit"] == "degC"
+    log = pl.read_parquet(path.parent / f"{path.name}-session" / "log.parquet")
+    return named[0].split()[2].rstrip(",") if named else keys["columns"][0], log[keys["columns"][0]].to_numpy()
+
+
+@pytest.fixture(scope="module")
+def at_rest() -> Array:
+    """Half a minute at rest."""
+    rows = np.zeros((3000, 6))
+    rows[:, 2] = 9.81
+    return rows + 1e-3 * np.random.default_rng(2).normal(size=rows.shape)
+
+
+def test_px4_has_the_thermometer_of_the_accelerometers_else_of_the_gyros_else_of_the_barometer(
+    at_rest: Array, tmp_path: Path
+) -> None:
+    no = math.nan
+    for warmth, name, celsius in (
+        ((25.0, 26.0), "accel_temperature", 25.0),
+        ((no, 26.0), "gyro_temperature", 26.0),
+        ((no, no), "sensor_baro.0", 31.0),
+    ):
+        path = tmp_path / f"{name}.ulg"
+        write_ulog(path, at_rest, warmth)
+        found, temperatures = temperature_of(path)
+        assert found == name
+        np.testing.assert_array_equal(temperatures, celsius)
+
+
+def test_ardupilot_has_the_thermometer_of_the_imu_unless_it_reads_zero(at_rest: Array, tmp_path: Path) -> None:
+    write_bin(tmp_path / "warm.bin", at_rest, (41.5, 0.0))
+    name, temperatures = temperature_of(tmp_path / "warm.bin")
+    assert name == "temperature"
+    np.testing.assert_array_equal(temperatures, 41.5)
+    first, second = messages(tmp_path / "warm.bin")
+    assert (first.temperature, second.temperature) == ("temperature", None)
+
+
+def test_a_topic_with_temperatures_is_interpolated_at_the_times_of_the_sensors(at_rest: Array, tmp_path: Path) -> None:
+    warmth = np.linspace(20.0, 49.9, 300)  # at samples 0, 10, …
+    write_bag2(tmp_path / "warm", at_rest, warmth=warmth)
+    name, temperatures = temperature_of(tmp_path / "warm")
+    assert name == "/imu/temperature"
+    np.testing.assert_allclose(temperatures[:2991], np.linspace(20.0, 49.9, 2991), atol=1e-6)
+    np.testing.assert_array_equal(temperatures[2991:], 49.9)
 
 
 @pytest.mark.parametrize("name", WRITERS)

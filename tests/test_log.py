@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from tumble.errors import LogError
 from tumble.recording import gaps as bridging
 from tumble.recording import readers as log_files
+from tumble.recording.description import description_of
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import read_session, write_session
@@ -526,6 +527,22 @@ def test_units_of_a_log_become_si(tmp_path: Path) -> None:
     rate = np.array(row[4:7]) / 0.01 * math.pi / 180
     np.testing.assert_allclose(samples["gyro"][199], rate, rtol=1e-12)
     assert samples["temperature"][199] == row[7] + 273.15
+
+
+@pytest.mark.parametrize(
+    ("keys", "celsius"),
+    [
+        ({"unit": "K"}, 300.0 - 273.15),
+        ({"unit": "degF"}, (300.0 - 32.0) / 1.8),
+        ({"unit": "raw", "scale": 340.0, "offset": -12420.0}, (300.0 + 12420.0) / 340.0),
+        ({"unit": "raw", "scale": -8.0}, -37.5),
+    ],
+    ids=str,
+)
+def test_a_thermometer_has_the_unit_that_is_said(tmp_path: Path, keys: dict[str, Any], celsius: float) -> None:
+    log = csv_log(tmp_path, with_values(range(1, ROWS + 1), "T", "300")(lines()), temperature={"columns": ["T"]} | keys)
+    np.testing.assert_allclose(whole(log)["temperature"], celsius + 273.15, rtol=0, atol=1e-9)
+    assert description_of(log.session)["log"]["temperature"]["unit"] == keys["unit"]
 
 
 def test_arrays_are_contiguous_by_sample(tmp_path: Path) -> None:

@@ -185,7 +185,15 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "temperature unit": (
         {"log": {"temperature": {"columns": ["T"], "unit": "C"}}},
-        'log.temperature.unit: expected "degC", found "C"',
+        'log.temperature.unit: expected one of degC, K, degF, raw, found "C"',
+    ),
+    "raw temperature without scale": (
+        {"log": {"temperature": {"columns": ["T"], "unit": "raw"}}},
+        'log.temperature.scale: expected the raw numbers per degC for unit "raw", found none',
+    ),
+    "offset of a temperature that is not raw": (
+        {"log": {"temperature": {"columns": ["T"], "offset": 3.0}}},
+        'log.temperature.offset: expected only with unit "raw", found unit "degC"',
     ),
     "accel unit": (
         accel(unit="m/s2"),

@@ -65,6 +65,9 @@ GYRO_UNITS = {
 MAGNETIC_UNITS = ("nT", "uT", "gauss")
 """Units of a magnetometer. Nothing else is measured in them, so that they are not converted."""
 
+TEMPERATURE_UNITS = {"degC": (1.0, 0.0), "K": (1.0, -ZERO_CELSIUS), "degF": (5.0 / 9.0, -160.0 / 9.0)}
+"""What a log's temperature is in °C: gain · number + shift. A raw one has a scale, numbers per °C, and an offset."""
+
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 

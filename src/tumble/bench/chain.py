@@ -76,7 +76,7 @@ class Chain:
         n = len(log.accel.columns)
         accel = log.accel.to_si(samples.values[:, :n], dt)
         gyro = None if log.gyro is None else log.gyro.to_si(samples.values[:, n : n + len(log.gyro.columns)], dt)
-        temperature = samples.values[:, -1] + _ZERO_CELSIUS if log.temperature else None
+        temperature = log.temperature.to_celsius(samples.values[:, -1]) + _ZERO_CELSIUS if log.temperature else None
         if len(dt):
             chunk = Chunk(file=0, time=samples.time, dt=dt, accel=accel, gyro=gyro, temperature=temperature)
             self._reducer.feed(chunk)

@@ -366,11 +366,12 @@ class _Reader:
 
     def _temperatures(self, table: pl.DataFrame) -> Array | None:
         """Temperatures (N,), °C, where parameters change with them: a lost one is the one before, or the reference."""
-        column, reference = self.session.log.temperature, self.compensator.reference
-        if column is None or reference is None or not self.compensator.warm:
+        thermometer, reference = self.session.log.temperature, self.compensator.reference
+        if thermometer is None or reference is None or not self.compensator.warm:
             return None
         with rows_of_numbers(self.path):
-            known = table[column].cast(pl.Float64).fill_nan(None).fill_null(strategy="forward")
+            numbers = table[thermometer.column].cast(pl.Float64).to_numpy()
+        known = pl.Series(thermometer.to_celsius(numbers)).fill_nan(None).fill_null(strategy="forward")
         filled = np.asarray(known.fill_null(reference if self.warmth is None else self.warmth).to_numpy(), dtype=float)
         if not len(filled):
             return filled

@@ -273,10 +273,11 @@ def _unchecked(estimate: Estimate) -> tuple[str, ...]:
 def _one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
     """Where all turns have about one rate, what the scale factors of the gyros are, as a note."""
     turns = observations.turns
-    if turns is None or not len(turns) or any(group_name(name) == "gyro.cubic" for name in estimate.names):
+    if turns is None or any(group_name(name) == "gyro.cubic" for name in estimate.names):
         return ()
-    rates = np.linalg.norm(rotation_vector(turns.C), axis=1) / turns.duration
-    if not 0.0 < rates.max() < ONE_RATE * rates.min():
+    made = turns.duration > 0.0  # between the parts of a rest nothing is turned
+    rates = np.linalg.norm(rotation_vector(turns.C[made]), axis=1) / turns.duration[made]
+    if not len(rates) or not rates.max() < ONE_RATE * rates.min():
         return ()
     return (
         f"all turns have about {rates.mean() / DEGREE:.2g} °/s: scale factors of the gyros are those at this rate; "

@@ -29,7 +29,7 @@ from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.formats import Sensors
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, temperature_unit
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
 from tumble.recording.session import SESSION_FILE, session_of
@@ -40,6 +40,7 @@ _HEAD = 20_000
 _TOLERANCE = 0.3
 _SOFT = 0.03
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
+_LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 _LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
 _HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
 _USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
@@ -174,8 +175,10 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     log = folder / "log.parquet"
     folder.mkdir(parents=True, exist_ok=True)
-    formats.as_log(log, accel, gyro)
+    thermometer = None if _temperature(accel, gyro, None) else next((m for m in found if m.thermometer), None)
+    formats.as_log(log, accel, gyro, thermometer)
     said = [f"{recording.name}: message {accel.name}, written to {log}"]
+    said += [] if thermometer is None else [f"temperature from {thermometer.name}, interpolated"]
     if gyro is not None and gyro is not accel:
         said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
     others = [m.name for m in found if m not in (accel, gyro) and m.accel]
@@ -187,13 +190,19 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
         time=TIME if accel.timed else None,
         time_unit=None,
         triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
-        temperature=accel.temperature,
+        temperature=_temperature(accel, gyro, thermometer),
         others=(),
     )
     written = mended(FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), folder, given.rate)
     draft = _of_log(written, times_of(written, given.rate), given.rate)
     imu = {kind: sensor for m in (gyro, accel) if m is not None for kind, sensor in m.imu.items()}
     return replace(draft, content={**draft.content, "device": {"imu": sensors_content(imu)}} if imu else draft.content)
+
+
+def _temperature(accel: Message, gyro: Message | None, thermometer: Message | None) -> str | None:
+    """The column of the temperature: beside the accelerometers, beside the gyros, or in a message of its own."""
+    messages = (accel, gyro, thermometer)
+    return next((m.temperature for m in messages if m is not None and m.temperature), None)
 
 
 def _named(found: list[Message], name: str | None, recording: Path) -> Message:
@@ -225,9 +234,25 @@ def _content(log: FoundLog, times: Times, found: Columns) -> tuple[dict[str, Any
     else:
         said.append("no gyros were found: the accelerometers alone will be calibrated")
     if found.temperature is not None:
-        table["temperature"] = {"columns": [found.temperature], "unit": "degC"}
-        said.append(f"temperature: {found.temperature} in degC")
+        thermometer, remark = _thermometer(log, found.temperature)
+        table |= {} if thermometer is None else {"temperature": thermometer}
+        said.append(remark)
     return {"format": 1, "device": {"serial": "unknown"}, "log": table}, said, unknown
+
+
+def _thermometer(log: FoundLog, column: str) -> tuple[dict[str, Any] | None, str]:
+    """The table [log.temperature], None where its numbers are raw: the unit that the name says, or in which they are
+    temperatures of the air on Earth or of a chamber."""
+    middle = float(np.nanmedian(log.read([column], rows=_HEAD)))
+    named = temperature_unit(column)
+    likely = next((unit for unit, (low, high) in _LIKELY.items() if low <= middle <= high), "raw")
+    unit, how = (named, "from the name") if named is not None else (likely, "by its numbers")
+    if unit == "raw":
+        return None, (
+            f"temperature: {column}, about {middle:.6g}, in no unit that is known; to use it, add [log.temperature] "
+            f'with columns = ["{column}"], unit = "raw", scale, raw numbers per degC, and offset, that at 0 degC'
+        )
+    return {"columns": [column], "unit": unit}, f"temperature: {column} in {unit} ({how})"
 
 
 def _accel(log: FoundLog, sensors: Sensors, times: Times) -> tuple[dict[str, Any], list[str]]:

@@ -81,6 +81,7 @@ def calibrate(
     from tumble.calibration.together import calibrate_together
     from tumble.recording.session import read_session
     from tumble.simulation.session import read_truth
+    from tumble.simulation.temperature_profile import truth_at
     from tumble.terminal.calibration import calibration_report
     from tumble.terminal.data import calibration_data, print_data
     from tumble.terminal.text import print_report
@@ -93,7 +94,7 @@ def calibrate(
         raise InputError(
             f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
-    known = read_truth(truth) if truth else None
+    true = read_truth(truth) if truth else None
     given = Given(latitude=latitude, serial=serial, rate=rate)
     with _session_of(sessions, given) if given != NOTHING_GIVEN else nullcontext(sessions) as folders:
         described = [read_session(folder) for folder in folders]
@@ -109,6 +110,7 @@ def calibrate(
         )
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
+    known = None if true is None else truth_at(true, result.reference_temperature)
     if as_json:
         print_data(calibration_data(result, *others))
     else:

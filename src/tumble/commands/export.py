@@ -9,7 +9,11 @@ import click
 from tumble.commands.arguments import EXISTING_FOLDER, FILE, say
 from tumble.errors import InputError
 
-FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "depthai", "matlab-imu", "c", "mat", "csv", "dcc"]
+FORMATS = [
+    "kalibr", "ros-imu-calib", "px4", "px4-thermal", "ardupilot", "ardupilot-thermal", "imucal", "depthai",
+    "matlab-imu", "c", "mat", "csv",
+    "csv-thermal", "dcc",
+]  # fmt: skip
 
 
 @click.command()
@@ -21,20 +25,30 @@ FORMATS = ["kalibr", "ros-imu-calib", "px4", "ardupilot", "imucal", "depthai", "
 )
 @click.option("--certificate", type=FILE, help="dcc: TOML file with laboratory, customer, number and dates.")
 @click.option("--imu", metavar="N", type=int, help="px4, ardupilot: of the N-th IMU, from 1.")
+@click.option("--sensor-ids", metavar="ACCEL,GYRO", help="px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 def export(
-    calibration: Path, to: str, out: Path, noise: Path | None, certificate: Path | None, imu: int | None, force: bool
+    calibration: Path,
+    to: str,
+    out: Path,
+    noise: Path | None,
+    certificate: Path | None,
+    imu: int | None,
+    sensor_ids: str | None,
+    force: bool,
 ) -> None:
     """Write CALIBRATION, a calibration file, in the format of another program.
 
     What that format has no place for is said on standard error, and in the file where it has comments.
     """
     from tumble.export import export_calibration
+    from tumble.export.px4_thermal import sensor_ids as ids_of
     from tumble.files import whole_file
 
     if out.exists() and not force:
         raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
-    exported = export_calibration(calibration, to, noise=noise, certificate=certificate, imu=imu)
+    ids = None if sensor_ids is None else ids_of(sensor_ids)
+    exported = export_calibration(calibration, to, noise=noise, certificate=certificate, imu=imu, sensor_ids=ids)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)
     say(f"written to {out}")

@@ -44,6 +44,7 @@ from tumble.usual_setup import BY_HAND, ON_TABLE
 @TERMS
 @click.option("--noiseless", is_flag=True, help="No noise and no instability.")
 @click.option("--vibration", metavar="AMPLITUDE@HZ", help="Vibration throughout, m/s² at Hz, e.g. 0.05@30.")
+@click.option("--temperature", metavar="PROFILE", help="A thermometer, °C: 25, -10:60, -10:60:-10 or 22+15@600 (s).")
 @click.option("--format", "log_format", type=click.Choice(["csv", "parquet"]), default="parquet", show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Number of the device.")
 @click.option("--launch", type=click.IntRange(min=0), default=1, show_default=True, help="Launch of that device.")
@@ -61,6 +62,7 @@ def simulate(
     terms: Literal["linear", "full"],
     noiseless: bool,
     vibration: str | None,
+    temperature: str | None,
     log_format: Literal["csv", "parquet"],
     seed: int,
     launch: int,
@@ -69,6 +71,7 @@ def simulate(
     from tumble.planning.setup import Setup
     from tumble.simulation.scenario import NO_VIBRATION
     from tumble.simulation.session import simulate_session, vibration_of
+    from tumble.simulation.temperature_profile import temperature_profile
 
     setup = Setup.of(
         grade=grade,
@@ -84,5 +87,8 @@ def simulate(
         terms=terms,
     )
     shaken = vibration_of(vibration) if vibration else NO_VIBRATION
-    written = simulate_session(folder, setup, seed=seed, launch=launch, vibration=shaken, log_format=log_format)
+    profile = temperature_profile(temperature) if temperature else None
+    written = simulate_session(
+        folder, setup, seed=seed, launch=launch, vibration=shaken, temperature=profile, log_format=log_format
+    )
     say(f"written to {written}")

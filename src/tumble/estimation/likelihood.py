@@ -721,7 +721,7 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
         own_covariance=np.array(own_covariance),
         deviance=_deviance(problem, weight, factor, heads, triangle),
         whitened=(rest, merged),
-        shared=(np.concatenate([each[0] for each in shared]), np.concatenate([each[1] for each in shared])),
+        shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
     )
 
 
@@ -780,7 +780,7 @@ def left(problem: Problem, step: Step) -> Left:
             part.link < 0,
             step.angles[part.rests],
             np.concatenate([own, step.parameters]),
-            (covariance, step.shared[0][part.rests], step.shared[1][part.rests]),
+            (covariance, np.ascontiguousarray(step.shared[0][:, part.rests]), step.shared[1][part.rests]),
         )
         for part, own, covariance in zip(problem.parts, step.own, step.own_covariance, strict=True)
     ]

@@ -26,16 +26,18 @@ _PLAIN = {
     "ros-imu-calib": "ros_imu_calib",
     "px4": "px4",
     "ardupilot": "ardupilot",
+    "ardupilot-thermal": "ardupilot_thermal",
     "imucal": "imucal",
     "depthai": "depthai",
     "matlab-imu": "matlab_imu",
     "c": "c_header",
     "mat": "mat",
     "csv": "csv_table",
+    "csv-thermal": "csv_thermal",
 }
 """Formats that need nothing but the calibration: module, and function of the same name."""
 
-FORMATS = ("kalibr", *_PLAIN, "dcc")
+FORMATS = ("kalibr", *_PLAIN, "px4-thermal", "dcc")
 
 AUTOPILOTS = ("px4", "ardupilot")
 """Formats with parameters of several IMUs."""
@@ -48,11 +50,13 @@ def export_calibration(
     noise: NoiseDensities | Session | FilePath | None = None,
     certificate: Certificate | FilePath | None = None,
     imu: int | None = None,
+    sensor_ids: tuple[int, int] | None = None,
 ) -> Exported:
     """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` takes the noise densities of the device or a
     session whose longest rest shows them, else those of the calibration's rests; `dcc` needs the administrative data of
     a certificate or their file; `px4` and `ardupilot` take the number of the IMU whose parameters are to be written,
-    from 1, where the recording does not say it.
+    from 1, where the recording does not say it; `px4-thermal` the device ids of accelerometer
+    and gyro, likewise.
 
     Raises InputError for a calibration that was not accepted or that the format has no place for.
 
@@ -65,16 +69,27 @@ def export_calibration(
     from tumble.calibration.calibration_file import calibration_from
 
     calibration = calibration_from(calibration)
-    exported = _export(calibration, to, _noise(noise), _certificate(certificate), imu)
+    exported = _export(calibration, to, _noise(noise), _certificate(certificate), imu, sensor_ids)
     if calibration.mag is None:
         return exported
     return replace(exported, losses=(*exported.losses, NO_MAGNETOMETER))
 
 
 def _export(
-    calibration: Calibration, to: str, noise: NoiseDensities | None, certificate: Certificate | None, imu: int | None
+    calibration: Calibration,
+    to: str,
+    noise: NoiseDensities | None,
+    certificate: Certificate | None,
+    imu: int | None,
+    sensor_ids: tuple[int, int] | None,
 ) -> Exported:
     _check_wanted(to, noise, certificate, imu)
+    if sensor_ids is not None and to != "px4-thermal":
+        raise InputError(f"export: expected --sensor-ids with px4-thermal only, found it with {to}")
+    if to == "px4-thermal":
+        from tumble.export.px4_thermal import px4_thermal
+
+        return px4_thermal(calibration, sensor_ids)
     if to == "kalibr":
         from tumble.export.kalibr import kalibr, noise_of_rests
 

@@ -8,7 +8,7 @@ The factors are 1/Mᵢᵢ: what is left of the accelerometers' matrix then has a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,19 +88,20 @@ class Diagonal:
         return np.asarray(worked.reading - self.gyro_offset)
 
 
-def diagonal(calibration: Calibration, target: str) -> Diagonal:
-    """Offsets and factors of a calibration, and what is lost. Raises InputError unless the channels are X, Y, Z."""
+def diagonal(calibration: Calibration, target: str, apart: Container[str] = ()) -> Diagonal:
+    """Offsets and factors of a calibration, and what is lost, but for the groups of parameters that are told of
+    `apart`. Raises InputError unless the channels are X, Y, Z."""
     known = triads(calibration, target, gyro=False)
     aligned(known, target)
     accel, gyro = known["accel"], known.get("gyro")
     losses = [misalignment_lost(accel)]
     losses += [] if gyro is None else [gyro_matrix_lost(gyro)]
     return Diagonal(
-        accel_offset=_single(accel.bias),
-        accel_factor=_single(1.0 / np.diag(accel.matrix)),
-        gyro_offset=None if gyro is None else _single(gyro.bias),
+        accel_offset=single(accel.bias),
+        accel_factor=single(1.0 / np.diag(accel.matrix)),
+        gyro_offset=None if gyro is None else single(gyro.bias),
         known=known,
-        losses=(*losses, *not_held(calibration), SINGLE_PRECISION, NO_UNCERTAINTY),
+        losses=(*losses, *not_held(calibration, apart), SINGLE_PRECISION, NO_UNCERTAINTY),
     )
 
 
@@ -109,5 +110,6 @@ def written(values: Array) -> list[str]:
     return [np.format_float_positional(value, trim="0") for value in values.astype(np.float32)]
 
 
-def _single(values: Array) -> Array:
+def single(values: Array) -> Array:
+    """Numbers as single precision keeps them."""
     return np.asarray(values.astype(np.float32), dtype=float)

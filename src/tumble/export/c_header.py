@@ -7,7 +7,11 @@ g-sensitivity of the gyros, the functions take them off in the fixed-point steps
 
     out ← inverse · (reading − bias − what is not linear in out)
 
-Nothing needs a library.
+Where parameters change with temperature, there are functions with a temperature too: with d = T − T₀ in °C
+
+    out = inverse · ((reading − bias − d (b₁ + d b₂)) / (1 + d (s₁ + d s₂)))
+
+sensor by sensor. Nothing needs a library.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.temperature_curves import changing, coefficients, measured_range
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
@@ -26,17 +31,18 @@ from tumble.units import Array
 UNITS = {"accel": "m/s^2", "gyro": "rad/s"}
 
 _FUNCTION = """\
-/* {what}, {unit}, from readings of {n} sensors in {unit} */
-static inline void imu_correct_{kind}{suffix}(const {type} reading[{n}], {type} out[3])
+/* {what}, {unit}, from readings of {n} sensors in {unit}{needs} */
+static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {argument}{type} out[3])
 {{
     static const {type} bias[{n}] = {{{bias}}};
     static const {type} inverse[3][{n}] = {{
 {rows}
     }};
+{warm}
     for (int i = 0; i < 3; i++) {{
         {type} sum = 0;
         for (int j = 0; j < {n}; j++) {{
-            sum += inverse[i][j] * (reading[j] - bias[j]);
+            sum += inverse[i][j] * (reading[j] - bias[j]{less}){over};
         }}
         out[i] = sum;
     }}
@@ -45,16 +51,17 @@ static inline void imu_correct_{kind}{suffix}(const {type} reading[{n}], {type} 
 
 _BEYOND = """\
 /* {what}, {unit}, from readings of {n} sensors in {unit}{needs} */
-static inline void imu_correct_{kind}{suffix}(const {type} reading[{n}], {argument}{type} out[3])
+static inline void imu_correct_{kind}{at}{suffix}(const {type} reading[{n}], {argument}{type} out[3])
 {{
     static const {type} bias[{n}] = {{{bias}}};
     static const {type} inverse[3][{n}] = {{
 {rows}
     }};
 {tables}
+{warm}
     {type} left[{n}];
     for (int j = 0; j < {n}; j++) {{
-        left[j] = reading[j] - bias[j];
+        left[j] = (reading[j] - bias[j]{less}){over};
     }}
     for (int step = 0; step <= {steps}; step++) {{
         for (int i = 0; i < 3; i++) {{
@@ -66,8 +73,9 @@ static inline void imu_correct_{kind}{suffix}(const {type} reading[{n}], {argume
         }}
         for (int j = 0; j < {n}; j++) {{
             const {type} own = axis[j][0] * out[0] + axis[j][1] * out[1] + axis[j][2] * out[2];
-            left[j] = reading[j] - bias[j] - (own < 0 ? -own : own) * asymmetry[j] - own * own * own * cubic[j];
+            left[j] = reading[j] - bias[j]{less} - (own < 0 ? -own : own) * asymmetry[j] - own * own * own * cubic[j];
 {more}
+{divided}
         }}
     }}
 }}
@@ -80,10 +88,21 @@ _QUADRATIC = """\
 _BY_FORCE = """\
             left[j] -= by_force[j][0] * force[0] + by_force[j][1] * force[1] + by_force[j][2] * force[2];"""
 
+_WARM = """\
+    const {type} warmer = celsius - ({type}){reference!r};
+    {type} shift[{n}], gain[{n}];
+    for (int j = 0; j < {n}; j++) {{
+        shift[j] = warmer * (bias_slope[j] + warmer * bias_curve[j]);
+        gain[j] = 1 + warmer * (scale_slope[j] + warmer * scale_curve[j]);
+    }}"""
+
 HELD = frozenset(
     {"accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.cubic", "gyro.g_sensitivity"}
 )
 """Groups of parameters beyond the linear model that the functions apply."""
+
+HELD_AT = frozenset(f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", "scale") for t in ("t1", "t2"))
+"""Those that the functions with a temperature apply."""
 
 _WHAT = {"accel": "true specific force", "gyro": "true angular rate"}
 
@@ -93,19 +112,53 @@ def c_header(calibration: Calibration) -> Exported:
     known = models(calibration)
     compensator = None if calibration.accel is None else calibration.compensator
     digits = "the functions in float have 7 digits; use those in double where that matters"
-    losses = (*not_held(calibration, HELD), NO_UNCERTAINTY, digits)
+    warm = bool(changing(calibration)) and calibration.reference_temperature is not None and compensator is not None
+    losses = (*not_held(calibration, HELD | HELD_AT if warm else HELD), NO_UNCERTAINTY, digits)
     examples = _examples(known) if compensator is None else _worked(compensator, known)
-    comments = [*origin(calibration), *examples, *losses]
+    comments = [*origin(calibration), *examples, *(_temperatures(calibration) if warm else []), *losses]
     lines = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", ""]
     lines += ["/*", *(f" * {line}" for line in comments), " */", ""]
     for kind, model in known.items():
         for single in (False, True):
-            if compensator is None or _is_linear(compensator, kind):
-                lines.append(_function(kind, model, single=single))
-            else:
-                lines.append(_beyond(compensator, kind, model, single=single))
+            for at in [None, calibration] if warm else [None]:
+                if compensator is None or _is_linear(compensator, kind):
+                    lines.append(_function(kind, model, single=single, at=at))
+                else:
+                    lines.append(_beyond(compensator, kind, model, single=single, at=at))
     lines += ["#endif", ""]
     return Exported(content="\n".join(lines).encode(), losses=losses)
+
+
+def _temperatures(calibration: Calibration) -> list[str]:
+    """What the functions with a temperature are for."""
+    measured = measured_range(calibration)
+    known = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"
+    return [
+        f"functions without a temperature are for {calibration.reference_temperature:g} degC; those in _at take it, "
+        f"in degC{known}"
+    ]
+
+
+def _over_temperature(kind: str, model: SensorModel, at: Calibration | None, *, single: bool) -> dict[str, str]:
+    """The parts of a function that take off what changes with temperature; without `at` there are none."""
+    if at is None:
+        return {"at": "", "warm": "", "less": "", "over": "", "divided": "", "needs_at": "", "argument_at": ""}
+    number = "float" if single else "double"
+    bias, scale = (coefficients(at, kind, what) for what in ("bias", "scale"))
+    scale = scale / np.linalg.norm(model.matrix, axis=1)[:, None]
+    columns = {"bias_slope": bias[:, 0], "bias_curve": bias[:, 1], "scale_slope": scale[:, 0]}
+    columns["scale_curve"] = scale[:, 1]
+    tables = [_table(name, values, single=single) for name, values in columns.items()]
+    body = _WARM.format(type=number, n=len(model.bias), reference=float(at.reference_temperature or 0.0))
+    return {
+        "at": "_at",
+        "warm": "\n".join([*tables, body]),
+        "less": " - shift[j]",
+        "over": " / gain[j]",
+        "divided": "            left[j] /= gain[j];",
+        "needs_at": " and a temperature, degC",
+        "argument_at": f"{number} celsius, ",
+    }
 
 
 def _examples(known: dict[str, SensorModel]) -> list[str]:
@@ -149,7 +202,9 @@ def _needs_force(compensator: Compensator) -> bool:
     return bool(np.any(compensator.gyro_coefficients[:, FORCE]))
 
 
-def _beyond(compensator: Compensator, kind: str, model: SensorModel, *, single: bool) -> str:
+def _beyond(
+    compensator: Compensator, kind: str, model: SensorModel, *, single: bool, at: Calibration | None = None
+) -> str:
     """The function of sensors that are not linear."""
     block, K = _coefficients(compensator, kind)
     number, by_force = "float" if single else "double", kind == "gyro" and _needs_force(compensator)
@@ -158,20 +213,23 @@ def _beyond(compensator: Compensator, kind: str, model: SensorModel, *, single: 
     tables |= {"by_force": K[:, FORCE]} if by_force else {}
     more = [_QUADRATIC] * (kind == "accel") + [_BY_FORCE] * by_force
     inverse = inverse_of(model)
+    warm = _over_temperature(kind, model, at, single=single)
+    force = f"const {number} force[3], " if by_force else ""
     return _BEYOND.format(
         what=_WHAT[kind],
         unit=UNITS[kind],
         n=block.size,
         kind=kind,
-        needs=" and the true specific force, m/s^2" if by_force else "",
+        needs=(" and the true specific force, m/s^2" if by_force else "") + warm["needs_at"],
         suffix="f" if single else "",
         type=number,
-        argument=f"const {number} force[3], " if by_force else "",
+        argument=force + warm["argument_at"],
         bias=_constants(model.bias, single=single),
         rows=_rows(inverse, single=single),
         tables="\n".join(_table(name, values, single=single) for name, values in tables.items()),
         steps=FIXED_POINT_STEPS,
         more="\n".join(more),
+        **{part: warm[part] for part in ("at", "warm", "less", "over", "divided")},
     ).replace("\n\n", "\n")
 
 
@@ -188,8 +246,9 @@ def _rows(values: Array, *, single: bool) -> str:
     return ",\n".join(f"        {{{_constants(row, single=single)}}}" for row in values)
 
 
-def _function(kind: str, model: SensorModel, *, single: bool) -> str:
+def _function(kind: str, model: SensorModel, *, single: bool, at: Calibration | None = None) -> str:
     inverse = inverse_of(model)
+    warm = _over_temperature(kind, model, at, single=single)
     return _FUNCTION.format(
         what=_WHAT[kind],
         unit=UNITS[kind],
@@ -199,7 +258,10 @@ def _function(kind: str, model: SensorModel, *, single: bool) -> str:
         type="float" if single else "double",
         bias=_constants(model.bias, single=single),
         rows=_rows(inverse, single=single),
-    )
+        needs=warm["needs_at"],
+        argument=warm["argument_at"],
+        **{part: warm[part] for part in ("at", "warm", "less", "over")},
+    ).replace("\n\n", "\n")
 
 
 def _constants(values: Array, *, single: bool) -> str:

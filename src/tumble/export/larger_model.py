@@ -35,6 +35,13 @@ def not_held(calibration: Calibration, held: Container[str] = (), said: str = NO
     return tuple(_sentence(calibration, group, said) for group in lost)
 
 
+def session_rate(calibration: Calibration) -> float:
+    """The rate, rad/s, of the turns of a session, or a usual one."""
+    if calibration.prediction is None or calibration.prediction.at_rate is None:
+        return USUAL_RATE
+    return calibration.prediction.at_rate
+
+
 def _sentence(calibration: Calibration, group: ParameterGroup, said: str) -> str:
     size, where = _largest(calibration, group)
     words = group.words.partition(",")[0].replace("−", "-")
@@ -44,9 +51,7 @@ def _sentence(calibration: Calibration, group: ParameterGroup, said: str) -> str
 
 def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, str]:
     """The largest effect of a group on a reading, SI, and where."""
-    rate = USUAL_RATE
-    if calibration.prediction is not None and calibration.prediction.at_rate is not None:
-        rate = calibration.prediction.at_rate
+    rate = session_rate(calibration)
     at_rate = f"at {rate / DEGREE:.3g} deg/s"
     values = {p.name: p.value for p in calibration.parameters}
     own = np.array([values[name] for name in values if name in _names(calibration, group)])

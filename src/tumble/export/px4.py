@@ -37,7 +37,7 @@ LEAST = 0.01
 def px4(calibration: Calibration, imu: int | None = None) -> Exported:
     """The .params file of a calibration, of the IMU of this number, from 1, or of that which was recorded."""
     held, sensors = diagonal(calibration, "px4"), sensors_of(calibration, imu, "px4", MOST)
-    losses = (*held.losses, *_too_small(held), *whose(calibration, imu))
+    losses = (*held.losses, *too_small(held), *whose(calibration, imu))
     unknown = [f"{stem}_ID" for stem, sensor in _stems(held, sensors).items() if sensor.id is None]
     plural = "ids of these sensors" if len(unknown) > 1 else "id of this sensor"
     comments = [
@@ -79,7 +79,7 @@ def parameters(held: Diagonal, sensors: Mapping[str, AutopilotSensor] = FIRST) -
     ]
 
 
-def _too_small(held: Diagonal) -> list[str]:
+def too_small(held: Diagonal) -> list[str]:
     """Corrections that some releases of PX4 do not take over."""
     changes = {"accelerometer offsets": held.accel_offset, "accelerometer scales": held.accel_factor - 1.0}
     if held.gyro_offset is not None:

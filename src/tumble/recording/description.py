@@ -13,8 +13,8 @@ import numpy as np
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.circumstances import Circumstances, circumstances_content
 from tumble.recording.dialect import Dialect
-from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site
-from tumble.recording.session_keys import CLOCK
+from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, TemperatureChannel
+from tumble.recording.session_keys import CLOCK, TemperatureTable
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 
 
@@ -76,12 +76,20 @@ def _log(spec: LogSpec) -> dict[str, Any]:
         "clock_ppm_u": 1e6 * spec.clock_u or None,
         "accel": _channels(spec.accel, ACCEL_UNITS),
         "gyro": None if spec.gyro is None else _channels(spec.gyro, GYRO_UNITS),
-        "temperature": None if spec.temperature is None else {"columns": [spec.temperature], "unit": "degC"},
+        "temperature": None if spec.temperature is None else _thermometer(spec.temperature),
         "magnetometer": None
         if magnetometer is None
         else {"columns": list(magnetometer.columns), "unit": magnetometer.unit},
     }
     return _given(values | _dialect(spec.dialect))
+
+
+def _thermometer(thermometer: TemperatureChannel) -> dict[str, Any]:
+    content: dict[str, Any] = {"columns": [thermometer.column], "unit": thermometer.unit_name}
+    if thermometer.unit_name == TemperatureTable.RAW:
+        scale = 1.0 / thermometer.gain
+        content |= {"scale": scale, "offset": -thermometer.shift * scale}
+    return content
 
 
 def _dialect(dialect: Dialect | None) -> dict[str, Any]:

@@ -143,7 +143,7 @@ def rows_of(source: LogSource, spec: LogSpec, file: int, grid: Grid | None, gaps
     groups = [spec.accel.columns]
     groups += [spec.gyro.columns] if spec.gyro else []
     groups += [spec.magnetometer.columns] if spec.magnetometer else []
-    groups += [(spec.temperature,)] if spec.temperature else []
+    groups += [(spec.temperature.column,)] if spec.temperature else []
     sieve = _Sieve(source=source, spec=spec, file=file, grid=grid, gaps=gaps)
     first = 1
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):

@@ -109,7 +109,7 @@ class Log:
                 dt=dt,
                 accel=spec.accel.to_si(values[0], dt),
                 gyro=spec.gyro.to_si(values[1], dt) if spec.gyro else None,
-                temperature=values[-1][:, 0] + ZERO_CELSIUS if spec.temperature else None,
+                temperature=spec.temperature.to_celsius(values[-1][:, 0]) + ZERO_CELSIUS if spec.temperature else None,
                 magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
             )
 

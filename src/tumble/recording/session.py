@@ -34,6 +34,7 @@ from tumble.recording.session_keys import (
     SensorsTable,
     SessionDocument,
     SiteTable,
+    TemperatureTable,
     faults_of,
 )
 from tumble.sensors.model import Block
@@ -129,6 +130,21 @@ class Magnetometer:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class TemperatureChannel:
+    """The column of the temperature, and what its numbers are in °C: gain · number + shift. `unit_name` is the unit in
+    session.toml."""
+
+    column: str
+    unit_name: str = "degC"
+    gain: float = 1.0
+    shift: float = 0.0
+
+    def to_celsius(self, numbers: Array) -> Array:
+        """Temperatures (m,), °C, of a log's numbers (m,)."""
+        return np.asarray(self.gain * numbers + self.shift)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class LogSpec:
     """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
     `rate`, Hz. `clock`: the times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever
@@ -141,7 +157,7 @@ class LogSpec:
     rate: float | None
     accel: Channels
     gyro: Channels | None
-    temperature: str | None
+    temperature: TemperatureChannel | None
     magnetometer: Magnetometer | None = None
     clock: bool = False
     regular: bool = False
@@ -158,7 +174,8 @@ class LogSpec:
         """Every column that is read: time, accelerometers, gyros, magnetometer, temperature."""
         gyro = self.gyro.columns if self.gyro else ()
         magnetometer = self.magnetometer.columns if self.magnetometer else ()
-        columns = (self.time, *self.accel.columns, *gyro, *magnetometer, self.temperature)
+        thermometer = None if self.temperature is None else self.temperature.column
+        columns = (self.time, *self.accel.columns, *gyro, *magnetometer, thermometer)
         return tuple(column for column in columns if column is not None)
 
 
@@ -418,13 +435,18 @@ def _log(log: LogTable, folder: Path) -> LogSpec:
         rate=log.rate_hz,
         accel=_channels(log.accel, log.rate_hz),
         gyro=None if log.gyro is None else _channels(log.gyro, log.rate_hz),
-        temperature=None if log.temperature is None else log.temperature.columns[0],
+        temperature=None if log.temperature is None else _thermometer(log.temperature),
         magnetometer=None if log.magnetometer is None else _magnetometer(log.magnetometer),
         clock=log.time_unit == CLOCK,
         regular=bool(log.regular),
         dialect=log.dialect(),
         clock_u=1e-6 * (log.clock_ppm_u or 0.0),
     )
+
+
+def _thermometer(given: TemperatureTable) -> TemperatureChannel:
+    gain, shift = given.celsius()
+    return TemperatureChannel(column=given.columns[0], unit_name=given.unit, gain=gain, shift=shift)
 
 
 def _magnetometer(given: MagnetometerTable) -> Magnetometer:

@@ -24,7 +24,7 @@ from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
 from tumble.recording.dialect import DELIMITERS, Dialect
 from tumble.sensors.parameters import prior_of
-from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TIME_UNITS, Array, Unit
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
 
 CLOCK = "iso8601"
 """The time unit of dates with times and times of day."""
@@ -211,8 +211,30 @@ class GyroTable(SensorsTable):
 class TemperatureTable(SessionTable):
     """[log.temperature]"""
 
+    RAW: ClassVar = "raw"
+
     columns: list[str] = Field(min_length=1, max_length=1, description="a list of one column name")
-    unit: Literal["degC"] = Field(default="degC", description='"degC"')
+    unit: str = Field(default="degC", description="the name of a unit, a string")
+    scale: float | None = Field(default=None, description="a number: raw numbers per degC")
+    offset: float | None = Field(default=None, description="a number: the raw number at 0 degC")
+
+    def celsius(self) -> tuple[float, float]:
+        """Gain and shift: °C are gain · number + shift."""
+        if self.unit != self.RAW:
+            return TEMPERATURE_UNITS[self.unit]
+        assert self.scale is not None
+        return 1.0 / self.scale, -(self.offset or 0.0) / self.scale
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _check_known("unit", self.unit, [*TEMPERATURE_UNITS, self.RAW])
+        if self.unit == self.RAW and not self.scale:
+            found = "none" if self.scale is None else "0"
+            raise ValueError(f'scale: expected the raw numbers per degC for unit "raw", found {found}')
+        if self.unit != self.RAW and (self.scale is not None or self.offset is not None):
+            key = "offset" if self.scale is None else "scale"
+            raise ValueError(f'{key}: expected only with unit "raw", found unit "{self.unit}"')
+        return self
 
 
 class MagnetometerTable(SessionTable):

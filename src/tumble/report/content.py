@@ -12,7 +12,7 @@ from tumble.calibration.further import predicted
 from tumble.errors import InputError
 from tumble.export.certificate import Certificate
 from tumble.registry.limits import STATEMENTS, Limits, Statement, Verdict, verdicts
-from tumble.report import certified, compare, limits, recording, result
+from tumble.report import certified, compare, limits, over_temperature, recording, result
 from tumble.report.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone
 from tumble.report.numbers import NONE
 
@@ -207,6 +207,7 @@ def _sections(source: Source, key: str, given: ReportBasis) -> tuple[Section, ..
     sections: list[Section | None] = [
         _result(calibration, given),
         result.beyond(calibration),
+        over_temperature.section(calibration, f"{key}-temperature"),
         limits.section(calibration, given.acceptance, given.agreed),
         _notes(calibration),
         result.launches(calibration) if calibration.launches else None,

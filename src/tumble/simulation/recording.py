@@ -13,13 +13,13 @@ so that a move is three scalar series: Δθ, and the means of cos θ and sin θ.
 sums over panels that end wherever a sample ends or θ(t) is not smooth, exact to rounding; moves need not
 begin or end with a sample. The reading of a linear instrument is `matrix @ mean + bias + noise`; of another the mean is
 taken of the readings, with f + [ω̇×]r + [ω×]²r at an accelerometer with lever arm r, and with late accelerometers, of
-the interval so much earlier.
+the interval so much earlier. Parameters that change with temperature have the value of the middle of the sample.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,7 @@ from tumble.errors import InputError
 from tumble.rotation import UP, skew
 from tumble.sensors.instrument import is_linear, readings
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import Variable
 from tumble.simulation.scenario import Scenario, itinerary
 from tumble.units import Array
 
@@ -117,14 +118,15 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class _SampledBlock:
-    """One block at work: its coefficients K (n, 15) and their drift, 1/s, from the `middle` of the session, s, lever
-    arms (n, 3), by how much it is `late`, s, the noise `sigma` of a sample, its readings (n, N) as they fill up, and
-    the change that its bias has in the current rest and move."""
+    """One block at work: its coefficients K (n, 15), their drift, 1/s, from the `middle` of the session, s, and what
+    they change by with temperature, `warmth`; lever arms (n, 3), by how much it is `late`, s, the noise `sigma` of a
+    sample, its readings (n, N) as they fill up, and the change that its bias has in the current rest and move."""
 
     block: Block
     scenario: Scenario
     coefficients: Array
     drift: Array
+    warmth: Mapping[Variable, Array]
     middle: float
     arms: Array
     late: float
@@ -151,6 +153,7 @@ class _SampledBlock:
             instability=noise.accel_instability if accel else noise.gyro_instability,
             rng=rng,
             bias=np.zeros(block.size),
+            warmth=_warmth(block, scenario),
             readings=np.empty((block.size, samples)),
         )
 
@@ -178,6 +181,10 @@ class _SampledBlock:
         out = readings(self.block, self.coefficients, force, rate)
         if np.any(self.drift):
             out = out + (when - self.middle)[:, None] * readings(self.block, self.drift, force, rate)
+        if self.warmth and self.scenario.climate is not None:
+            now = self.scenario.climate.variables(when)
+            for variable, change in self.warmth.items():
+                out = out + now[variable][:, None] * readings(self.block, change, force, rate)
         return out
 
     def at_rest(self, L: Array, first: int, last: int) -> Array:
@@ -185,7 +192,7 @@ class _SampledBlock:
         scenario = self.scenario
         site, vibration, fs = scenario.site, scenario.vibration, scenario.profile.sample_rate
         rate = np.array(earth_rate(scenario.latitude)) @ L
-        still = vibration.amplitude == 0.0 and not np.any(self.drift)
+        still = vibration.amplitude == 0.0 and not np.any(self.drift) and not self.warmth
         middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - self.late, dtype=float)
         force = np.full(len(middle), site.gravity)
         if vibration.amplitude > 0.0:
@@ -225,6 +232,16 @@ class _SampledBlock:
         turned = np.diff(profile.angle((samples + passed) / fs, total)) * fs
         mean_rate = (_means(waves, panels, samples) @ _turning(n, earth) + np.outer(turned, n)) @ L
         return self.read(np.zeros_like(mean_rate), mean_rate, np.zeros_like(mean_rate), when)
+
+
+def _warmth(block: Block, scenario: Scenario) -> dict[Variable, Array]:
+    """Changes of the coefficients (n, 15) by what goes with the temperature, those that there are."""
+    if scenario.climate is None:
+        return {}
+    instrument, values = scenario.instrument, scenario.values
+    others = {variable for _, _, variable in instrument.changes if variable != "time"}
+    changes = {each: instrument.change(block, values, each) for each in sorted(others)}
+    return {each: change for each, change in changes.items() if np.any(change)}
 
 
 def _turning(n: Array, vector: Array) -> Array:

@@ -96,8 +96,8 @@ class HandHeld:
 class Scenario:
     """Everything a simulated session is made of, apart from chance. `truth`: values by parameter name of both
     blocks, and of the groups beyond the linear model that the instrument has; it goes into truth.json. `usual` are the
-    standard deviations of such groups over instruments like this one. The site has a latitude. With a `climate`
-    observations have temperatures, and parameters that change with them do; a recording has none."""
+    standard deviations of such groups over instruments like this one. The site has a latitude. With a `climate` a
+    recording has temperatures, and parameters that change with them do."""
 
     course: OnTable | HandHeld
     accel: Block

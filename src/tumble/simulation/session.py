@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,8 +18,9 @@ from tumble.programme.positions import BUILT_IN, Programme
 from tumble.recording.session import Session, session_of, write_session
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
-from tumble.simulation.scenario import NO_VIBRATION, OnTable, Scenario, Vibration, scenario_of
-from tumble.units import DEGREE, Array
+from tumble.simulation.scenario import NO_VIBRATION, OnTable, Scenario, Vibration, itinerary, scenario_of
+from tumble.simulation.temperature_profile import REFERENCE_NAME, TemperatureProfile, draw_thermal, thermometer_column
+from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
 LogFormat = Literal["parquet", "csv"]
 TRUTH_FILE = "truth.json"
@@ -31,13 +33,15 @@ def simulate_session(
     seed: int,
     launch: int = 1,
     vibration: Vibration = NO_VIBRATION,
+    temperature: TemperatureProfile | None = None,
     log_format: LogFormat = "parquet",
 ) -> Path:
     """Write a simulated session, session.toml, log and truth.json, into a new folder, and return the folder.
 
     The same set-up, seed and launch give the same numbers; another launch of a seed is the same device, put on the
-    table and turned anew. Raises InputError, one line, for a set-up that is impossible, and for a folder that holds a
-    session already.
+    table and turned anew. With a `temperature` profile the log has a thermometer, and biases and scale factors change
+    with it as is usual in the grade. Raises InputError, one line, for a set-up that is impossible, and for a folder
+    that holds a session already.
 
     >>> import tumble
     >>> tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1).name
@@ -45,6 +49,12 @@ def simulate_session(
     """
     truth, course = np.random.default_rng(seed), np.random.default_rng([seed, launch])
     scenario = scenario_of(setup, truth, serial=f"{setup.instrument}-{seed}", vibration=vibration)
+    if temperature is not None:
+        geometry, _ = np.random.default_rng([seed, launch]).spawn(2)
+        duration = float(itinerary(scenario, geometry).rests[-1, 1])
+        blocks = {"accel": scenario.accel, "gyro": scenario.gyro}
+        thermal = draw_thermal(setup.further, setup.instrument, blocks, truth)
+        scenario = replace(scenario, truth=dict(scenario.truth) | thermal, climate=temperature.climate(duration))
     return write_simulation(Path(folder), scenario, course, log_format=log_format)
 
 
@@ -74,6 +84,7 @@ def write_simulation(
         folder.mkdir(parents=True, exist_ok=True)
         _write_log(folder / f"log.{log_format}", scenario, recording)
         truth = {name: scenario.truth[name] for name in scenario.names}
+        truth |= {} if scenario.climate is None else {REFERENCE_NAME: scenario.climate.reference - ZERO_CELSIUS}
         with whole_file(folder / TRUTH_FILE) as temporary:
             temporary.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     except OSError as error:
@@ -118,7 +129,11 @@ def _columns(block: Block) -> list[str]:
 def _columns_of(scenario: Scenario, recording: Recording) -> dict[str, Array]:
     """The log by the names of its columns, SI."""
     accel = dict(zip(_columns(scenario.accel), recording.accel.T, strict=True))
-    return {"t": recording.time} | accel | dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
+    columns = {"t": recording.time} | accel | dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
+    if scenario.climate is not None:
+        middle = recording.time - 0.5 / scenario.profile.sample_rate
+        columns["T"] = thermometer_column(scenario.climate, middle)
+    return columns
 
 
 def _write_log(file: Path, scenario: Scenario, recording: Recording) -> None:
@@ -152,6 +167,8 @@ def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
             "gyro": _block_content(scenario.gyro, "rad/s"),
         },
     }
+    if scenario.climate is not None:
+        content["log"]["temperature"] = {"columns": ["T"], "unit": "degC"}
     if isinstance(scenario.course, OnTable):
         content["programme"] = _programme_content(scenario.course.programme)
     return content

@@ -6,6 +6,7 @@ ArduPilot subtracts its own offsets and divides by its own scales before it logs
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -29,8 +30,9 @@ _NAMED_INSIDE = 3  # INS_ACC3_ID, but INS4_ACC_ID
 _SECOND = 1e-6  # times are in µs
 _REMARK = (
     "ArduPilot has applied its own INS_ACCOFFS, INS_ACCSCAL and INS_GYROFFS to these readings: reset them to 0 and 1 "
-    "before recording"
+    "before recording, and set INS_TCAL1_ENABLE to 0"
 )
+_TEMPERATURE = "temperature"
 _ACCEL = {f"accel_{a}": f"Acc{a.upper()}" for a in AXES}
 _GYRO = {f"gyro_{a}": f"Gyr{a.upper()}" for a in AXES}
 _FIELDS = {
@@ -92,17 +94,22 @@ def _silent() -> Iterator[None]:
 
 def _reading(kind: str, message: Any) -> list[float]:
     taken = getattr(message, "SampleUS", message.TimeUS)
-    return [taken, *(getattr(message, field) for field in _FIELDS[kind].values())]
+    temperature = [getattr(message, "T", math.nan)] if kind == "IMU" else []
+    return [taken, *(getattr(message, field) for field in _FIELDS[kind].values()), *temperature]
 
 
 def _message(kind: str, instance: int, rows: Any, origin: float) -> Message:
     rows[:, 0] = (rows[:, 0] - origin) * _SECOND
+    names = [TIME, *_FIELDS[kind]]
+    warm = kind == "IMU" and bool(np.isfinite(rows[:, -1]).all() and rows[:, -1].any())  # 0: no thermometer
+    names += [_TEMPERATURE] if warm else []
     return Message(
         name=f"{kind}.{instance}",
         count=len(rows),
         accel=None if kind == "GYR" else triad("accel", "m/s^2"),
         gyro=None if kind == "ACC" else triad("gyro", "rad/s"),
-        rows=partial(_tables, rows, [TIME, *_FIELDS[kind]]),
+        temperature=_TEMPERATURE if warm else None,
+        rows=partial(_tables, rows[:, : len(names)], names),
         remark=_REMARK,
     )
 

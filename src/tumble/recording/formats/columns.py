@@ -31,7 +31,12 @@ _TIME_WORDS = {"ms": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "mi
 _COUNTER = re.compile(
     r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$"
 )
-_TEMPERATURE = re.compile(r"(^|_)(t|temp|temperature)(_(deg)?c)?$")
+_TEMPERATURE = re.compile(r"(^|_)(t|temp|temperature)(_((deg)?[ckf]|celsius|kelvin|fahrenheit|raw|counts?|lsb|adc))?$")
+_TEMPERATURE_UNITS = {
+    "c": "degC", "°c": "degC", "degc": "degC", "celsius": "degC", "k": "K", "kelvin": "K", "degk": "K",
+    "f": "degF", "°f": "degF", "degf": "degF", "fahrenheit": "degF",
+    "raw": "raw", "count": "raw", "counts": "raw", "lsb": "raw", "adc": "raw",
+}  # fmt: skip
 
 _LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _COUNTED = {"1": "x", "2": "y", "3": "z"}
@@ -114,6 +119,16 @@ def unit_of_name(kind: str, name: str) -> str | None:
     ('mg', None)
     """
     return _UNITS[kind].get(_split(name)[1])
+
+
+def temperature_unit(name: str) -> str | None:
+    """The unit that the name of a column of temperatures says; None where it says none.
+
+    >>> temperature_unit("Temp [K]"), temperature_unit("imu_temp_f"), temperature_unit("T")
+    ('K', 'degF', None)
+    """
+    words, unit = _split(name)
+    return _TEMPERATURE_UNITS.get(unit or words[-1])
 
 
 def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:

@@ -13,13 +13,22 @@ from tumble.recording.formats.message import TIME, Message
 from tumble.recording.writer import write_tables
 
 
-def as_log(path: Path, accel: Message, gyro: Message | None) -> None:
+def as_log(path: Path, accel: Message, gyro: Message | None, thermometer: Message | None = None) -> None:
     """Write the rows of a message with accelerometers, and where its gyros are in another one those of both, into a
     Parquet file, whole or not at all.
 
     Two messages come at times of their own: the accelerometers (and the temperature beside them) are interpolated
-    linearly at the times of the gyros, which are what is integrated, over the time that both cover."""
-    write_tables(path, _together(accel, gyro) if gyro is not None and gyro is not accel else accel.rows())
+    linearly at the times of the gyros, which are what is integrated, over the time that both cover. The temperatures of
+    a thermometer of its own are interpolated too, and before and after it has the nearest."""
+    tables = _together(accel, gyro) if gyro is not None and gyro is not accel else accel.rows()
+    write_tables(path, tables if thermometer is None else _with_temperature(tables, thermometer))
+
+
+def _with_temperature(tables: Iterator[pl.DataFrame], thermometer: Message) -> Iterator[pl.DataFrame]:
+    slow = pl.concat(thermometer.rows())
+    name = str(thermometer.temperature)
+    for table in tables:
+        yield table.with_columns(pl.Series(name, np.interp(table[TIME].to_numpy(), slow[TIME], slow[name])))
 
 
 def _together(accel: Message, gyro: Message) -> Iterator[pl.DataFrame]:

@@ -41,6 +41,12 @@ class Message:
     """Which "accel" and "gyro" of an autopilot they are, where it is a log of one."""
 
     @property
+    def thermometer(self) -> bool:
+        """Whether the message has a temperature, times, and nothing else."""
+        alone = self.accel is None and self.gyro is None and self.magnetometer is None
+        return self.timed and alone and self.temperature is not None
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """Names of the sensors' columns."""
         triads = (self.accel, self.gyro, self.magnetometer)

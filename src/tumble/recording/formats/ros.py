@@ -1,4 +1,5 @@
-"""ROS 1 bags, ROS 2 bags and MCAP files with ROS messages: sensor_msgs/Imu and sensor_msgs/MagneticField.
+"""ROS 1 bags, ROS 2 bags and MCAP files with ROS messages: sensor_msgs/Imu, sensor_msgs/MagneticField and
+sensor_msgs/Temperature.
 
 Time is that of the header, which is when the sample was taken; where headers are empty, that of the recording.
 Some drivers (depth cameras) publish accelerometers and gyros as Imu messages of two topics, with zeros in place of the
@@ -7,7 +8,7 @@ other: sensors whose first readings are all exactly zero are taken as absent.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -23,6 +24,8 @@ from tumble.recording.formats.message import AXES, TIME, Message, triad
 NOTHING = "no topic of type sensor_msgs/Imu"
 
 _IMU, _FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
+_TEMPERATURE = "sensor_msgs/msg/Temperature"
+_KINDS = (_IMU, _FIELD, _TEMPERATURE)
 _ROWS = 1 << 15
 _LOOK = 100
 _MICROTESLA = 1e6  # in a tesla
@@ -31,7 +34,7 @@ _MICROTESLA = 1e6  # in a tesla
 def messages(path: Path) -> list[Message]:
     """Topics with inertial sensors."""
     with _opened(path) as bag:
-        found = [(c.topic, c.msgtype, c.msgcount) for c in bag.connections if c.msgtype in (_IMU, _FIELD)]
+        found = [(c.topic, c.msgtype, c.msgcount) for c in bag.connections if c.msgtype in _KINDS]
     filled = [(topic, kind, count) for topic, kind, count in found if count]
     origin = min((next(_stamped(path, topic))[0] for topic, _, _ in filled), default=0)
     return [_message(path, origin, topic, kind, count) for topic, kind, count in filled]
@@ -45,6 +48,8 @@ def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Mess
     rows = partial(_rows, path, origin, topic)
     if kind == _FIELD:
         return Message(name=topic, count=count, accel=None, gyro=None, magnetometer=triad("field", "uT"), rows=rows)
+    if kind == _TEMPERATURE:
+        return Message(name=topic, count=count, accel=None, gyro=None, temperature="temperature", rows=rows)
     look = next(_tables(islice(_readings(path, origin, topic), _LOOK)))
     accel = bool(look.select("accel_x", "accel_y", "accel_z").to_numpy().any())
     gyro = bool(look.select("gyro_x", "gyro_y", "gyro_z").to_numpy().any())
@@ -64,13 +69,13 @@ def _rows(path: Path, origin: int, topic: str) -> Iterator[pl.DataFrame]:
 def _readings(path: Path, origin: int, topic: str) -> Iterator[dict[str, float]]:
     """Every message of a topic as time (s after `origin`, ns) and readings by column."""
     for stamp, kind, message in _stamped(path, topic):
-        yield {TIME: (stamp - origin) * 1e-9} | (_field(message) if kind == _FIELD else _imu(message))
+        yield {TIME: (stamp - origin) * 1e-9} | _READINGS[kind](message)
 
 
 def _stamped(path: Path, topic: str) -> Iterator[tuple[int, str, Any]]:
     """Every message of a topic with its time, ns, and its type."""
     with _opened(path) as bag:
-        wanted = [c for c in bag.connections if c.topic == topic and c.msgtype in (_IMU, _FIELD)]
+        wanted = [c for c in bag.connections if c.topic == topic and c.msgtype in _KINDS]
         for connection, recorded, raw in bag.messages(connections=wanted):
             message: Any = bag.deserialize(raw, connection.msgtype)
             stamp = message.header.stamp
@@ -84,6 +89,13 @@ def _imu(message: Any) -> dict[str, float]:
 
 def _field(message: Any) -> dict[str, float]:
     return {f"field_{a}": getattr(message.magnetic_field, a) * _MICROTESLA for a in AXES}
+
+
+def _temperature(message: Any) -> dict[str, float]:
+    return {"temperature": message.temperature}  # °C by the definition of the message
+
+
+_READINGS: Mapping[str, Callable[[Any], dict[str, float]]] = {_IMU: _imu, _FIELD: _field, _TEMPERATURE: _temperature}
 
 
 def _tables(readings: Iterator[dict[str, float]]) -> Iterator[pl.DataFrame]:

@@ -1,4 +1,5 @@
-"""PX4 flight logs (ULog): the uncorrected messages sensor_accel and sensor_gyro, one per instance, and sensor_mag.
+"""PX4 flight logs (ULog): the uncorrected messages sensor_accel and sensor_gyro, one per instance, and sensor_mag; of
+sensor_baro the temperature.
 
 sensor_combined and vehicle_imu are left aside where the others are there: they hold values that PX4 has corrected with
 its own calibration and averaged.
@@ -32,6 +33,7 @@ _SENSORS = {
 }
 _CALIBRATED = {"sensor_accel": ("accel", "CAL_ACC{}_ID"), "sensor_gyro": ("gyro", "CAL_GYRO{}_ID")}
 _MOST = 4  # sensors of a kind that PX4 has calibrations of
+_BAROMETER = "sensor_baro"
 _COMBINED = {
     "accel": ("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]"),
     "gyro": ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"),
@@ -41,8 +43,9 @@ _COMBINED = {
 def messages(path: Path) -> list[Message]:
     """Messages with inertial sensors, an entry for each instance."""
     with path.open("rb") as stream:
-        log = ULog(stream, [*_SENSORS, "sensor_combined"])
+        log = ULog(stream, [*_SENSORS, _BAROMETER, "sensor_combined"])
     kept = sorted(log.data_list, key=lambda d: (d.name, d.multi_id))
+    kept = [data for data in kept if data.name != _BAROMETER or _has_temperature(data.data)]
     origin = min((int(_taken(data.data)[0]) for data in kept), default=0)
     found = [replace(_message(data, origin), imu=_sensors(data, log.initial_parameters)) for data in kept]
     raw = [m for m in found if not m.name.startswith("sensor_combined")]
@@ -80,6 +83,10 @@ def _message(data: Any, origin: int) -> Message:
             rows=partial(_rows, values, fields, origin),
             remark=_CORRECTED,
         )
+    if data.name == _BAROMETER:
+        fields = {"baro_temperature": "temperature"}
+        rows = partial(_rows, values, fields, origin)
+        return Message(name=name, count=count, accel=None, gyro=None, temperature="baro_temperature", rows=rows)
     kind, columns = _SENSORS[data.name]
     fields = {f"{kind}_{axis}": f for axis, f in zip("xyz", columns, strict=True)}
     warmth = {f"{kind}_temperature": "temperature"} if _has_temperature(values) else {}

@@ -1,0 +1,136 @@
+"""Parameters over temperature: θ(T) = θ + θ₁ (T − T₀) + θ₂ (T − T₀)² with its uncertainty, and the temperatures at
+which it was measured.
+
+θ₁ is the parameter `<name>.t1`, θ₂ `<name>.t2` where a calibration has it; T₀ its reference temperature. Temperatures
+are in °C. Beyond the measured range the polynomial is an extrapolation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.results import Parameter, coverage_factor
+from tumble.sensors.model import Block, SensorModel
+from tumble.units import Array
+
+_ENDINGS = ("t1", "t2")
+_LEAST_SPAN = 0.05
+"""K: rests whose temperatures are closer show nothing over temperature."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Range:
+    """The lowest and the highest temperature of a rest, °C."""
+
+    low: float
+    high: float
+
+    def temperatures(self, count: int = 201) -> Array:
+        """Temperatures (count,), °C, equally spaced from end to end."""
+        return np.linspace(self.low, self.high, count)
+
+    def __str__(self) -> str:
+        """Both ends to a tenth of a degree."""
+        return f"{self.low:.1f} to {self.high:.1f} °C"
+
+
+def rest_temperatures(calibration: Calibration) -> list[float]:
+    """Temperatures, °C, of the rests of all launches that have one."""
+    rests = chain(calibration.rests, *(launch.rests for launch in calibration.launches))
+    return [rest.temperature for rest in rests if rest.temperature is not None]
+
+
+def measured_range(calibration: Calibration) -> Range | None:
+    """The range of temperatures of the rests of all launches; None where they have none, or all the same."""
+    seen = rest_temperatures(calibration)
+    if not seen or max(seen) - min(seen) < _LEAST_SPAN:
+        return None
+    return Range(low=min(seen), high=max(seen))
+
+
+def changing(calibration: Calibration) -> tuple[str, ...]:
+    """Names of the parameters that change with temperature, in the order of the file."""
+    names = {p.name for p in calibration.parameters}
+    return tuple(p.name for p in calibration.parameters if any(f"{p.name}.{ending}" in names for ending in _ENDINGS))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Curve:
+    """A parameter (N,) over temperatures (N,), °C, and its expanded uncertainty U (N,), both SI; U is None where the
+    calibration has no covariance."""
+
+    name: str
+    unit: str
+    temperature: Array
+    value: Array
+    expanded: Array | None
+
+
+def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
+    """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, (T − T₀)²), and k by
+    the effective degrees of freedom of the sum."""
+    places = {p.name: i for i, p in enumerate(calibration.parameters)}
+    powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(_ENDINGS, 1))]
+    known = [(d, places[each]) for d, each in powers if each in places]
+    warmer = temperature - _reference(calibration)
+    P = np.stack([warmer**d for d, _ in known], axis=1)
+    own = [i for _, i in known]
+    expanded = None
+    if calibration.covariance is not None:
+        S = calibration.covariance[np.ix_(own, own)]
+        u2 = np.einsum("ni,ij,nj->n", P, S, P)
+        expanded = _coverage(u2, P**2 * np.diag(S), [calibration.parameters[i] for i in own]) * np.sqrt(u2)
+    return Curve(
+        name=name,
+        unit=calibration[name].unit,
+        temperature=temperature,
+        value=P @ np.array([calibration.parameters[i].value for i in own]),
+        expanded=expanded,
+    )
+
+
+def _coverage(u2: Array, parts: Array, parameters: list[Parameter]) -> Array:
+    """k (N,) of sums of variance u2 (N,) by the Welch–Satterthwaite formula, of what each parameter contributes to it,
+    (N, m); JCGM 100:2008, G.4.1."""
+    per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
+    known = parts**2 @ per_degree
+    degrees = np.divide(u2**2, known, out=np.full(len(u2), math.inf), where=known > 0.0)
+    return np.array([coverage_factor(float(nu)) for nu in degrees])
+
+
+def coefficients(calibration: Calibration, kind: str, what: str) -> Array:
+    """What "bias" or "scale" of the sensors of a kind changes by, by channel: (n, 2), per K and per K²."""
+    block = _block(calibration, kind)
+    values = {p.name: p.value for p in calibration.parameters}
+    out = np.zeros((block.size, 2))
+    for sensor, channel in zip(block.sensors, block.channels, strict=True):
+        out[channel] = [values.get(f"{kind}.{what}.{sensor}.{ending}", 0.0) for ending in _ENDINGS]
+    return out
+
+
+def model_at(calibration: Calibration, kind: str, temperature: float) -> SensorModel:
+    """Matrix and bias of a kind of sensors at a temperature, °C: a scale factor 1 + k changes the length of its row."""
+    model = calibration.accel if kind == "accel" else calibration.gyro
+    assert model is not None
+    warmer = temperature - _reference(calibration)
+    powers = np.array([warmer, warmer**2])
+    longer = coefficients(calibration, kind, "scale") @ powers / np.linalg.norm(model.matrix, axis=1)
+    bias = model.bias + coefficients(calibration, kind, "bias") @ powers
+    return SensorModel(matrix=(1.0 + longer)[:, None] * model.matrix, bias=bias)
+
+
+def _block(calibration: Calibration, kind: str) -> Block:
+    compensator = calibration.compensator
+    block = compensator.accel if kind == "accel" else compensator.gyro
+    assert block is not None
+    return block
+
+
+def _reference(calibration: Calibration) -> float:
+    """T₀, °C; a calibration without one has no parameter that changes."""
+    return 0.0 if calibration.reference_temperature is None else calibration.reference_temperature

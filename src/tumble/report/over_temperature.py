@@ -1,0 +1,121 @@
+"""The section on temperature: every parameter that changes with it over the range that was measured, with U; what lies
+beyond is drawn apart, as an extrapolation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.temperature_curves import Curve, Range, changing, curve, measured_range, rest_temperatures
+from tumble.report.blocks import Block, Figure, ReportTable, Section, Text
+from tumble.report.characters import drawable
+from tumble.report.figures import COLOURS, FAINT, GREY, PAGE, drawn
+from tumble.report.numbers import NONE, minus, significant
+from tumble.sensors.parameters import group_name, group_of
+from tumble.units import engineering, rounded
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+BEYOND = 0.12
+"""How far beyond the measured range the picture goes, in parts of it."""
+
+
+def section(calibration: Calibration, name: str) -> Section | None:
+    """Parameters over temperature; None where none changes with it or all rests had one temperature."""
+    measured, reference, names = measured_range(calibration), calibration.reference_temperature, changing(calibration)
+    if measured is None or reference is None or not names:
+        return None
+    text = (
+        f"Measured from {_celsius(measured.low)} to {_celsius(measured.high)} °C. All other values in this report are "
+        f"those at the reference temperature, {_celsius(reference)} °C; at T they are θ + θ₁ (T − T₀) + θ₂ (T − T₀)², "
+        "θ₁ and θ₂ being the parameters that end in t1 and t2. U is that of the whole sum. Beyond the measured range "
+        "the curve is an extrapolation, for which U does not stand."
+    )
+    blocks: list[Block] = [Text(text=text), _table(calibration, names, measured, reference)]
+    svg = picture(name, calibration, names, measured, reference)
+    caption = (
+        f"Change from the value at {_celsius(reference)} °C (upright line), with the band ±U of the value. Marks at "
+        "the foot: temperatures of the rests. Dashed, on grey: not measured."
+    )
+    blocks.append(Figure(svg=svg, caption=caption))
+    return Section(title="Over temperature", blocks=tuple(blocks))
+
+
+def _table(calibration: Calibration, names: tuple[str, ...], measured: Range, reference: float) -> ReportTable:
+    at = np.array([measured.low, reference, measured.high])
+    rows = []
+    for members in _by_group(names).values():
+        curves = [curve(calibration, name, at) for name in members]
+        size, unit = engineering(curves[0].unit, max(float(np.abs(each.value).max()) for each in curves))
+        rows += [(each.name, *(cell for i in range(3) for cell in _value(each, i, size)), unit) for each in curves]
+    columns = tuple(cell for T in at for cell in (f"at {_celsius(T)} °C", "U"))
+    return ReportTable(columns=("parameter", *columns, "unit"), rows=tuple(rows), text=(0, 7), dense=True)
+
+
+def _by_group(names: Iterable[str]) -> dict[str, list[str]]:
+    """Names of parameters by their group."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(group_name(name), []).append(name)
+    return found
+
+
+def _value(found: Curve, i: int, size: float) -> tuple[str, str]:
+    if found.expanded is None:
+        return significant(found.value[i] / size, 6), NONE
+    value, expanded = rounded(found.value[i] / size, found.expanded[i] / size)
+    return minus(value if float(value) else value.lstrip("-")), expanded
+
+
+def picture(name: str, calibration: Calibration, names: tuple[str, ...], measured: Range, reference: float) -> str:
+    """A panel for each group: the change of every sensor's parameter from the reference, with ±U."""
+    by_group = _by_group(names)
+    seen = rest_temperatures(calibration)
+
+    def draw(figure: Canvas) -> None:
+        panels = figure.subplots(-(-len(by_group) // 2), 2, squeeze=False).ravel()
+        for axes, members in zip(panels, by_group.values(), strict=False):
+            _panel(axes, calibration, members, measured, reference)
+            axes.plot(seen, np.zeros(len(seen)), "|", color=GREY, markersize=4, transform=axes.get_xaxis_transform())
+            axes.set_title(group_of(members[0]).words)
+        for axes in panels[len(by_group) :]:
+            axes.set_visible(False)
+        for axes in panels[max(0, len(by_group) - 2) : len(by_group)]:
+            axes.set_xlabel("°C")
+
+    return drawn(name, PAGE, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
+
+
+def _panel(axes: Axes, calibration: Calibration, members: list[str], measured: Range, reference: float) -> None:
+    margin = BEYOND * (measured.high - measured.low)
+    inside = measured.temperatures(101)
+    low, high = (np.linspace(start, start + margin, 15) for start in (measured.low - margin, measured.high))
+    curves = {member: curve(calibration, member, inside) for member in members}
+    at_reference = {member: curve(calibration, member, np.array([reference])).value[0] for member in members}
+    largest = max(float(np.abs(each.value - at_reference[member]).max()) for member, each in curves.items())
+    size, unit = engineering(next(iter(curves.values())).unit, largest)
+    for i, (member, each) in enumerate(curves.items()):
+        colour, change = COLOURS[i % len(COLOURS)], (each.value - at_reference[member]) / size
+        axes.plot(inside, change, color=colour, label=drawable(".".join(member.split(".")[2:])))
+        if each.expanded is not None:
+            band = each.expanded / size
+            axes.fill_between(inside, change - band, change + band, color=colour, alpha=0.16, linewidth=0.0)
+        for beyond in (low, high):
+            extrapolated = (curve(calibration, member, beyond).value - at_reference[member]) / size
+            axes.plot(beyond, extrapolated, color=colour, linestyle=(0, (3, 2)), linewidth=0.8)
+    for edge in (low, high):
+        axes.axvspan(float(edge[0]), float(edge[-1]), color=FAINT, alpha=0.45, linewidth=0.0, zorder=0)
+    axes.axvline(reference, color=GREY, linewidth=0.6)
+    axes.set(xlim=(low[0], high[-1]), ylabel=drawable(unit))
+    axes.grid(axis="y", color=FAINT, linewidth=0.5)
+    axes.set_axisbelow(True)
+    axes.legend(loc="best", ncols=3, handlelength=1.0, columnspacing=1.0)
+
+
+def _celsius(value: float) -> str:
+    return minus(f"{value:.1f}")

@@ -1,0 +1,105 @@
+"""Parameters over temperature: the curve and its U, the measured range, and the section of the report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from calibrated import HEXAD, calibration, warmed
+
+from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.results import Launch, coverage_factor
+from tumble.calibration.temperature_curves import changing, curve, measured_range, model_at, rest_temperatures
+from tumble.report.blocks import Figure, ReportTable
+from tumble.report.content import Source, document
+from tumble.report.over_temperature import section
+from tumble.units import G_STANDARD
+
+
+def test_the_model_at_a_temperature_corrects_as_the_calibration_does_there() -> None:
+    """Slopes alone, in three and in six sensors, against `Calibration.apply` with a temperature."""
+    rng = np.random.default_rng(1)
+    six = HEXAD / np.linalg.norm(HEXAD, axis=1)[:, None]
+    for axes in (None, six):
+        made = warmed(calibration(accel=axes, gyro=axes), curved=False)
+        true = rng.normal(size=(50, 3))
+        for celsius in (-10.0, 44.0):
+            accel, gyro = (model_at(made, kind, celsius).predict(true) for kind in ("accel", "gyro"))
+            force, rate = made.apply(accel, gyro, temperature=celsius + 273.15)
+            assert rate is not None
+            np.testing.assert_allclose(force, true, atol=1e-12)
+            np.testing.assert_allclose(rate, true, atol=1e-12)
+
+
+def test_u_of_a_curve_has_the_degrees_of_freedom_of_the_sum() -> None:
+    """Welch and Satterthwaite: at the reference the k of the value, far from it that of the highest power."""
+    made = warmed(calibration())
+    degrees = {"accel.bias.x": 20.0, "accel.bias.x.t1": 3.0, "accel.bias.x.t2": None}
+    made = replace(made, parameters=tuple(replace(p, dof=degrees.get(p.name)) for p in made.parameters))
+    assert made.reference_temperature is not None
+    u = {name: made[name].u or 0.0 for name in degrees}
+    for warmer in (0.0, 10.0, 1e6):
+        found = curve(made, "accel.bias.x", np.array([made.reference_temperature + warmer]))
+        parts = [u["accel.bias.x"], u["accel.bias.x.t1"] * warmer, u["accel.bias.x.t2"] * warmer**2]
+        combined = np.sqrt(np.sum(np.square(parts)))
+        nu = combined**4 / (parts[0] ** 4 / 20.0 + parts[1] ** 4 / 3.0)
+        assert found.expanded is not None
+        assert found.expanded[0] == pytest.approx(coverage_factor(float(nu)) * combined, rel=1e-6)
+
+
+def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
+    made = warmed(calibration())
+    empty = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.rests[:2])
+    launches = replace(made, rests=(), launches=(empty, replace(empty, rests=made.rests[3:])))
+    found = measured_range(launches)
+    assert found is not None
+    assert (found.low, found.high) == (-18.5, 57.25)
+    assert str(found) == "-18.5 to 57.2 °C"
+    assert len(rest_temperatures(launches)) == 3
+    assert measured_range(calibration()) is None
+    assert changing(calibration()) == ()
+    assert measured_range(warmed(calibration(), low=22.0, high=22.01)) is None
+
+
+def test_what_changes_with_temperature_survives_the_file(tmp_path: Path) -> None:
+    made = warmed(calibration())
+    made.write(tmp_path / "c.json")
+    back = read_calibration(tmp_path / "c.json")
+    assert changing(back) == changing(made)
+    assert len(changing(back)) == 12
+    assert measured_range(back) == measured_range(made)
+
+
+def test_the_report_has_every_parameter_at_both_ends_and_at_the_reference() -> None:
+    made = warmed(calibration())
+    part = document([Source(file="c.json", sha256="0", calibration=made)]).parts[0]
+    found = next(each for each in part.sections if each.title == "Over temperature")
+    table = next(block for block in found.blocks if isinstance(block, ReportTable))
+    assert table.columns == ("parameter", "at −18.5 °C", "U", "at 19.4 °C", "U", "at 57.2 °C", "U", "unit")
+    assert [row[0] for row in table.rows] == list(changing(made))
+    row = next(row for row in table.rows if row[0] == "accel.bias.y")
+    own = curve(made, "accel.bias.y", np.array([-18.5, 57.25]))
+    assert own.expanded is not None
+    assert row[-1] == "mg"
+    for cell, value in ((row[1], own.value[0]), (row[2], own.expanded[0]), (row[5], own.value[1])):
+        assert float(cell.replace("−", "-")) == pytest.approx(value / (1e-3 * G_STANDARD), abs=0.051)
+
+
+def test_the_picture_has_a_panel_for_each_group_and_marks_what_was_not_measured() -> None:
+    for made, panels in ((warmed(calibration()), 4), (warmed(calibration(with_gyro=False)), 2)):
+        found = section(made, "t")
+        assert found is not None
+        figure = next(block for block in found.blocks if isinstance(block, Figure))
+        assert "Dashed, on grey: not measured" in figure.caption
+        assert figure.svg.count("stroke-dasharray: 2.4,1.6") == panels * 3 * 2  # three sensors, two sides
+
+
+def test_without_a_thermometer_or_without_covariance_the_report_holds_what_there_is() -> None:
+    assert section(calibration(), "t") is None
+    assert section(warmed(calibration(), low=20.0, high=20.0), "t") is None
+    found = section(replace(warmed(calibration()), covariance=None), "t")
+    assert found is not None
+    table = next(block for block in found.blocks if isinstance(block, ReportTable))
+    assert {row[2] for row in table.rows} == {"—"}
