@@ -445,10 +445,22 @@ def test_numbers_are_those_of_python(tmp_path_factory: pytest.TempPathFactory, v
     table = lines()
     for row, value in enumerate(values, 100):
         table[row][1] = value
-    accel = whole(csv_log(tmp_path_factory.mktemp("s"), table))["accel"][:, 0]
+    spec = csv_log(tmp_path_factory.mktemp("s"), table).session.log
+    (file,) = spec.files
+    accel = np.concatenate(
+        [read["ax"].to_numpy() for read, _ in log_files.source_of(file, spec.dialect).tables(("ax",))]
+    )
     expected = np.array([float(line[1]) for line in table[1:]])
     assert np.isfinite(expected).all()
     assert accel.tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize("value", ["1e31", "-1e300"])
+def test_a_reading_beyond_1e30_is_a_lost_sample(value: str, tmp_path: Path) -> None:
+    log = csv_log(tmp_path, with_value(17, "ax", value)(lines()))
+    samples = whole(log)
+    assert samples["accel"][16, 0] == pytest.approx(0.5 * (samples["accel"][15, 0] + samples["accel"][17, 0]))
+    assert [gap.samples for gap in log.gaps] == [1]
 
 
 @pytest.mark.parametrize("value", [" 1.5", "1.5 ", "\t1.5", '"1.5"', "1_5", "+1.5", ".5", "5.", "1E3", "-0"])
