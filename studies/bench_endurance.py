@@ -36,7 +36,7 @@ POOL = 4000  # rows of noise of a rest
 GRAVITY = 9.81579
 NOISE = np.array([3e-3] * 3 + [1e-3] * 3 + [0.1] * 3)
 FIELD = np.array([18.0, -46.0, 3.0])  # µT: N, U, E
-MEMORY = 500.0  # MB
+MEMORY = 400.0  # MB
 AHEAD = 8 << 20  # bytes that may be sent and not yet followed
 REAL_TIME = 10.0  # s
 COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
@@ -170,7 +170,7 @@ def main() -> None:
     print(f"{estimate['rests']} rests, {estimate['unknowns']} unknowns: {estimate['seconds']:.2f} s for their estimate")
     print(f"from a sample to the state with it: {np.median(late):.2f} s in the middle, {late.max():.2f} s at most")
     kept = rows == unit.sent and received["lost"] == 0 and memory() < MEMORY
-    print("Does the bench last a day? " + ("Yes: no sample is lost, in less than 500 MB" if kept else "No"))
+    print("Does the bench last a day? " + ("Yes: no sample is lost, in less than 400 MB" if kept else "No"))
     sys.exit(0 if kept else 1)
 
 
