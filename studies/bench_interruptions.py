@@ -168,7 +168,7 @@ def interrupted(recorded: Path, folder: Path, rng: np.random.Generator, most: in
     return kills, halves, sound
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--short", action="store_true", help="one session and six kills")
     given = parser.parse_args()
@@ -194,8 +194,8 @@ def main() -> None:
     print(f"nothing acknowledged is lost: {sound}; log and result are those without a kill: {recovered}")
     fine = same == sessions and sound and recovered
     print("Does a recording depend on how it arrives, or on when the bench is killed? " + ("No." if fine else "Yes."))
-    sys.exit(0 if fine else 1)
+    return 0 if fine else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -264,7 +264,7 @@ def warm_up(count: int) -> tuple[float, float]:
     return z, float(ratio.mean())
 
 
-def main() -> None:
+def main() -> int:
     short = "--short" in sys.argv
     worst = procedures(2 if short else 60)
     if not short:
@@ -272,8 +272,8 @@ def main() -> None:
     z, ratio = warm_up(3 if short else 30)
     honest = worst < (6.0 if short else 2.0) and z < (1.3 if short else 1.05) and ratio < 1.2
     print(f"\nIs u over temperature honest, and does a warm-up cost little? {'Yes' if honest else 'No'}")
-    sys.exit(0 if honest else 1)
+    return 0 if honest else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -273,7 +273,7 @@ def _unchecked(estimate: Estimate) -> tuple[str, ...]:
 def _one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
     """Where all turns have about one rate, what the scale factors of the gyros are, as a note."""
     turns = observations.turns
-    if turns is None or any(group_name(name) == "gyro.cubic" for name in estimate.names):
+    if estimate.method != "joint" or turns is None or any(group_name(name) == "gyro.cubic" for name in estimate.names):
         return ()
     made = turns.duration > 0.0  # between the parts of a rest nothing is turned
     rates = np.linalg.norm(rotation_vector(turns.C[made]), axis=1) / turns.duration[made]

@@ -39,7 +39,7 @@ SELDOM = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _SessionReduced:
+class _ReducedSession:
     """A session, the SHA-256 of its log, its gaps and what is left of it."""
 
     session: Session
@@ -79,7 +79,7 @@ def calibrate_together(
         raise InputError("frame: expected accelerometer, paper or symmetric of several sessions, found 'case'")
     described = [session_from(session) for session in sessions]
     _check_alike(described)
-    systematic, reduced, faults = systematic_of(described[0]), list[_SessionReduced](), list[str]()
+    systematic, reduced, faults = systematic_of(described[0]), list[_ReducedSession](), list[str]()
     circumstances = []
     for session in described:
         seen = inspect_session(session, progress=progress)
@@ -90,7 +90,7 @@ def calibrate_together(
             continue
         observations, numbers = found
         reduced.append(
-            _SessionReduced(
+            _ReducedSession(
                 session=session, sha256=seen.sha256, gaps=seen.gaps, observations=observations, numbers=numbers
             )
         )
@@ -113,11 +113,11 @@ def calibrate_together(
     )
 
 
-def _names(reduced: Sequence[_SessionReduced]) -> list[str]:
+def _names(reduced: Sequence[_ReducedSession]) -> list[str]:
     return [each.name for each in reduced]
 
 
-def _digest(reduced: Sequence[_SessionReduced]) -> str:
+def _digest(reduced: Sequence[_ReducedSession]) -> str:
     """The SHA-256 of those of all logs."""
     return hashlib.sha256("\n".join(each.sha256 for each in reduced).encode()).hexdigest()
 
@@ -168,8 +168,8 @@ def _place(session: Session) -> str:
     return f"{said} and gravity {session.site.gravity:.6f} m/s^2"
 
 
-def _check_logs(reduced: Sequence[_SessionReduced]) -> None:
-    seen: dict[str, _SessionReduced] = {}
+def _check_logs(reduced: Sequence[_ReducedSession]) -> None:
+    seen: dict[str, _ReducedSession] = {}
     for each in reduced:
         if each.sha256 in seen:
             raise InputError(
@@ -183,7 +183,7 @@ def _check_logs(reduced: Sequence[_SessionReduced]) -> None:
 # What is said
 
 
-def _members(reduced: Sequence[_SessionReduced], own: OwnEstimate | None) -> Iterator[Member]:
+def _members(reduced: Sequence[_ReducedSession], own: OwnEstimate | None) -> Iterator[Member]:
     """The sessions with what each has of its own."""
     for s, each in enumerate(reduced):
         rests, turns = each.observations.rests, each.observations.turns
@@ -210,7 +210,7 @@ def _members(reduced: Sequence[_SessionReduced], own: OwnEstimate | None) -> Ite
         )
 
 
-def _notes(each: _SessionReduced) -> Iterator[str]:
+def _notes(each: _ReducedSession) -> Iterator[str]:
     """What there is to say of a session."""
     turns, rests = each.observations.turns, each.observations.rests
     if turns is None or not (turns.duration > 0.0).any():
