@@ -26,7 +26,7 @@ from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_cl
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, columns_by_name
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
-from tumble.recording.gaps import is_reading
+from tumble.recording.gaps import is_likely
 from tumble.recording.readers import ENDINGS, LogSource, opened, readable, source_of, text_tables
 from tumble.recording.writer import write_tables
 from tumble.units import TIME_UNITS, Array
@@ -68,7 +68,7 @@ class FoundLog:
         for source in self.sources():
             for table, _ in source.tables(columns, clock):
                 read = table.select(columns).to_numpy()[: rows - count]
-                found.append(np.where(is_reading(read), read, np.nan))
+                found.append(np.where(is_likely(read), read, np.nan))
                 count += len(found[-1])
                 if count >= rows:
                     return np.concatenate(found)

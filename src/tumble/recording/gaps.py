@@ -1,7 +1,7 @@
 """Lost samples of a log.
 
 A lost sample is a row that is not there, one that cannot be read, or one with a number that is not finite or beyond
-1e30. What is done about a run of them depends on its length:
+1e300. What is done about a run of them depends on its length:
 
 * At most five are bridged: the missing rows are put in with evenly spaced times, and what is not finite is interpolated
   linearly in time between its sound neighbours.
@@ -42,7 +42,7 @@ _MOST = 100_000
 than 100 000."""
 REGULAR_HINT = "if the rows are equally spaced whatever their time stamps say, put regular = true in [log]"
 _SHORTEST_TIME = 2.0
-_LARGEST = 1e30
+_LARGEST, _LARGEST_LIKELY = 1e300, 1e30
 _HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
 
 
@@ -63,7 +63,12 @@ class Gap:
 
 def is_reading(numbers: Array) -> BoolArray:
     """Which numbers can be read by a sensor or a clock: finite, and not beyond all measure."""
-    return np.asarray(np.abs(numbers) < _LARGEST)
+    return np.asarray(np.abs(numbers) <= _LARGEST)
+
+
+def is_likely(numbers: Array) -> BoolArray:
+    """Which numbers are below 1e30: by these it is found out what columns are."""
+    return np.asarray(np.abs(numbers) < _LARGEST_LIKELY)
 
 
 def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> None:

@@ -20,7 +20,7 @@ from scipy.io.matlab import MatReadError
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.recording.formats.message import TIME, Message
-from tumble.recording.gaps import is_reading
+from tumble.recording.gaps import is_likely
 from tumble.units import TIME_UNITS
 
 NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
@@ -101,7 +101,7 @@ def _part(shape: tuple[int, ...], read: Read, part: slice, axis: int | None) -> 
     else:
         across, upright = 0 if axis is None else axis, shape[0] >= shape[1]
         numbers = np.asarray(read((part, across) if upright else (across, part)), dtype=np.float64)
-    return np.where(is_reading(numbers), numbers, np.nan)
+    return np.where(is_likely(numbers), numbers, np.nan)
 
 
 def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
