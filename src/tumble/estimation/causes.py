@@ -195,7 +195,7 @@ def variance_chance(projection: Projection, rest: Array, turn: Array) -> float:
     (N, r, q) and turns (K, t, q), each of a number of its own."""
     if max(rest.shape[2], turn.shape[2]) == 0:
         return 1.0
-    return _random(projection, _apart(projection, rest, turn))
+    return weighted_chance(*_sum_of_squares(projection, _apart(projection, rest, turn)))
 
 
 def _apart(projection: Projection, rest: Array, turn: Array) -> Array:
@@ -209,13 +209,11 @@ def _apart(projection: Projection, rest: Array, turn: Array) -> Array:
     return projection.whitened(_joined(wide_rest), _joined(wide_turn))
 
 
-def _random(projection: Projection, directions: Array) -> float:
-    directions = directions[:, np.any(directions != 0.0, axis=0)]
-    if not directions.shape[1]:
-        return 1.0
-    left = projection.left_of(directions)
+def _sum_of_squares(projection: Projection, directions: Array) -> tuple[float, Array]:
+    """The square of the residuals along whitened directions, and its weights: Σ λ χ²₁ where chance alone is at work."""
+    left = projection.left_of(directions[:, np.any(directions != 0.0, axis=0)])
     along = left.T @ projection.residual
-    return weighted_chance(float(along @ along), np.maximum(np.linalg.eigvalsh(left.T @ left), 0.0))
+    return float(along @ along), np.maximum(np.linalg.eigvalsh(left.T @ left), 0.0)
 
 
 # The candidates
@@ -622,7 +620,7 @@ def _lost(session: _Session, projection: Projection) -> Cause:
     axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
     size = np.sqrt(about.moments.body_rates[:, [0, 3, 5]].sum(axis=1))[:, None]
     about_axis, across_it = axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2)
-    along, across = (_of_rotations(session, projection, size[..., None] * d) for d in (about_axis, across_it))
+    along, across = (_along(session, projection, size[..., None] * d) for d in (about_axis, across_it))
     return Cause(
         name="lost samples",
         concerns="both",
@@ -633,15 +631,11 @@ def _lost(session: _Session, projection: Projection) -> Cause:
     )
 
 
-def _of_rotations(session: _Session, projection: Projection, directions: Array) -> tuple[float, Array]:
-    """Of directions (K, 3, q) of the rotations, each turn's of sizes of their own: the square of the residuals along
-    them, and its weights, Σ λ χ²₁ where chance alone is at work."""
+def _along(session: _Session, projection: Projection, directions: Array) -> tuple[float, Array]:
+    """The sum of squares along directions (K, 3, q) of the rotations, each turn's of sizes of their own."""
     rest, turn = session.nothing(directions.shape[2])
     turn[:, :3] = directions
-    apart = _apart(projection, rest, turn)
-    left = projection.left_of(apart[:, np.any(apart != 0.0, axis=0)])
-    along = left.T @ projection.residual
-    return float(along @ along), np.maximum(np.linalg.eigvalsh(left.T @ left), 0.0)
+    return _sum_of_squares(projection, _apart(projection, rest, turn))
 
 
 def _ratio_chance(one: tuple[float, Array], other: tuple[float, Array]) -> float:
