@@ -35,7 +35,7 @@ from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import Variable, group_name, group_of, positions_by_group, sensor_kind
+from tumble.sensors.parameters import Variable, group_name, group_of, positions_by_group, to_temperature
 from tumble.units import Array
 
 _Any = TypeVar("_Any")
@@ -344,22 +344,9 @@ def _mean_reference(runs: Sequence[Run]) -> float | None:
 
 
 def _to_temperature(run: Run, names: list[str], reference: float | None) -> Array:
-    """The matrix (m, m) that takes parameters of a launch to another reference temperature, by the slopes and
-    curvatures they have."""
-    out, own = np.eye(len(names)), run.calibration.reference_temperature
-    if reference is None or own is None:
-        return out
-    warmer = reference - own
-    for i, name in enumerate(names):
-        variable = None if sensor_kind(name) == "mag" else group_of(name).variable
-        base = name.rpartition(".")[0]
-        if variable == "temperature":
-            out[names.index(base), i] = warmer
-        elif variable == "temperature²":
-            out[names.index(base), i] = warmer**2
-            if f"{base}.t1" in names:
-                out[names.index(f"{base}.t1"), i] = 2.0 * warmer
-    return out
+    """The matrix (m, m) that takes parameters of a launch to another reference temperature."""
+    own = run.calibration.reference_temperature
+    return to_temperature(names, 0.0 if reference is None or own is None else reference - own)
 
 
 def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:

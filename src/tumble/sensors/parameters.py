@@ -17,7 +17,7 @@ Source of the groups: dynamics method, Eqs. (1), (2) and A7; of their usual size
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -380,6 +380,24 @@ def group_of(parameter: str) -> ParameterGroup:
 def named_group(name: str) -> ParameterGroup | None:
     """The entry of a group's name; None where the table has none."""
     return next((group for group in groups() if group.name == name), None)
+
+
+def to_temperature(names: Sequence[str], warmer: float) -> Array:
+    """The matrix (m, m) that takes parameters of these names to a reference temperature higher by so many K, by the
+    slopes and curvatures among them."""
+    out, place = np.eye(len(names)), {name: i for i, name in enumerate(names)}
+    slope, curvature = _ENDINGS["temperature"], _ENDINGS["temperature²"]
+    for i, name in enumerate(names):
+        base, _, ending = name.rpartition(".")
+        if base not in place:
+            continue
+        if ending == slope:
+            out[place[base], i] = warmer
+        elif ending == curvature:
+            out[place[base], i] = warmer**2
+            if f"{base}.{slope}" in place:
+                out[place[f"{base}.{slope}"], i] = 2.0 * warmer
+    return out
 
 
 def beyond_linear(parameter: str) -> bool:

@@ -20,7 +20,7 @@ import numpy as np
 from tumble.errors import InputError
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import FURTHER, ParameterGroup
+from tumble.sensors.parameters import FURTHER, ParameterGroup, to_temperature
 from tumble.simulation.climate import Climate
 from tumble.units import ZERO_CELSIUS, Array
 
@@ -98,16 +98,11 @@ def draw_thermal(
 
 def truth_at(truth: Mapping[str, float], celsius: float | None) -> dict[str, float]:
     """True values at another temperature than their reference; as they are where there is none."""
-    moved = dict(truth)
     if REFERENCE_NAME not in truth or celsius is None:
-        return moved
-    warmer = celsius - truth[REFERENCE_NAME]
-    for name in truth:
-        slope, square = truth.get(f"{name}.t1", 0.0), truth.get(f"{name}.t2", 0.0)
-        moved[name] += slope * warmer + square * warmer**2
-        if f"{name}.t1" in truth:
-            moved[f"{name}.t1"] += 2.0 * square * warmer
-    return moved | {REFERENCE_NAME: celsius}
+        return dict(truth)
+    names = list(truth)
+    moved = to_temperature(names, celsius - truth[REFERENCE_NAME]) @ np.array([truth[name] for name in names])
+    return dict(zip(names, moved.tolist(), strict=True)) | {REFERENCE_NAME: celsius}
 
 
 def thermometer_column(climate: Climate, time: Array) -> Array:
