@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tumble.errors import SessionError
+from tumble.documents import text_of_document, toml_of
+from tumble.errors import InputError, SessionError
 from tumble.files import whole_file
 from tumble.recording.session import SESSION_FILE, Exclusion, Session, read_session, write_session
 
@@ -37,9 +37,8 @@ def session_to_record(folder: Path) -> Session:
 
     Raises SessionError for a session that is not recorded into one CSV file with commas."""
     try:
-        content = tomllib.loads((folder / SESSION_FILE).read_text(encoding="utf-8"))
-        file = content.get("log", {}).get("file", "")
-    except (OSError, ValueError, AttributeError):
+        file = _content(folder).get("log", {}).get("file", "")
+    except (OSError, ValueError, AttributeError, InputError):
         return read_session(folder)  # which says what is wrong
     if not isinstance(file, str) or not file.endswith(".csv"):
         raise SessionError(f"{folder / SESSION_FILE}: log.file: expected one .csv file to record into, found {file!r}")
@@ -64,7 +63,7 @@ def next_folder(folder: Path, serial: str) -> Path:
 
 def begin_next(folder: Path, serial: str) -> Path:
     """Make the folder of the next unit: the session of `folder` with another serial number, nothing left out."""
-    content = tomllib.loads((folder / SESSION_FILE).read_text(encoding="utf-8"))
+    content = _content(folder)
     content["device"] = {**content["device"], "serial": serial}
     content.pop("exclude", None)
     made = next_folder(folder, serial)
@@ -90,8 +89,14 @@ def take_back(folder: Path, one: Exclusion) -> None:
     _written(path, before + after)
 
 
+def _content(folder: Path) -> dict[str, Any]:
+    """The tables of session.toml."""
+    path = folder / SESSION_FILE
+    return toml_of(text_of_document(path), str(path))
+
+
 def _written(path: Path, text: str) -> None:
-    tomllib.loads(text)
+    toml_of(text, str(path))
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
