@@ -23,8 +23,7 @@ from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.field_check import CheckResult, field_check
 from tumble.estimation.methods.joint import joint
 from tumble.planning.setup import Setup
-from tumble.sensors.grades import TURN_ON
-from tumble.sensors.parameters import group_name, sensor_kind
+from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, scenario_of
 from tumble.units import DEGREE, G_STANDARD
@@ -104,12 +103,9 @@ def calibration_of(estimate: Estimate, scenario: Scenario) -> Calibration:
 
 def turned_on_again(scenario: Scenario, rng: np.random.Generator) -> dict[str, float]:
     """The true values after the next power-on."""
-    spread = TURN_ON[GRADE]
     linear = scenario.names[: scenario.instrument.linear_count]
     return dict(scenario.truth) | {
-        name: scenario.truth[name]
-        + getattr(spread[sensor_kind(name)], group_name(name).partition(".")[2]) * rng.standard_normal()
-        for name in linear
+        name: scenario.truth[name] + spread_of(TURN_ON[GRADE], name) * rng.standard_normal() for name in linear
     }
 
 

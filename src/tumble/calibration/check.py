@@ -37,9 +37,9 @@ from tumble.estimation.variables import variables_of
 from tumble.files import FilePath
 from tumble.recording.session import Session, session_from
 from tumble.reduction.observations import Observations
-from tumble.sensors.grades import GRADES, TURN_ON
+from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import group_name, group_of, sensor_kind, shown_in, usual_sizes
+from tumble.sensors.parameters import group_of, shown_in, usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
@@ -261,7 +261,7 @@ def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> 
     launched = {p.name: p.run_to_run for p in calibration.parameters if p.run_to_run is not None}
     out = np.zeros(len(instrument.names))
     for i, name in enumerate(instrument.names[: instrument.linear_count]):
-        out[i] = launched.get(name, getattr(TURN_ON[grade][sensor_kind(name)], group_name(name).partition(".")[2]))
+        out[i] = launched.get(name, spread_of(TURN_ON[grade], name))
     return out
 
 

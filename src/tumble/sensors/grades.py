@@ -56,8 +56,16 @@ class Grade:
     noise: NoiseModel
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TurnOn:
+    """How far parameters change from one power-on to the next: standard deviations."""
+
+    accel: Spread
+    gyro: Spread
+
+
 class _OfInstruments(Protocol):
-    """What says how far instruments are from nominal before calibration: a grade or a set-up."""
+    """What has spreads of the parameters: a grade, a set-up, a power-on."""
 
     @property
     def accel(self) -> Spread: ...
@@ -67,7 +75,7 @@ class _OfInstruments(Protocol):
 
 
 def spread_of(instruments: _OfInstruments, parameter: str) -> float:
-    """Standard deviation, SI, over instruments of a parameter or group of bias, scale factor or axis angles, such as
+    """Standard deviation, SI, of a parameter or group of bias, scale factor or axis angles, such as
     "accel.bias.x" or "accel.bias"."""
     kind, what = parameter.split(".")[:2]
     return float(getattr(getattr(instruments, kind), what))
@@ -118,27 +126,27 @@ GRADES: Mapping[str, Grade] = MappingProxyType(
     }
 )
 
-TURN_ON: Mapping[str, Mapping[str, Spread]] = MappingProxyType(
+TURN_ON: Mapping[str, TurnOn] = MappingProxyType(
     {
-        "navigation": {
-            "accel": Spread(bias=2e-4, scale=1e-5, axis=2 * ARCSEC),
-            "gyro": Spread(bias=0.01 * DEGREE_PER_HOUR, scale=5e-6, axis=2 * ARCSEC),
-        },
-        "tactical": {
-            "accel": Spread(bias=3e-3, scale=1e-4, axis=10 * ARCSEC),
-            "gyro": Spread(bias=1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
-        },
-        "mems": {
-            "accel": Spread(bias=5e-3, scale=3e-4, axis=1e-4),
-            "gyro": Spread(bias=0.02 * DEGREE, scale=3e-4, axis=1e-4),
-        },
-        "consumer": {
-            "accel": Spread(bias=3e-2, scale=1e-3, axis=3e-4),
-            "gyro": Spread(bias=0.1 * DEGREE, scale=1e-3, axis=3e-4),
-        },
+        "navigation": TurnOn(
+            accel=Spread(bias=2e-4, scale=1e-5, axis=2 * ARCSEC),
+            gyro=Spread(bias=0.01 * DEGREE_PER_HOUR, scale=5e-6, axis=2 * ARCSEC),
+        ),
+        "tactical": TurnOn(
+            accel=Spread(bias=3e-3, scale=1e-4, axis=10 * ARCSEC),
+            gyro=Spread(bias=1 * DEGREE_PER_HOUR, scale=1e-4, axis=10 * ARCSEC),
+        ),
+        "mems": TurnOn(
+            accel=Spread(bias=5e-3, scale=3e-4, axis=1e-4),
+            gyro=Spread(bias=0.02 * DEGREE, scale=3e-4, axis=1e-4),
+        ),
+        "consumer": TurnOn(
+            accel=Spread(bias=3e-2, scale=1e-3, axis=3e-4),
+            gyro=Spread(bias=0.1 * DEGREE, scale=1e-3, axis=3e-4),
+        ),
     }
 )
-"""By grade and kind of sensor, how far parameters change from one power-on to the next: standard deviations."""
+"""By grade, how far parameters change from one power-on to the next."""
 
 
 def grade(name: str) -> Grade:
