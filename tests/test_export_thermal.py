@@ -20,6 +20,7 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.csv_thermal import temperatures
 from tumble.export.thermal import range_of
+from tumble.recording.autopilot import AutopilotSensor
 from tumble.units import DEGREE, G_STANDARD, Array
 
 AUTOPILOTS = ("px4-thermal", "ardupilot-thermal")
@@ -166,6 +167,22 @@ def test_px4_is_given_the_ids_it_finds_the_numbers_by() -> None:
     assert "1\t1\tTC_A0_ID\t1310988\t6" in rows
     assert "1\t1\tTC_G0_ID\t2359596\t6" in rows
     assert not any("compensates nothing" in loss for loss in with_ids.losses)
+
+
+def test_the_numbers_are_those_of_the_sensors_that_were_recorded() -> None:
+    third = {kind: AutopilotSensor(number=3, id=2**31 + 2**20) for kind in ("accel", "gyro")}
+    made = replace(warmed(calibration()), imu=third)
+    px4, ardupilot = (parameters(made, to) for to in AUTOPILOTS)
+    assert {name for name in px4 if name.startswith("CAL_")} == {
+        *(f"CAL_ACC2_{axis}{what}" for axis in "XYZ" for what in ("OFF", "SCALE")),
+        *(f"CAL_GYRO2_{axis}OFF" for axis in "XYZ"),
+    }
+    assert px4["TC_A0_ID"] == px4["TC_G0_ID"] == 2**20 - 2**31
+    assert {name for name in ardupilot if "TCAL" in name and "TCAL3_" not in name} == set()
+    assert {"INS_ACC3OFFS_X", "INS_GYR3OFFS_X", "INS_ACC3_CALTEMP", "INS_TCAL3_ENABLE"} <= set(ardupilot)
+    fourth = replace(made, imu={"accel": AutopilotSensor(number=4, id=None)})
+    with pytest.raises(InputError, match="expected one of the first 3 IMUs, found a recording of IMU 4"):
+        export_calibration(fourth, "ardupilot-thermal")
 
 
 def test_px4_says_what_its_steps_of_one_degree_cost() -> None:

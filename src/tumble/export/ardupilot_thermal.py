@@ -1,4 +1,5 @@
-"""ArduPilot over temperature: the parameter file of `ardupilot` with the temperature calibration of the first IMU.
+"""ArduPilot over temperature: the parameter file of `ardupilot` with the temperature calibration of the IMU that
+was recorded, here the first.
 
     P(t) = (C1 t + C2 t² + C3 t³) · 1e-6, t = T − 35 degC; C1 is INS_TCAL1_ACC1_X and so on, of gyros INS_TCAL1_GYR1_X
     (reading − P(T) + P(INS_ACC1_CALTEMP) − INS_ACCOFFS_X) · INS_ACCSCAL_X
@@ -12,11 +13,14 @@ Source: ArduPilot, parameter reference, INS_TCAL1_; library AP_InertialSensor, t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.export.ardupilot import ESTIMATED_ANEW, parameters
-from tumble.export.autopilot import single, written
+from tumble.errors import InputError
+from tumble.export.ardupilot import ESTIMATED_ANEW, NUMBER_INSIDE, parameters
+from tumble.export.autopilot import FIRST, single, written
 from tumble.export.exported import Exported, origin
 from tumble.export.thermal import Thermal, thermal
 from tumble.units import Array
@@ -30,7 +34,13 @@ LETTERS = {"accel": "ACC", "gyro": "GYR"}
 
 def ardupilot_thermal(calibration: Calibration) -> Exported:
     """The .param file of a calibration over temperature."""
-    found = thermal(calibration, "ardupilot-thermal")
+    found, sensors = thermal(calibration, "ardupilot-thermal"), {**FIRST, **calibration.imu}
+    numbers = {kind: sensors[kind].number for kind in found.slopes}
+    if max(numbers.values()) > NUMBER_INSIDE:
+        raise InputError(
+            f"export to ardupilot-thermal: expected one of the first {NUMBER_INSIDE} IMUs, found a recording of IMU "
+            f"{max(numbers.values())}"
+        )
 
     def offsets(kind: str, temperature: Array) -> Array:
         return _offsets(found, kind, temperature)
@@ -38,27 +48,32 @@ def ardupilot_thermal(calibration: Calibration) -> Exported:
     losses = (*found.losses(offsets), *found.held.losses, *([ESTIMATED_ANEW] if "gyro" in found.slopes else []))
     comments = [
         *origin(calibration),
-        f"offsets and scales are those at {found.reference:g} degC, INS_ACC1_CALTEMP",
+        f"offsets and scales are those at {found.reference:g} degC, INS_ACC{numbers['accel']}_CALTEMP",
         *found.examples(offsets),
         *losses,
     ]
-    rows = [*parameters(found.held), ("INS_TCAL1_ENABLE", "1"), *_ends(found)]
-    for kind in found.slopes:
-        rows += _of_kind(found, kind)
+    rows = parameters(found.held, sensors)
+    rows += [(f"INS_TCAL{number}_ENABLE", "1") for number in sorted(set(numbers.values()))]
+    rows += _ends(found, numbers)
+    for kind, number in numbers.items():
+        rows += _of_kind(found, kind, number)
     lines = [f"{name},{value}" for name, value in rows]
     return Exported(content="\n".join([*(f"# {c}" for c in comments), *lines, ""]).encode(), losses=losses)
 
 
-def _ends(found: Thermal) -> list[tuple[str, str]]:
-    ends = {"INS_TCAL1_TMIN": found.measured.low, "INS_TCAL1_TMAX": found.measured.high}
-    ends |= {f"INS_{LETTERS[kind]}1_CALTEMP": found.reference for kind in found.slopes}
+def _ends(found: Thermal, numbers: Mapping[str, int]) -> list[tuple[str, str]]:
+    """The measured range, and the temperature of the offsets and scales."""
+    ends: dict[str, float] = {}
+    for number in sorted(set(numbers.values())):
+        ends |= {f"INS_TCAL{number}_TMIN": found.measured.low, f"INS_TCAL{number}_TMAX": found.measured.high}
+    ends |= {f"INS_{LETTERS[kind]}{number}_CALTEMP": found.reference for kind, number in numbers.items()}
     return list(zip(ends, written(np.array(list(ends.values()))), strict=True))
 
 
-def _of_kind(found: Thermal, kind: str) -> list[tuple[str, str]]:
+def _of_kind(found: Thermal, kind: str, number: int) -> list[tuple[str, str]]:
     """The coefficients of the accelerometers or the gyros."""
     return [
-        (f"INS_TCAL1_{LETTERS[kind]}{degree}_{axis}", value)
+        (f"INS_TCAL{number}_{LETTERS[kind]}{degree}_{axis}", value)
         for degree, column in enumerate(_coefficients(found, kind).T, 1)
         for axis, value in zip("XYZ", written(column), strict=True)
     ]

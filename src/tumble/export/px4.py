@@ -50,7 +50,7 @@ def px4(calibration: Calibration, imu: int | None = None) -> Exported:
     ]
     rows = [f"1\t1\t{name}\t{value}\t{REAL32}" for name, value in parameters(held, sensors)]
     rows += [
-        f"1\t1\t{stem}_ID\t{_signed(sensor.id)}\t{INT32}"
+        f"1\t1\t{stem}_ID\t{signed(sensor.id)}\t{INT32}"
         for stem, sensor in _stems(held, sensors).items()
         if sensor.id is not None
     ]
@@ -64,7 +64,7 @@ def _stems(held: Diagonal, sensors: Mapping[str, AutopilotSensor]) -> dict[str, 
     return found | ({} if held.gyro_offset is None else {f"CAL_GYRO{sensors['gyro'].number - 1}": sensors["gyro"]})
 
 
-def _signed(device: int) -> int:
+def signed(device: int) -> int:
     """A device id as a parameter, a number with a sign."""
     return device - 2**32 if device >= 2**31 else device
 

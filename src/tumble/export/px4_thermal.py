@@ -1,4 +1,5 @@
-"""PX4 over temperature: the parameter file of `px4` with the thermal compensation of accelerometer 0 and gyro 0.
+"""PX4 over temperature: the parameter file of `px4`, of the sensors that were recorded, with their thermal
+compensation, which PX4 finds by their ids, in its first place.
 
     TC_A0_X1_0 and so on: offset(T) = X0 + X1 d + X2 d² + X3 d³, d = T − TREF, T kept within TMIN … TMAX, degC
     (reading − offset(T) − CAL_ACC0_XOFF) · CAL_ACC0_XSCALE        reading − offset(T) − CAL_GYRO0_XOFF
@@ -16,14 +17,12 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
-from tumble.export.autopilot import single, written
+from tumble.export.autopilot import FIRST, single, written
 from tumble.export.exported import Exported, origin
-from tumble.export.px4 import REAL32, parameters, too_small
+from tumble.export.px4 import INT32, REAL32, parameters, signed, too_small
 from tumble.export.thermal import Thermal, said, thermal
 from tumble.units import Array
 
-INT32 = 6
-"""MAV_PARAM_TYPE_INT32."""
 LETTERS = {"accel": "A", "gyro": "G"}
 NO_IDS = (
     "TC_A0_ID and TC_G0_ID are not in this file: set them to CAL_ACC0_ID and CAL_GYRO0_ID, or give --sensor-ids; "
@@ -36,7 +35,8 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None) ->
     recording has not said them."""
     ids = ids or _recorded(calibration)
     found = thermal(calibration, "px4-thermal")
-    held = found.held
+    held, sensors = found.held, {**FIRST, **calibration.imu}
+    accel, gyro = (sensors[kind].number - 1 for kind in ("accel", "gyro"))
 
     def offsets(kind: str, temperature: Array) -> Array:
         return _offsets(found, kind, temperature)
@@ -50,14 +50,14 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None) ->
     )
     comments = [
         *origin(calibration),
-        "CAL_ACC0_ID and CAL_GYRO0_ID have to be the ids of these sensors already",
+        f"CAL_ACC{accel}_ID and CAL_GYRO{gyro}_ID have to be the ids of these sensors already",
         f"CAL_*OFF and CAL_*SCALE are those at {found.reference:g} degC",
         *found.examples(offsets),
         *losses,
         "",
         "Vehicle-Id Component-Id Name Value Type",
     ]
-    rows = [(name, value, REAL32) for name, value in parameters(held)]
+    rows = [(name, value, REAL32) for name, value in parameters(held, sensors)]
     for number, kind in enumerate(found.slopes):
         rows += _of_kind(found, kind, None if ids is None else ids[number])
     lines = [f"1\t1\t{name}\t{value}\t{kind}" for name, value, kind in rows]
@@ -86,7 +86,7 @@ def _of_kind(found: Thermal, kind: str, device: int | None) -> list[tuple[str, s
     """The parameters of the accelerometer or the gyro."""
     stem = f"TC_{LETTERS[kind]}0"
     rows = [(f"TC_{LETTERS[kind]}_ENABLE", "1", INT32)]
-    rows += [] if device is None else [(f"{stem}_ID", str(device), INT32)]
+    rows += [] if device is None else [(f"{stem}_ID", str(signed(device)), INT32)]
     ends = {"TREF": found.reference, "TMIN": found.measured.low, "TMAX": found.measured.high}
     rows += [(f"{stem}_{name}", value, REAL32) for name, value in zip(ends, written(_row(ends)), strict=True)]
     for degree, column in enumerate(_coefficients(found, kind).T):
