@@ -4,9 +4,9 @@ A sensor that gets warmer drifts, and the drift would pass for noise of a long m
 not to know: parameters follow the temperature in the estimate. What is taken off is what goes with the temperature
 through all rests alike, block by block,
 
-    y − ȳ = a (T − T̄) + b ((T − T₀)² − mean) + c (ȳ − ȳ̄)(T − T̄),
+    y − ȳ = (a + c m)(T − T̄) + (b + d m)((T − T₀)² − mean),    m = ȳ less its mean over the rests,
 
-a of biases, b of their curvature, c of scale factors: three numbers a channel, so that slow noise of the rests stays.
+a and b of biases, c and d of scale factors: four numbers a channel, so that slow noise of the rests stays.
 """
 
 from __future__ import annotations
@@ -26,19 +26,17 @@ def without_warming(series: Sequence[Array], kelvin: Sequence[Array] | None) -> 
     if kelvin is None or max(_change(each) for each in kelvin) < WARMED:
         return list(series)
     means = np.array([each.mean(axis=0) for each in series])
-    apart = means - means.mean(axis=0)
+    apart, lengths = means - means.mean(axis=0), [len(each) for each in series]
     reference = float(np.mean([each.mean() for each in kelvin]))
     warmer = [_centred(each) for each in kelvin]
     squared = [_centred((each - reference) ** 2) for each in kelvin]
     common = np.column_stack([np.concatenate(warmer), np.concatenate(squared)])
     out = np.concatenate([each - mean for each, mean in zip(series, means, strict=True)])
     for c in range(out.shape[1]):
-        by_reading = np.concatenate([own * w for own, w in zip(apart[:, c], warmer, strict=True)])
-        columns = np.column_stack([common, by_reading])
+        columns = np.column_stack([common, np.repeat(apart[:, c], lengths)[:, None] * common])
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         out[:, c] -= columns @ (np.linalg.lstsq(columns / size, out[:, c])[0] / size)
-    ends = np.cumsum([len(each) for each in series])[:-1]
-    return [each + mean for each, mean in zip(np.split(out, ends), means, strict=True)]
+    return [each + mean for each, mean in zip(np.split(out, np.cumsum(lengths)[:-1]), means, strict=True)]
 
 
 def _change(kelvin: Array) -> float:
