@@ -195,13 +195,15 @@ class Weights:
 class Step:
     """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, of the angles (N, 3), and
     of what each session has of its `own` (S, q), with its covariance, gravity and parameters after it (S, q + 1 + m, q
-    + 1 + m); twice the negative logarithm of the restricted likelihood, less its constant; and what `left` needs."""
+    + 1 + m); the sum of squares that is left, that of the priors included; twice the negative logarithm of the restricted
+    likelihood, less its constant; and what `left` needs."""
 
     parameters: Array
     covariance: Array
     angles: Array
     own: Array
     own_covariance: Array
+    square: float
     deviance: float
     whitened: tuple[Array, Array]
     shared: tuple[Array, Array]
@@ -722,6 +724,7 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
         angles=angles,
         own=own,
         own_covariance=np.array(own_covariance),
+        square=float(triangle[-1, -1] ** 2),
         deviance=_deviance(problem, weight, factor, heads, triangle),
         whitened=(rest, merged),
         shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),

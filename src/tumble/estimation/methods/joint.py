@@ -478,17 +478,24 @@ def _scored(problem: Problem, rows: Rows, noise: Noise, variance: Array) -> tupl
 
 
 def _with_lag(problem: Problem, at: _At) -> _At:
-    """The start with the best of LAGS. The likelihood of a lag, which multiplies the coefficients over temperature, has
-    several maxima: everything else is found at none, and from there the likelihood of each in one step."""
+    """The start with the best of LAGS. The sum of squares over the lag, which multiplies the coefficients over
+    temperature, has several minima: everything else is found at none, and from there that of each in one step."""
     if problem.lag is None:
         return at
     solved = _iterated(_held(problem, 0.0), at, _Out.nothing(problem), Scatter())
     at = _At.of(problem, solved.point, solved.last.about)
     tried = [_at_lag(problem, at, lag, (_Out.nothing(problem), Scatter())) for lag in LAGS]
-    best = min(range(len(LAGS)), key=lambda i: tried[i][1])
-    step = tried[best][0]
+    best = min(range(len(LAGS)), key=lambda i: tried[i].square + _prior_of_lag(problem, LAGS[i]))
+    step = tried[best]
     point = _point_of(solved.point.moved(step.parameters, step.angles, step.own), problem.lag, LAGS[best])
     return _At.of(problem, point, solved.last.about)
+
+
+def _prior_of_lag(problem: Problem, lag: float) -> float:
+    """What the prior adds to the sum of squares."""
+    assert problem.lag is not None
+    expected, u = (values[1 + problem.lag] for values in problem.measured)
+    return float(((lag - expected) / u) ** 2)
 
 
 def _held(problem: Problem, lag: float) -> Problem:
@@ -506,16 +513,13 @@ def _point_of(point: Point, where: int, lag: float) -> Point:
     return replace(point, values=values)
 
 
-def _at_lag(problem: Problem, at: _At, lag: float, noise: tuple[_Out, Scatter]) -> tuple[Step, float]:
-    """The step from a point to the solution with a lag, and −2 log of the likelihood of the lag, whatever the other
-    parameters are, with its prior."""
+def _at_lag(problem: Problem, at: _At, lag: float, noise: tuple[_Out, Scatter]) -> Step:
+    """The step from a point to the solution with a lag."""
     assert problem.lag is not None
     out, scatter = noise
     held = _held(problem, lag)
     rows = linearise(held, _point_of(at.point, problem.lag, lag), at.about)
-    step = solve(held, rows, out.noise(held, rows).weights(scatter))
-    expected, u = (values[1 + problem.lag] for values in problem.measured)
-    return step, step.deviance + ((lag - expected) / u) ** 2
+    return solve(held, rows, out.noise(held, rows).weights(scatter))
 
 
 def _with_posterior(fitted: _Fitted) -> _Fitted:
@@ -535,7 +539,9 @@ def _with_posterior(fitted: _Fitted) -> _Fitted:
     lags = solved.point.values[problem.lag] + u * LAG_GRID
     noise = fitted.out, fitted.scatter
     at = _At.of(problem, solved.point, solved.last.about)
-    deviance = np.array([_at_lag(problem, at, float(lag), noise)[1] for lag in lags])
+    deviance = np.array([
+        _at_lag(problem, at, float(lag), noise).deviance + _prior_of_lag(problem, float(lag)) for lag in lags
+    ])  # fmt: skip
     weight = np.exp(-0.5 * (deviance - deviance.min()))
     mean = float(weight @ lags / weight.sum())
     square = float(weight @ (lags - mean) ** 2 / weight.sum())
