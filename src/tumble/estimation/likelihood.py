@@ -195,7 +195,7 @@ class Weights:
 class Step:
     """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, of the angles (N, 3), and
     of what each session has of its `own` (S, q), with its covariance, gravity and parameters after it (S, q + 1 + m, q
-    + 1 + m); the sum of squares that is left, that of the priors included; twice the negative logarithm of the restricted
+    + 1 + m); the sum of squares that is left, priors included; twice the negative logarithm of the restricted
     likelihood, less its constant; and what `left` needs."""
 
     parameters: Array
