@@ -16,12 +16,16 @@ of 95 %.
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.together import calibrate_together
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.joint import joint
 from tumble.planning.setup import Setup
@@ -32,7 +36,17 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import Variable, group_name, named_group, usual_sizes
 from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import OnTable, Scenario, scenario_of
+from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
+from tumble.simulation.session import session_in_memory
+from tumble.simulation.temperature_profile import (
+    LAG_NAME,
+    REFERENCE_NAME,
+    TemperatureProfile,
+    draw_lag,
+    draw_thermal,
+)
+from tumble.simulation.temperature_profile import REFERENCE as REFERENCE_CELSIUS
+from tumble.simulation.temperature_profile import truth_at as true_at
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
 
 GRADE = "navigation"
@@ -112,9 +126,9 @@ def of_launch(scenario: Scenario, rng: np.random.Generator, *, several: bool) ->
     """The instrument in another session: with drifts of its own, and of several, with biases of its own."""
     truth = dict(scenario.truth)
     for name in truth:
-        group, size = group_name(name), USUAL.get(f"{group_name(name)}.launch")
+        group, size = group_name(name), scenario.usual.get(f"{group_name(name)}.launch")
         if group.endswith(".drift"):
-            truth[name] = float(USUAL[group] * rng.standard_normal())
+            truth[name] = float(scenario.usual[group] * rng.standard_normal())
         elif several and size is not None:
             truth[name] += float(size * rng.standard_normal())
     return replace(scenario, truth=truth)
@@ -134,6 +148,56 @@ def observed(procedure: Procedure, number: int, lag: float | None) -> tuple[Scen
         return scenario, sessions[0]
     names = [f"session {i + 1}" for i in range(len(sessions))]
     return scenario, joined(sessions, names, [np.arange(len(each.rests)) for each in sessions])
+
+
+RECORDED = Setup.of(grade="tactical", terms="full", rest=30.0, rate_deg_s=40.0, sample_rate=20.0)
+"""What is sampled: short sessions at a low rate."""
+
+
+def calibrated(procedure: Procedure, number: int) -> tuple[Calibration, dict[str, float]]:
+    """The calibration of a device from logs of every sample, and the truth at its reference temperature."""
+    rng = np.random.default_rng([13, number])
+    scenario = scenario_of(RECORDED, rng)
+    course, blocks = scenario.course, {"accel": scenario.accel, "gyro": scenario.gyro}
+    assert isinstance(course, OnTable)
+    thermal, lag = draw_thermal(RECORDED.further, "tactical", blocks, rng), draw_lag(RECORDED.further, rng)
+    if not procedure.hysteresis:
+        thermal = {name: value for name, value in thermal.items() if not name.endswith("hysteresis")}
+    scenario = replace(scenario, usual=RECORDED.further, course=replace(course, programme=procedure.programme))
+    duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
+    scenario = replace(scenario, truth=dict(scenario.truth) | thermal)
+    sessions, several = [], len(procedure.courses) > 1
+    for celsius in procedure.courses:
+        mine = of_launch(scenario, rng, several=several)
+        climate = TemperatureProfile(celsius=celsius).climate(duration, lag)
+        sessions.append(session_in_memory(replace(mine, climate=climate), rng))
+    found = calibrate_together(sessions) if several else calibrate(sessions[0])
+    truth = dict(scenario.truth if several else mine.truth) | {REFERENCE_NAME: REFERENCE_CELSIUS}
+    return found, true_at(truth, found.reference_temperature) | {LAG_NAME: lag}
+
+
+def samples(count: int) -> float:
+    """Print what calibrations of logs give; the worst of the coverages of their coefficients, from 95 %."""
+    worst = 0.0
+    for procedure in (LEVELS, BOTH_WAYS, ONE_WAY):
+        runs = [calibrated(procedure, number) for number in range(count)]
+        verdicts = Counter(run[0].outcome.verdict for run in runs)
+        z = {"all": list[float](), "coefficients": list[float](), "lag": list[float]()}
+        within = {kind: list[bool]() for kind in z}
+        for found, truth in runs:
+            for p in (p for p in found.parameters if p.u and p.name in truth):
+                group = group_name(p.name)
+                mine = ["coefficients"] if group in THERMAL else ["lag"] if p.name == LAG_NAME else []
+                for kind in ("all", *mine):
+                    error = (p.value - truth[p.name]) / (p.u or 1.0)
+                    z[kind].append(error)
+                    within[kind].append(abs(error) < (stats.norm if p.dof is None else stats.t(p.dof)).ppf(0.975))
+        print(f"{procedure.name}, {count} devices from logs: {dict(verdicts)}")
+        for kind in (kind for kind in z if z[kind]):
+            said = f"z {np.sqrt(np.mean(np.square(z[kind]))):.2f}, covered {100.0 * np.mean(within[kind]):.1f} %"
+            print(f"  {kind}: {said} of {len(z[kind])}")
+        worst = max(worst, abs(100.0 * float(np.mean(within["coefficients"])) - 95.0))
+    return worst
 
 
 def truth_at(scenario: Scenario, kelvin: float) -> dict[str, float]:
