@@ -860,7 +860,7 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
             gravity=observations.site.gravity,
             rate=_usual_rate(last.about),
         ),
-        linearised=None if observations.together is not None else _linearised(fitted),
+        linearised=_linearised(fitted),
         own=_own(fitted),
     )
 
