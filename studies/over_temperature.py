@@ -26,7 +26,8 @@ from scipy import stats
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.together import calibrate_together
-from tumble.estimation.estimate import Estimate
+from tumble.estimation.estimate import Estimate, Fit
+from tumble.estimation.likelihood import Scatter, solve
 from tumble.estimation.methods.joint import joint
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
@@ -47,7 +48,7 @@ from tumble.simulation.temperature_profile import (
 )
 from tumble.simulation.temperature_profile import REFERENCE as REFERENCE_CELSIUS
 from tumble.simulation.temperature_profile import truth_at as true_at
-from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
+from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
 GRADE = "navigation"
 REFERENCE = 20.0 + ZERO_CELSIUS
@@ -73,13 +74,15 @@ SLOPES = {
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Procedure:
     """Courses of temperature, °C, of the sessions, each passed through at a constant rate, and the programme; whether
-    there is hysteresis; the minutes of a warm-up, which goes as an exponential, else None."""
+    there is hysteresis; the minutes of a warm-up, which goes as an exponential, else None; and whether biases are
+    steady, so that nothing scatters from rest to rest."""
 
     name: str
     courses: tuple[tuple[float, ...], ...]
     programme: Programme = ONCE
     hysteresis: bool = False
     warm_up: float | None = None
+    steady: bool = False
 
 
 LEVELS = Procedure(name="three levels", courses=((0.0, 0.0), (20.0, 20.0), (40.0, 40.0)))
@@ -119,6 +122,9 @@ def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
         for name in more:
             more[name] *= SLOPES.get(group_name(name), 0.0) / USUAL[group_name(name)]
     course = replace(course, programme=procedure.programme)
+    if procedure.steady:
+        noise = replace(scenario.noise, accel_instability=0.0, gyro_instability=0.0)
+        scenario = replace(scenario, noise=noise)
     return replace(scenario, truth=dict(scenario.truth) | more, usual=USUAL, course=course)
 
 
@@ -277,9 +283,41 @@ def procedures(count: int) -> float:
     return worst
 
 
+def without_scatter(estimate: Estimate) -> tuple[Array, Array]:
+    """Values and u of an estimate with the noise within rests alone, whatever the residuals are."""
+    likelihood = estimate.linearised
+    assert likelihood is not None
+    step = solve(likelihood.problem, likelihood.rows, likelihood.noise.weights(Scatter()))
+    return likelihood.point.values + step.parameters[1:], np.sqrt(np.diag(step.covariance)[1:])
+
+
+def bare(scenario: Scenario, observations: Observations, leave: Sequence[str]) -> tuple[float, float, Fit]:
+    """Errors over u with the noise within rests alone, rms: of biases, scale factors and their coefficients, and of
+    biases and scale factors; and the chi-square, without groups that are left out."""
+    usual = {name: size for name, size in observations.usual.items() if name not in leave}
+    estimate = joint(replace(observations, usual=usual))
+    assert observations.rests.temperature is not None
+    truth = truth_at(scenario, float(observations.rests.temperature.mean()))
+    values, u = without_scatter(estimate)
+    z = {n: float((v - truth.get(n, 0.0)) / s) for n, v, s in zip(estimate.names, values, u, strict=True)}
+    every = [z[name] for name in z if group_name(name) in (*THERMAL, *AT_REFERENCE)]
+    there = [z[name] for name in z if group_name(name) in AT_REFERENCE]
+    return rms_of(every), rms_of(there), estimate.fits["noise within rests"]
+
+
+def rms_of(values: Sequence[float]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+AT_REFERENCE = ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale")
+HYSTERESIS, LAG_ALONE = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), ("temperature.lag",)
+
+
 def lags(count: int) -> None:
-    """Print the table of lags: estimated, and what is lost where it is ignored."""
-    print(f"\nlag, {count} devices each: z of all, lag ignored → estimated; estimate")
+    """Print the tables of the method's A5: lags, and hysteresis with a lag of 60 s, estimated, and what is lost where
+    they are ignored and nothing but the noise within rests is allowed for. Bias scatters in no rest."""
+    print(f"\nlag, {count} devices each: errors over u where it is ignored (at T0; chi-square for degrees); estimate")
     for procedure, lag in (
         (BOTH_WAYS, 30.0),
         (BOTH_WAYS, 100.0),
@@ -287,28 +325,28 @@ def lags(count: int) -> None:
         (ONE_WAY, 100.0),
         (ONE_WAY, 300.0),
     ):
-        made = [observed(replace(procedure, hysteresis=False), number, lag) for number in range(count)]
-        with_lag = [found(*each) for each in made]
-        without = [
-            found(*each, leave=("temperature.lag", "accel.bias.hysteresis", "gyro.bias.hysteresis")) for each in made
-        ]
+        quiet = replace(procedure, hysteresis=False, steady=True)
+        made = [observed(quiet, number, lag) for number in range(count)]
+        with_lag = [found(*each, leave=HYSTERESIS) for each in made]
+        without = [bare(*each, leave=(*LAG_ALONE, *HYSTERESIS)) for each in made]
         values = [run.values["temperature.lag"] for run in with_lag]
-        u = float(np.sqrt(np.mean([run.u["temperature.lag"] ** 2 for run in with_lag])))
-        ignored, fit = rms(without, (*LINEAR, *THERMAL)), np.mean([run.chi_square for run in without])
-        print(f"  {procedure.name:12s} {lag:4.0f} s: {ignored:5.1f} (chi-square over degrees {fit:.2f})", end=" ")
-        print(
-            f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f}; {np.mean(values):.1f} ± {np.std(values):.1f} s, u {u:.1f} s"
-        )
-    made = [observed(BOTH_WAYS, number, 60.0) for number in range(count)]
-    both, lag_alone = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), ("temperature.lag",)
+        u = rms_of([run.u["temperature.lag"] for run in with_lag])
+        every, there = rms_of([each[0] for each in without]), rms_of([each[1] for each in without])
+        chi, degrees = (np.mean([getattr(each[2], what) for each in without]) for what in ("chi_square", "degrees"))
+        print(f"  {procedure.name:12s} {lag:4.0f} s: {every:5.1f} ({there:.1f}; {chi:.0f} for {degrees:.0f})", end=" ")
+        print(f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f};", end=" ")
+        print(f"{np.mean(values):.1f} ± {np.std(values, ddof=1):.1f} s, u {u:.1f} s")
+    made = [observed(replace(BOTH_WAYS, steady=True), number, 60.0) for number in range(count)]
     for what, leave in (
-        ("ignored", both + lag_alone),
-        ("lag alone", both),
-        ("hysteresis alone", lag_alone),
+        ("both ignored", HYSTERESIS + LAG_ALONE),
+        ("lag alone", HYSTERESIS),
+        ("hysteresis alone", LAG_ALONE),
         ("both", ()),
     ):
-        z = rms([found(*each, leave=leave) for each in made], (*LINEAR, *THERMAL))
-        print(f"  hysteresis with a lag of 60 s, {what}: {z:.2f}")
+        print(f"  hysteresis with a lag of 60 s, {what}: {rms_of([bare(*each, leave)[0] for each in made]):.2f}")
+    made = [observed(replace(BOTH_WAYS, steady=True), number, 0.0) for number in range(count)]
+    for what, leave in (("ignored", HYSTERESIS + LAG_ALONE), ("fitted", LAG_ALONE)):
+        print(f"  hysteresis without lag, {what}: {rms_of([bare(*each, leave)[0] for each in made]):.2f}")
 
 
 def warm_up(count: int) -> tuple[float, float]:
