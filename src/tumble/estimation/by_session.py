@@ -25,7 +25,7 @@ def each_session(linearised: Linearised) -> Iterator[Linearised]:
     problem = linearised.problem.warmed(linearised.point)
     triangles, prior = list(_triangles(linearised)), linearised.rows.prior
     for s, part in enumerate(problem.parts):
-        others = np.linalg.qr(np.concatenate([prior, *triangles[:s], *triangles[s + 1 :]]), mode="r")
+        others = np.asarray(np.linalg.qr(np.concatenate([prior, *triangles[:s], *triangles[s + 1 :]]), mode="r"))
         alone, point = _problem(problem, part), linearised.point
         yield Linearised(
             problem=alone,

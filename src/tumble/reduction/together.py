@@ -97,7 +97,7 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
 
 def apart(observations: Observations, rests: slice, turns: slice) -> Observations:
     """Those of one of several sessions that were joined, its rests and turns being these."""
-    own = {field.name: getattr(observations.rests, field.name) for field in fields(Rests)}
+    own: dict[str, Any] = {field.name: getattr(observations.rests, field.name) for field in fields(Rests)}
     together, every, readings = observations.together, observations.turns, observations.turn_readings
     assert together is not None
     some = None
