@@ -98,7 +98,8 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
 
 def apart(observations: Observations, rests: slice, turns: slice) -> Observations:
     """Those of one of several sessions that were joined, its rests and turns being these."""
-    own: dict[str, Any] = {field.name: getattr(observations.rests, field.name) for field in fields(Rests)}
+    whole = {field.name: getattr(observations.rests, field.name) for field in fields(Rests)}
+    own: dict[str, Any] = {name: None if value is None else value[rests] for name, value in whole.items()}
     together, every, readings = observations.together, observations.turns, observations.turn_readings
     assert together is not None
     some = None
@@ -109,7 +110,7 @@ def apart(observations: Observations, rests: slice, turns: slice) -> Observation
             readings = TurnReadings(integral=readings.integral[turns], covariance=readings.covariance[turns])
     return replace(
         observations,
-        rests=Rests(**{name: None if value is None else value[rests] for name, value in own.items()}),
+        rests=Rests(**own),
         turns=some,
         turn_samples=None if some is None else _samples_from(observations.turn_samples, turns.start),
         turn_readings=None if some is None else readings,
