@@ -239,7 +239,7 @@ class Problem:
     earth: Array
     measured: tuple[Array, Array]
     variables: Variables
-    """What parameters may change with, in the middle of the rests (N,) and of the turns (K,)."""
+    """What parameters may change with, of the rests (N,) and of the turns (K,)."""
     parts: tuple[SessionSpan, ...]
     """The sessions."""
     of_session: tuple[IntArray, IntArray]
@@ -250,6 +250,8 @@ class Problem:
     """the standard deviations (q,) of its priors."""
     by_lag: Variables = field(default_factory=dict)
     """Derivatives of the variables by the lag of the thermometer, where this is an unknown."""
+    lag_known: bool = False
+    """Whether the lag is known, so that nothing else is said of it."""
 
     @staticmethod
     def of(
@@ -321,7 +323,8 @@ class Problem:
         if self.lag is None:
             return self
         lag = float(point.values[self.lag])
-        return replace(self, variables=variables_of(self.observations, lag), by_lag=by_lag(self.observations, lag))
+        change = {} if self.lag_known else by_lag(self.observations, lag)
+        return replace(self, variables=variables_of(self.observations, lag), by_lag=change)
 
     def values_in(self, point: Point, place: int) -> Array:
         """Parameters (·, m + q) of every rest (`place` 0) or turn (1), those of its session after the common ones."""

@@ -93,8 +93,9 @@ WIDENING_STEPS = 50
 LAGS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, -25.0, -100.0)
 """s: time constants of the sensors behind the thermometer from which the best is sought."""
 LAG_HELD = 1e-3  # s
-LAG_GRID = np.linspace(-5.0, 8.0, 40)
-"""Lags at which the likelihood is taken, in units of u from the maximum."""
+LAG_GRID = np.linspace(-5.0, 8.0, 20)
+"""Lags at which the likelihood is taken, in units of u from the maximum: of a Gaussian, sums in steps of one u have its
+mean and spread to 1e-8."""
 WIDENED = 1.01  # λ of a step that counts as settled
 KEPT = 1e-3  # learned fraction of a group that the session says anything of
 LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
@@ -485,7 +486,7 @@ def _held(problem: Problem, lag: float) -> Problem:
     assert problem.lag is not None
     expected, u = (values.copy() for values in problem.measured)
     expected[1 + problem.lag], u[1 + problem.lag] = lag, LAG_HELD
-    return replace(problem, measured=(expected, u))
+    return replace(problem, measured=(expected, u), lag_known=True)
 
 
 def _point_of(point: Point, where: int, lag: float) -> Point:
