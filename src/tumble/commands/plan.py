@@ -39,8 +39,8 @@ def plan(
     chamber_rate: float,
     **options: Any,
 ) -> None:
-    """The least uncertainty a programme allows, the best next position, and better programmes; over temperature with the
-    time in a chamber."""
+    """The least uncertainty a programme allows, the best next position, and better programmes; over temperature with
+    the time in a chamber."""
     from tumble.planning.best_positions import Aim
     from tumble.planning.plan import plan as best
     from tumble.planning.reachable_attitudes import TurnTable

@@ -257,9 +257,7 @@ def view(course: Course, setup: Setup, *, gyros: bool) -> View:
     observations, about = observed(course, setup, instrument)
     return View(
         problem=Problem.of(observations, instrument=instrument, usual=setup.further),
-        point=Point(
-            values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes
-        ),
+        point=Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes),
         about=about,
         scatter=scatter_of(setup),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from tumble.errors import InputError
-from tumble.planning.over_temperature import ChamberSession, CourseOfTemperature, rests_of
+from tumble.planning.chamber_recordings import ChamberSession, CourseOfTemperature, rests_of
 from tumble.planning.setup import Setup
 from tumble.simulation.temperature_profile import TemperatureProfile, temperature_profile
 from tumble.units import Array

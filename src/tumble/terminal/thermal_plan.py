@@ -21,8 +21,9 @@ def thermal_plan_report(plan: ThermalPlan) -> RenderableType:
     find out about each group beyond the linear model."""
     setup = plan.setup
     head = (
-        f"{setup.programme.name}, {setup.instrument}: rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s, "
-        f"{_celsius(plan.low)} to {_celsius(plan.high)} °C, in the chamber {clock(plan.seconds)}"
+        f"{setup.programme.name}, {setup.instrument}: rests of {setup.rest:g} s, turns at "
+        f"{setup.turn_rate / DEGREE:g} °/s, {_celsius(plan.low)} to {_celsius(plan.high)} °C, in the chamber "
+        f"{clock(plan.seconds)}"
     )
     changes = further_table(plan.names, plan.u, plan.further)
     return Group(Text(head), Text(""), _sessions(plan), Text(""), _parameters(plan), Text(""), changes)

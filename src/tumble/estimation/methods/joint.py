@@ -72,7 +72,7 @@ from tumble.reduction.observations import Observations
 from tumble.rotation import skew
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 30
