@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,6 +62,18 @@ def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
     assert measured_range(calibration()) is None
     assert changing(calibration()) == ()
     assert measured_range(warmed(calibration(), low=22.0, high=22.01)) is None
+
+
+def test_the_range_is_in_the_file_of_launches_and_survives_where_rests_do_not(tmp_path: Path) -> None:
+    made = warmed(calibration())
+    first = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.rests[:2])
+    launches = replace(made, rests=(), launches=(first, replace(first, session="b", rests=made.rests[2:])))
+    launches.write(tmp_path / "launches.json")
+    kept = json.loads((tmp_path / "launches.json").read_text())["temperature"]["range"]
+    assert kept == list(made.temperature_range or ())
+    updated = replace(made, rests=(), measured_between=made.temperature_range)
+    updated.write(tmp_path / "updated.json")
+    assert measured_range(read_calibration(tmp_path / "updated.json")) == measured_range(made)
 
 
 def test_what_changes_with_temperature_survives_the_file(tmp_path: Path) -> None:

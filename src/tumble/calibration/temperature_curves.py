@@ -47,10 +47,10 @@ def rest_temperatures(calibration: Calibration) -> list[float]:
 
 def measured_range(calibration: Calibration) -> Range | None:
     """The range of temperatures of the rests of all launches; None where they have none, or all the same."""
-    seen = rest_temperatures(calibration)
-    if not seen or max(seen) - min(seen) < _LEAST_SPAN:
+    seen = calibration.temperature_range
+    if seen is None or seen[1] - seen[0] < _LEAST_SPAN:
         return None
-    return Range(low=min(seen), high=max(seen))
+    return Range(low=seen[0], high=seen[1])
 
 
 def changing(calibration: Calibration) -> tuple[str, ...]:
