@@ -9,7 +9,8 @@ s what turning on again changes: the standard deviation from launch to launch wh
 what is usual of the grade (`tumble.sensors.grades`). Groups of parameters that the calibration does not have, and
 drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
 temperatures, parameters are taken to that of the session by their slopes and curvatures, with the usual size of those
-that are not known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite sign.
+that are not known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite
+sign.
 
 Rests scatter as they did in the calibration, at least by the in-run instability of the grade.
 """

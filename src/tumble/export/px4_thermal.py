@@ -87,8 +87,8 @@ def sensor_ids(text: str) -> tuple[int, int]:
 def _no_ids(sensors: Mapping[str, AutopilotSensor], place: int) -> str:
     accel, gyro = (sensors[kind].number - 1 for kind in ("accel", "gyro"))
     return (
-        f"TC_A{place}_ID and TC_G{place}_ID are not in this file: set them to CAL_ACC{accel}_ID and CAL_GYRO{gyro}_ID, or "
-        "give --sensor-ids; without them PX4 compensates nothing"
+        f"TC_A{place}_ID and TC_G{place}_ID are not in this file: set them to CAL_ACC{accel}_ID and CAL_GYRO{gyro}_ID, "
+        "or give --sensor-ids; without them PX4 compensates nothing"
     )
 
 

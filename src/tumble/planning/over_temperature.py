@@ -63,8 +63,8 @@ class Chamber:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlannedSession:
     """A recording of `rests` rests between the temperatures `low` and `high`, K, changing by `fastest`, K/s; how long,
-    s, the chamber takes to get there, the unit to soak, and the recording; and `alone`, the u, rms, SI, by group that it
-    would give without the others, infinite where it does not determine a group."""
+    s, the chamber takes to get there, the unit to soak, and the recording; and `alone`, the u, rms, SI, by group that
+    it would give without the others, infinite where it does not determine a group."""
 
     name: str
     rests: int
