@@ -89,4 +89,5 @@ def test_the_report_says_between_which_temperatures_limits_hold() -> None:
     assert "Periodic check: pass, within limits from −18 to 57 °C." in text
     assert "at °C" in text
     without = replace(MADE, rests=())
-    assert "not measured" in repr(document([Source(calibration=without, file="c.json", sha256="0" * 64)], limits("1 g")))
+    source = Source(calibration=without, file="c.json", sha256="0" * 64)
+    assert "not measured" in repr(document([source], limits("1 g")))

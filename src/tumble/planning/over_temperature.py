@@ -42,6 +42,8 @@ LITTLE = 0.05
 """Learned fraction below which a group is left to what is usual."""
 CHANGING = ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale")
 """The groups that change with temperature."""
+SCALES = ("accel.scale", "gyro.scale")
+"""Those that want more than rests."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -63,8 +65,8 @@ class Chamber:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlannedSession:
     """A recording of `rests` rests between the temperatures `low` and `high`, K, changing by `fastest`, K/s; how long,
-    s, the chamber takes to get there, the unit to soak, and the recording; and `alone`, the u, rms, SI, by group that
-    it would give without the others, infinite where it does not determine a group."""
+    s, the chamber takes to get there, the unit to soak, and the recording; and `alone`, the u, rms, SI, of the scale
+    factors by group that it would give without the others, infinite where it does not determine them."""
 
     name: str
     rests: int
@@ -219,7 +221,7 @@ def _planned(
             change=difference / chamber.rate,
             soak=soak_of(chamber, difference, lag),
             recording=takes,
-            alone={group: alone.rms(group) for group in CHANGING if group in alone.groups},
+            alone={group: alone.rms(group) for group in SCALES if group in alone.groups},
         )
         now = float(kelvin[-1])
 
@@ -289,9 +291,9 @@ def _remedy(planned: Sequence[PlannedSession], ramps: Sequence[PlannedSession]) 
 
 def _scales(planned: Sequence[PlannedSession]) -> Iterator[str]:
     """Recordings that say little of scale factors: ten times less than the best of them."""
-    best = {group: min(session.alone.get(group, math.inf) for session in planned) for group in CHANGING}
+    best = {group: min(session.alone.get(group, math.inf) for session in planned) for group in SCALES}
     for session in planned:
-        poor = [g for g in ("accel.scale", "gyro.scale") if session.alone.get(g, 0.0) > 10.0 * best[g]]
+        poor = [g for g in SCALES if session.alone.get(g, 0.0) > 10.0 * best[g]]
         if poor:
             yield (
                 f"{session.name}: its {session.rests} rests determine biases, and {' and '.join(poor)} hardly: these "
