@@ -50,6 +50,23 @@ def test_u_of_a_curve_has_the_degrees_of_freedom_of_the_sum() -> None:
         assert found.expanded[0] == pytest.approx(coverage_factor(float(nu)) * combined, rel=1e-6)
 
 
+def test_coefficients_against_each_other_leave_u_its_degrees_of_freedom() -> None:
+    """Where the sum is known a thousand times better than its parts, k is at most that of the part with fewest."""
+    made = warmed(calibration(), curved=False)
+    place = {p.name: i for i, p in enumerate(made.parameters)}
+    i, j = place["accel.bias.x"], place["accel.bias.x.t1"]
+    assert made.covariance is not None
+    assert made.reference_temperature is not None
+    covariance, u = made.covariance.copy(), float(np.sqrt(made.covariance[i, i]))
+    covariance[j, j] = (0.1 * u) ** 2
+    covariance[i, j] = covariance[j, i] = -0.999999 * 0.1 * u**2
+    parameters = tuple(replace(p, dof=12.0) if p.name.startswith("accel.bias.x") else p for p in made.parameters)
+    made = replace(made, parameters=parameters, covariance=covariance)
+    found = curve(made, "accel.bias.x", np.array([made.reference_temperature + 10.0]))
+    assert found.expanded is not None
+    assert found.expanded[0] == pytest.approx(coverage_factor(12.0) * u * np.sqrt(2e-6), rel=1e-3)
+
+
 def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
     made = warmed(calibration())
     empty = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.rests[:2])
@@ -106,6 +123,8 @@ def test_the_picture_has_a_panel_for_each_group_and_marks_what_was_not_measured(
         assert found is not None
         figure = next(block for block in found.blocks if isinstance(block, Figure))
         assert "Dashed, on grey: not measured" in figure.caption
+        left = [block for block in found.blocks if isinstance(block, Figure)][1]
+        assert left.caption.startswith("What is left of the specific force at each rest, by its temperature")
         assert figure.svg.count("stroke-dasharray: 2.4,1.6") == panels * 3 * 2  # three sensors, two sides
 
 
