@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,11 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import curve
 from tumble.errors import InputError
 from tumble.registry.conformity import verdicts
+from tumble.registry.connect import open_registry
 from tumble.registry.limits import Limits, parse_limits
+from tumble.registry.records import Particulars, submission
+from tumble.registry.series import verdict_of
+from tumble.registry.store import add, limits_records, parameters_of, record, set_limits
 from tumble.report.content import Source, document
 from tumble.units import G_STANDARD
 
@@ -91,3 +97,14 @@ def test_the_report_says_between_which_temperatures_limits_hold() -> None:
     without = replace(MADE, rests=())
     source = Source(calibration=without, file="c.json", sha256="0" * 64)
     assert "not measured" in repr(document([source], limits("1 g")))
+
+
+def test_the_registry_judges_a_record_over_temperature(tmp_path: Path) -> None:
+    text = 'format = 1\ntemperature_degC = [-18, 57]\n[incoming]\n"accel.bias" = "1 g"\n'
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        set_limits(registry, "test", text, None)
+        number = add(registry, submission(json.dumps(MADE.content()), "file", Particulars())).record.number
+        known = {own.number: own for own in limits_records(registry)}
+        verdict = verdict_of(registry, record(registry, number), parameters_of(registry, [number])[number], known)
+        assert verdict is not None
+        assert verdict.over == "within limits from −18 to 57 °C"
