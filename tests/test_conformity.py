@@ -19,7 +19,7 @@ from tumble.registry.limits import Limits, parse_limits
 from tumble.registry.records import Particulars, submission
 from tumble.registry.series import verdict_of
 from tumble.registry.store import add, limits_records, parameters_of, record, set_limits
-from tumble.report.content import Source, document
+from tumble.report.limits import section
 from tumble.units import G_STANDARD
 
 MADE = warmed(calibration())
@@ -91,12 +91,9 @@ def test_temperatures_that_are_none_are_refused(given: str) -> None:
 
 
 def test_the_report_says_between_which_temperatures_limits_hold() -> None:
-    text = repr(document([Source(calibration=MADE, file="c.json", sha256="0" * 64)], limits("1 g")))
-    assert "Periodic check: pass, within limits from −18 to 57 °C." in text
-    assert "at °C" in text
-    without = replace(MADE, rests=())
-    source = Source(calibration=without, file="c.json", sha256="0" * 64)
-    assert "not measured" in repr(document([source], limits("1 g")))
+    assert "Periodic check: pass, within limits from −18 to 57 °C." in repr(section(MADE, limits("1 g")))
+    assert "at °C" in repr(section(MADE, limits("1 g")))
+    assert "not measured" in repr(section(replace(MADE, rests=()), limits("1 g")))
 
 
 def test_the_registry_judges_a_record_over_temperature(tmp_path: Path) -> None:

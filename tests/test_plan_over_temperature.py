@@ -43,7 +43,7 @@ LEVERS = 0.06
 def setup_of(grade: str) -> Setup:
     """Without instability, so that there is no scatter to be found out."""
     setup = Setup.of(
-        grade=grade, rest=120.0, rate_deg_s=20.0, sample_rate=50.0, table_error_deg=0.01, mounting_error_deg=0.01
+        grade=grade, rest=120.0, rate_deg_s=20.0, sample_rate=25.0, table_error_deg=0.01, mounting_error_deg=0.01
     )
     quiet = replace(setup.noise, accel_instability=0.0, gyro_instability=0.0)
     return replace(setup, programme=NINE, noise=quiet)
