@@ -55,14 +55,15 @@ def test_coefficients_against_each_other_leave_u_its_degrees_of_freedom() -> Non
     made = warmed(calibration(), curved=False)
     place = {p.name: i for i, p in enumerate(made.parameters)}
     i, j = place["accel.bias.x"], place["accel.bias.x.t1"]
+    reference = made.reference_temperature
     assert made.covariance is not None
-    assert made.reference_temperature is not None
+    assert reference is not None
     covariance, u = made.covariance.copy(), float(np.sqrt(made.covariance[i, i]))
     covariance[j, j] = (0.1 * u) ** 2
     covariance[i, j] = covariance[j, i] = -0.999999 * 0.1 * u**2
     parameters = tuple(replace(p, dof=12.0) if p.name.startswith("accel.bias.x") else p for p in made.parameters)
     made = replace(made, parameters=parameters, covariance=covariance)
-    found = curve(made, "accel.bias.x", np.array([made.reference_temperature + 10.0]))
+    found = curve(made, "accel.bias.x", np.array([reference + 10.0]))
     assert found.expanded is not None
     assert found.expanded[0] == pytest.approx(coverage_factor(12.0) * u * np.sqrt(2e-6), rel=1e-3)
 
