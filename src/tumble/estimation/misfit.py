@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.estimation.by_session import each_session
 from tumble.estimation.causes import Cause, Concerns, Projection, causes, variance_chance
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Linearised, Scatter
@@ -29,6 +30,8 @@ NAMED_PROBABILITY = 0.02
 """A cause is named for scatter that is there where chance alone would show as much less often."""
 
 MOST_NAMED = 3
+MOST_SESSIONS = 5
+"""Of several sessions, so many at most are described one by one."""
 
 MANY = 30.0
 """Times the noise: a larger scatter is no disturbance of a model that otherwise holds."""
@@ -73,31 +76,56 @@ class Misfit:
 
 
 def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
-    """What the residuals of an estimate say; None where the method keeps no likelihood."""
+    """What the residuals of an estimate say, of several sessions each for itself; None where the method keeps no
+    likelihood."""
     linearised = estimate.linearised
     if linearised is None:
         return None
+    if observations.together is None:
+        return _of_session(linearised)
+    names = observations.together.names
+    found = [_of_session(each, share=1.0 / len(names)) for each in each_session(linearised)]
+    return _of_all([(name, each) for name, each in zip(names, found, strict=True) if each.remarks or each.reasons])
+
+
+def _of_all(found: list[tuple[str, Misfit]]) -> Misfit:
+    """What residuals of sessions say, each with its name: the first few, and how many more."""
+    shown, more = found[:MOST_SESSIONS], len(found) - MOST_SESSIONS
+    remarks = [(concerns, f"{name}: {said}") for name, each in shown for concerns, said in each.remarks]
+    if more > 0:
+        remarks.append(("both", f"{more} more sessions scatter: calibrate them one by one to see by what"))
+    return Misfit(
+        reasons=tuple((concerns, f"{name}: {said}") for name, each in found for concerns, said in each.reasons),
+        remarks=tuple(remarks),
+        causes=tuple(dict.fromkeys(cause for _, each in found for cause in each.causes)),
+    )
+
+
+def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
+    """What the residuals of a session say, which has this share of the false alarms."""
+    observations, limit = linearised.problem.observations, share * CAUSE_PROBABILITY
     chances = group_chances(linearised)
-    larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < GROUP_PROBABILITY]
+    larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
     found = causes(linearised, Projection(linearised, linearised.scatter))
-    named = [cause for cause in found if cause.probability < CAUSE_PROBABILITY]
+    named = [cause for cause in found if cause.probability < limit]
     if larger:
-        named += _likely(found, {group.component for group in larger}, {group.concerns for group in larger})
+        others = [cause for cause in found if cause.probability >= limit]
+        named += _likely(others, {group.component for group in larger}, {group.concerns for group in larger})
     named = named[:MOST_NAMED]
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     reasons = [
         _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
     ]
-    reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < CAUSE_PROBABILITY]
+    reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < limit]
     remarks = [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
     remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
     return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=tuple(cause.name for cause in named))
 
 
 def _likely(found: list[Cause], components: set[str], concerned: set[Concerns]) -> list[Cause]:
-    """Causes for a scatter that is there. What makes turns scatter and not the gyros at rest is random itself, so that
-    nothing systematic need fit well: it comes first."""
-    likely = [c for c in found if c.probability >= CAUSE_PROBABILITY and concerned & {c.concerns, "both"}]
+    """Causes, of those that do not stand out, for a scatter that is there. What makes turns scatter and not the gyros
+    at rest is random itself, so that nothing systematic need fit well: it comes first."""
+    likely = [c for c in found if concerned & {c.concerns, "both"}]
     random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in components else []
     if random and random[0].probability > 0.05:
         random.insert(0, _movement())

@@ -5,7 +5,7 @@ Temperatures are those of the thermometer, or of what follows it with a lag (dyn
 each rest and each turn: where a ramp turns back within a turn the rests beside it do not say how warm it was, and the
 mean of a square is not the square of a mean. The reference T₀ is the mean of the thermometer over the rests, so that
 T − T₀ is small and a parameter has its value at T₀. Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1 over the range of the
-thermometer.
+thermometer in the recording: it is nothing where the temperature turns back.
 """
 
 from __future__ import annotations

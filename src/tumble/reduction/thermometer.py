@@ -26,7 +26,7 @@ MOVED = 0.5
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Warmth:
     """Of some stretches of time (N,): the mean temperature, K, its variance, K², and the mean of sgn(Ṫ)(1 − x²), which
-    a hysteresis goes with, x = −1 … 1 over the range of the thermometer and Ṫ that of the thermometer."""
+    a hysteresis goes with, x = −1 … 1 over the range of the thermometer in the file and Ṫ that of the thermometer."""
 
     kelvin: Array
     variance: Array
@@ -64,10 +64,11 @@ class Thermometer:
         its middle."""
         half = 0.5 * np.maximum(stop - start, STEP)
         early, late = 0.5 * (start + stop) - half, 0.5 * (start + stop) + half
-        out, (middle, reach) = np.empty((3, len(start))), self.span
+        out, middle = np.empty((3, len(start))), np.empty(len(start))
         for number, (begin, kelvin) in self.files.items():
-            of = file == number
-            off = followed(kelvin, STEP, lag) - middle
+            of, reach = file == number, 0.5 * float(np.ptp(kelvin))
+            middle[of] = here = 0.5 * float(kelvin.min() + kelvin.max())
+            off = followed(kelvin, STEP, lag) - here
             inner = np.maximum(1.0 - (off / max(reach, MOVED)) ** 2, 0.0)
             series = np.stack([off, off**2, self._direction(number) * inner])
             integral = _integral(series, late[of] - begin) - _integral(series, early[of] - begin)
@@ -91,13 +92,6 @@ class Thermometer:
             out[of] = self._direction(number)[steps]
         return out
 
-    @property
-    def span(self) -> tuple[float, float]:
-        """Middle and half the range, K, of all temperatures."""
-        low = min(float(kelvin.min()) for _, kelvin in self.files.values())
-        high = max(float(kelvin.max()) for _, kelvin in self.files.values())
-        return 0.5 * (low + high), 0.5 * (high - low)
-
 
 def _came(kelvin: Array) -> Array:
     """The direction, 1, −1 or 0, at every one of temperatures (K,): it turns where the temperature has come back by
@@ -116,8 +110,8 @@ def _came(kelvin: Array) -> Array:
 
 
 def _integral(series: Array, at: Array) -> Array:
-    """Integrals (q, N) from the first to times (N,), s, after it of series (q, K) of values every STEP that are straight
-    between, and the same beyond their ends."""
+    """Integrals (q, N) from the first to times (N,), s, after it of series (q, K) of values every STEP that are
+    straight between, and the same beyond their ends."""
     last = series.shape[1] - 1
     whole = np.zeros_like(series)
     np.cumsum(0.5 * STEP * (series[:, 1:] + series[:, :-1]), axis=1, out=whole[:, 1:])
