@@ -147,7 +147,7 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
         condition=np.inf if len(null) else float(np.sqrt(size[-1] / size[0])),
         worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
         worst_u=np.inf if len(null) else float(np.sqrt(size[-1])),
-        further=tuple(_findings(instrument, setup, np.diag(own))),
+        further=tuple(findings(instrument, setup, np.diag(own))),
     )
 
 
@@ -164,7 +164,7 @@ def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solut
     return np.block([[solution.covariance, across], [across.T, own]]), solution
 
 
-def _findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
+def findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
     """What a programme finds out about each group beyond the linear model."""
     for name, members in instrument.members.items():
         learned = np.clip(1.0 - variance[members] / setup.further[name] ** 2, 0.0, 1.0)

@@ -21,11 +21,10 @@ from tumble.errors import InputError
 from tumble.estimation.estimate import DETERMINED, GroupFinding
 from tumble.estimation.likelihood import Problem, noise_of, solve
 from tumble.estimation.variables import both_ways, lag_is_sought
-from tumble.planning.bounds import KEPT, Course, bound_of, course_of, scatter_of
+from tumble.planning.bounds import Course, bound_of, course_of, findings, scatter_of
 from tumble.planning.chamber_recordings import ChamberSession, problem_of
 from tumble.planning.setup import Setup, with_all_groups
 from tumble.programme.positions import duration
-from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_of, positions_by_group, quantity_of, to_temperature
 from tumble.units import ZERO_CELSIUS, Array
 from tumble.usual_setup import MOVE
@@ -155,7 +154,7 @@ def plan_over_temperature(
     linear = instrument.linear_count
     determined = np.ones(len(covariance), dtype=bool)
     determined[:linear] = np.sqrt(np.diag(covariance)[:linear]) < problem.spread[:linear] / DETERMINED
-    further = tuple(_findings(instrument, setup, np.diag(covariance)))
+    further = tuple(findings(instrument, setup, np.diag(covariance)))
     return ThermalPlan(
         setup=setup,
         sessions=planned,
@@ -185,18 +184,6 @@ def wanted_over_temperature(texts: Sequence[str]) -> dict[str, float]:
         except ValueError as error:
             raise InputError(f"--want {text}: {error}") from None
     return wanted
-
-
-def _findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
-    for name, members in instrument.members.items():
-        learned = np.clip(1.0 - variance[members] / setup.further[name] ** 2, 0.0, 1.0)
-        yield GroupFinding(
-            name=name,
-            kept=bool(learned.max() > KEPT),
-            prior=setup.further[name],
-            widened=1.0,
-            learned=tuple(learned.tolist()),
-        )
 
 
 # The chamber
@@ -244,7 +231,7 @@ def _notes(
     chamber: Chamber,
 ) -> Iterator[str]:
     """What the recordings do not show, and why."""
-    observations, names = problem.observations, problem.instrument.names
+    observations = problem.observations
     ramps = [session for session in planned if session.high - session.low > PASSED]
     left = [g.name for g in further if g.name.endswith((".t1", ".t2")) and max(g.learned) < LITTLE]
     if left:
@@ -273,7 +260,7 @@ def _notes(
                 f"{session.name}: the temperature changes faster than the chamber can, {60.0 * chamber.rate:.2g} "
                 "K/min; take longer rests, or more of them"
             )
-    if len(names) and len(planned) > 1:
+    if len(planned) > 1:
         yield "a launch each: u of the biases contains what they change by from one power-on to the next"
 
 
