@@ -77,8 +77,8 @@ def measured(count: int, *, drawn: bool) -> tuple[bool, bool]:
 
 
 def main() -> int:
-    count = 2 if "--short" in sys.argv else 40
-    found = [measured(count, drawn=drawn) for drawn in (False, True)]
+    short = "--short" in sys.argv
+    found = [measured(1 if short else 40, drawn=drawn) for drawn in ((False,) if short else (False, True))]
     fine = all(all(each) for each in found)
     print(f"\nDoes a thermometer take the warm-up off, and is it named without one? {'Yes' if fine else 'No'}")
     return 0 if fine else 1

@@ -131,7 +131,7 @@ def test_a_ramp_up_and_down_is_calibrated_within_its_uncertainties(tmp_path: Pat
 
 def test_a_device_with_all_terms_has_a_lag_and_hysteresis(tmp_path: Path) -> None:
     """They are in truth.json by their names, and the calibration of the log finds them."""
-    setup = Setup.of(grade="tactical", rest=20.0, rate_deg_s=40.0, sample_rate=50.0, terms="full")
+    setup = Setup.of(grade="tactical", rest=20.0, rate_deg_s=40.0, sample_rate=25.0, terms="full")
     profile = temperature_profile("10:35:10")
     folder = simulate_session(tmp_path / "s", setup, seed=5, temperature=profile)
     true = read_truth(folder / "truth.json")
