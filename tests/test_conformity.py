@@ -71,6 +71,8 @@ def test_nothing_passes_beyond_what_was_measured() -> None:
     assert beyond.reasons() == [f"not measured from −40.0 to −18.5 °C: {', '.join(j.named for j in beyond.judgements)}"]
     apart = verdicts(MADE, limits("1 g", "[70, 85]"))[0]
     assert apart.unmeasured == "from 70.0 to 85.0 °C"
+    flat = replace(MADE, parameters=calibration().parameters, covariance=calibration().covariance)
+    assert verdicts(flat, limits("1 g"))[0].reasons() == [f"not known over temperature: {', '.join(NAMES)}"]
     cold = verdicts(calibration(), limits("1 g"))[0]
     assert cold.result == "undecided"
     assert cold.judgements[0].statement == "undecided"

@@ -29,6 +29,7 @@ from tumble.units import Array
 
 LETTERS = {"accel": "A", "gyro": "G"}
 MOST_PLACES = 3
+"""So many sensors of a kind PX4 compensates."""
 
 
 def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None, imu: int | None = None) -> Exported:

@@ -160,7 +160,9 @@ class Verdict:
             "within the guard band": [
                 j for j in self.judgements if j.result == "undecided" and j.expanded is not None and not j.beyond
             ],
-            f"not measured {self.unmeasured}": [j for j in self.judgements if j.result == "undecided" and j.beyond],
+            f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature": [
+                j for j in self.judgements if j.result == "undecided" and j.beyond
+            ],
             "without U": [
                 j
                 for j in self.judgements
