@@ -155,14 +155,13 @@ class Verdict:
 
     def reasons(self) -> list[str]:
         """Which parameters do not pass, and why, in words."""
+        unmeasured = f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature"
         groups = {
             "outside its limits": [j for j in self.judgements if j.result == "fail"],
             "within the guard band": [
                 j for j in self.judgements if j.result == "undecided" and j.expanded is not None and not j.beyond
             ],
-            f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature": [
-                j for j in self.judgements if j.result == "undecided" and j.beyond
-            ],
+            unmeasured: [j for j in self.judgements if j.result == "undecided" and j.beyond],
             "without U": [
                 j
                 for j in self.judgements
