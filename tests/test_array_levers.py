@@ -61,7 +61,7 @@ class Shaken:
     def __init__(self, seed: int, *, seconds: float = 30.0, rate: float = 200.0, delay: float = 1.5e-3) -> None:
         rng = np.random.default_rng(seed)
         self.dt, self.delay = 1.0 / rate, delay
-        t = np.arange(round(seconds * rate)) * self.dt
+        t = np.arange(round(seconds * rate), dtype=float) * self.dt
         self.levers = np.repeat(CHIPS, 3, axis=0) + rng.normal(0.0, 0.3e-3, (24, 3))
         self.own = rng.normal(0.0, [0.3, 2e-4, 2e-4, 2e-4], (24, 4))  # biases, and what is not known of the rows
         self.values = np.zeros(len(INSTRUMENT.names))
