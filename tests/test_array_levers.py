@@ -45,9 +45,8 @@ def solved(found: ArrayLevers, rates: float, lever: float = 0.03) -> tuple[Array
     """Lever arms, delay and E (q,), and their covariance, where the rates are known to a part `rates`."""
     known = np.concatenate([np.full(len(found.about) - COMMON, lever), [0.02], np.full(9, rates)]) ** -2.0
     normal = found.root.T @ found.root + np.diag(known)
-    return found.about + np.linalg.solve(normal, found.root.T @ found.excess - known * found.about), np.linalg.inv(
-        normal
-    )
+    step = np.linalg.solve(normal, found.root.T @ found.excess - known * found.about)
+    return np.asarray(found.about + step), np.asarray(np.linalg.inv(normal))
 
 
 def placed(solution: Array) -> Array:
