@@ -392,6 +392,18 @@ def _parts(observations: Observations, link: IntArray) -> tuple[tuple[SessionSpa
     return tuple(parts), (of_rest, of_turn)
 
 
+def instruments_of(observations: Observations) -> tuple[Instrument, Instrument | None]:
+    """The instrument with all groups whose usual size observations know and which they may show; and, of several
+    sessions, that with what each has of its own."""
+    accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
+    variables = set(variables_of(observations))
+    if observations.together is None:
+        return Instrument.of(accel, gyro, usual, variables), None
+    every = Instrument.of(accel, gyro, usual, OWN)
+    own = replace(every, further=tuple(group for group in every.further if group.variable in OWN))
+    return Instrument.of(accel, gyro, usual, variables - set(OWN)), own
+
+
 # Residuals and Jacobians
 
 

@@ -39,6 +39,9 @@ MANY = 30.0
 NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5}
 """m/s², rad/s, rad: scatter that no use of an inertial unit would notice, however small the noise of the log."""
 
+TURNS_MORE = 10.0
+"""Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
+
 DAMAGE = 3.0
 """Times u: a parameter that errs by more because a cause was left out."""
 
@@ -108,11 +111,11 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
     found = causes(linearised, Projection(linearised, linearised.scatter))
     named = [cause for cause in found if cause.probability < limit]
+    ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     if larger:
         others = [cause for cause in found if cause.probability >= limit]
-        named += _likely(others, {group.component for group in larger}, {group.concerns for group in larger})
+        named += _likely(others, ratios, {group.concerns for group in larger})
     named = named[:MOST_NAMED]
-    ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     reasons = [
         _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
     ]
@@ -122,17 +125,19 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=tuple(cause.name for cause in named))
 
 
-def _likely(found: list[Cause], components: set[str], concerned: set[Concerns]) -> list[Cause]:
-    """Causes, of those that do not stand out, for a scatter that is there. What makes turns scatter and not the gyros
-    at rest is random itself, so that nothing systematic need fit well: it comes first."""
-    likely = [c for c in found if concerned & {c.concerns, "both"}]
-    random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in components else []
+def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concerns]) -> list[Cause]:
+    """Causes, of those that do not stand out, for a scatter that is there, which is `ratios` times the noise. What
+    makes turns scatter and not, or much less, the gyros at rest is random itself, so that nothing systematic need fit
+    well: it comes first."""
+    likely = [c for c in found if c.concerns in {*concerned, "both"}]
+    random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in ratios else []
     if random and random[0].probability > 0.05:
         random.insert(0, _movement())
     elif random:
         random.append(_movement())
     others = [c for c in likely if c.probability < NAMED_PROBABILITY and c not in random]
-    return others + random if "gyro" in components else random + others
+    at_rest = TURNS_MORE * ratios.get("gyro", 0.0) >= ratios.get("turn", 0.0)
+    return others + random if "gyro" in ratios and at_rest else random + others
 
 
 def group_chances(linearised: Linearised) -> list[float]:

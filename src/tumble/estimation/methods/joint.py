@@ -49,7 +49,6 @@ from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, Gr
 from tumble.estimation.likelihood import (
     COMPONENTS,
     NO_PRIOR,
-    OWN,
     Left,
     Linearised,
     Noise,
@@ -61,6 +60,7 @@ from tumble.estimation.likelihood import (
     Step,
     Weights,
     at_reference,
+    instruments_of,
     left,
     linearise,
     noise_of,
@@ -68,12 +68,11 @@ from tumble.estimation.likelihood import (
 )
 from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.estimation.variables import variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 30
@@ -134,11 +133,8 @@ def joint(
     rests and turns that do not fit; their sigmas say which they are. A `quick` one ends after
     QUICK_STEPS, settled or not, and then does not look for what does not fit: it is for a page that follows a session
     and cannot wait for one that contradicts itself."""
-    accel, gyro = observations.accel_block, observations.gyro_block
-    variables, own = set(variables_of(observations)), None
-    if observations.together is not None:
-        variables, own = variables - set(OWN), _of_each(accel, gyro, observations.usual)
-    instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables)
+    usual, own = instruments_of(observations)
+    instrument = instrument or usual
     problem = Problem.of(observations, prior, instrument=instrument, own=own, usual=observations.usual)
     at, first = _started(problem)
     at = _with_lag(problem, at)
@@ -146,12 +142,6 @@ def joint(
     fitting = everything if quick and not everything.settled else _fitting(everything)
     shown = _with_posterior(fitting if robust else everything, problem)
     return _estimate(shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
-
-
-def _of_each(accel: Block, gyro: Block | None, usual: Mapping[str, float]) -> Instrument:
-    """The groups that each of several sessions has of its own."""
-    every = Instrument.of(accel, gyro, usual, OWN)
-    return replace(every, further=tuple(group for group in every.further if group.variable in OWN))
 
 
 # Which rests and turns count
