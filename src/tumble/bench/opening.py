@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,49 @@ from tumble.programme.positions import programme as built_in
 from tumble.recording.session import SESSION_FILE
 
 FULL_SCALE_OF_VIRTUAL = 5.235987755982989  # rad/s: 300 °/s
+
+
+def stations_of(
+    folders: Sequence[Path],
+    listen: Sequence[str] = (),
+    *,
+    serials: Sequence[str] = (),
+    site: Mapping[str, Any],
+    programme: str | None = None,
+    wanted: tuple[str, ...] = (),
+    grade: str = "mems",
+    registry: str | None = None,
+) -> list[Station]:
+    """The benches of session folders: of each what stands after its --listen, and its --serial, in their order; of none
+    where another program writes the log. Raises InputError."""
+    for given, option in ((listen, "--listen"), (serials, "--serial")):
+        if given and len(given) != len(folders):
+            raise InputError(
+                f"{option}: expected none, or one for each of the {len(folders)} sessions, found {len(given)}"
+            )
+    twice = [folder for k, folder in enumerate(folders) if folder.resolve() in [f.resolve() for f in folders[:k]]]
+    if twice:
+        raise InputError(
+            f"{twice[0]}: expected every session once, found it twice; give each bench a folder of its own"
+        )
+    for folder in folders:
+        if not listen and not (folder / SESSION_FILE).exists():
+            raise InputError(
+                f"{folder}: expected a session folder, or --listen with what to record into it, found neither"
+            )
+    return [
+        station_of(
+            folder,
+            listen[k] if listen else None,
+            serial=serials[k] if serials else None,
+            site=site,
+            programme=programme,
+            wanted=wanted,
+            grade=grade,
+            registry=registry,
+        )
+        for k, folder in enumerate(folders)
+    ]
 
 
 def station_of(

@@ -329,8 +329,8 @@ class Reducer:
         )
 
     def now(self) -> Reduction:
-        """The reduction of what was fed so far, to the bit that of a log which ends here. No block is copied; more may be
-        fed afterwards."""
+        """The reduction of what was fed so far, to the bit that of a log which ends here. No block is copied; more may
+        be fed afterwards."""
         return Reduction(
             rate=self.rate,
             files=(*self._files, self._blocks()) if self._file >= 0 else (),

@@ -34,6 +34,13 @@ export function details(list, pairs) {
   list.replaceChildren(...wanted.flatMap(([term, value]) => [made("dt", term), made("dd", value)]));
 }
 
+/** A position by its name and by where the body axes point. */
+export function points(box, position) {
+  const words = position ? [position.label, ...Object.entries(position.points).map(([axis, to]) => `${axis} → ${to}`)] : [];
+  if (words.join() === [...box.children].map((each) => each.textContent).join()) return;
+  box.replaceChildren(...words.map((text, i) => made("span", text, i ? "" : "name")));
+}
+
 /** A bar for every group: the middle is the wanted u, each half a factor of a hundred. */
 export function groups(box, list) {
   box.replaceChildren(...list.map((group) => {
