@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from bench_driver import SITE, TOKEN, Bench, served
-from browser import Browser, chromium, eventually
+from browser import Browser, chromium, eventually, inaccessible
 
 from tumble.bench.laboratory import listed
 from tumble.bench.opening import stations_of
@@ -82,7 +82,9 @@ def test_the_list_and_the_pages_by_keyboard_alone(benches: tuple[Bench, Bench], 
             assert browser.js("document.documentElement.scrollWidth <= window.innerWidth")
             if os.environ.get("TUMBLE_SCREENSHOTS"):
                 browser.picture(pictures / f"several-{name}-{width}.png")
-        assert browser.js((Path(__file__).parent / "accessible.js").read_text(encoding="utf-8")) == []
+        for dark in (True, False):
+            browser.dark(dark)
+            assert inaccessible(browser) == []
 
     try:
         with served(first.station, second.station) as link:

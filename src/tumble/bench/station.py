@@ -142,6 +142,7 @@ class Station:
         self._estimate: dict[str, Any] | None = None
         self._result: dict[str, Any] | None = None
         self._message = ""
+        self._wrong: tuple[str, int] | None = None
         self._calibrating = False
         self._go_on_after = -1
         self._samples = self._lost = 0
@@ -329,11 +330,19 @@ class Station:
             "sphere": self._sphere(groups),
             "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - 273.15),
             "to_go": self._to_go(groups, current),
+            "message": self._still_said(fault),
         }
         if fault is not None:
             said = {"kind": fault.kind, "said": fault.said, "at": fault.start, "choices": list(fault.choices)}
             return state | {"screen": "fault", "headline": "Not good", "fault": said, **self._where(groups, current)}
         return state | {"fault": None} | self._screen(blocks, groups, current)
+
+    def _still_said(self, fault: Fault | None) -> str:
+        """What was answered last, until something else is wrong."""
+        if fault is not None and _key(fault) != self._wrong:
+            self._message = ""
+        self._wrong = None if fault is None else _key(fault)
+        return self._message
 
     def _header(self) -> dict[str, Any]:
         intake = self.intake.received if self.intake is not None else None

@@ -37,10 +37,12 @@ function header() {
 
 function now() {
   const { fault, position } = state;
-  say(of("headline"), state.headline);
+  const { result } = state;
+  const ended = result && (result.accepted ? "Calibrated: accepted" : "Calibrated: not accepted");
+  say(of("headline"), fault ? state.headline : ended || (state.calibrating ? "Calibrating …" : state.headline));
   say(of("fault"), fault ? fault.said : "");
   show(of("fault"), Boolean(fault));
-  of("now").className = `now ${state.screen}`;
+  of("now").className = `now ${result && !result.accepted ? "fault" : state.screen}`;
   show(of("picture"), Boolean(position));
   if (position && of("picture").getAttribute("src") !== position.picture) {
     of("picture").src = position.picture;
@@ -58,7 +60,7 @@ function figures() {
   if (state.screen === "rest") {
     say(of("big"), rest.nothing_more ? "enough" : rest.left === null ? "…" : clock(rest.left));
     details(of("details"), [
-      ["u of the mean", `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
+      ["u of the mean", rest.u === null ? "…" : `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
       ["gyros", rest.gyro_u === null ? "" : `${number(rest.gyro_u)} °/h of ${number(rest.gyro_wanted)} °/h`],
       ["drift", `${number(rest.drift)} µg${rest.settling ? ": still settling" : ""}`],
       ["temperature", degrees],
@@ -71,17 +73,18 @@ function figures() {
     details(of("details"), [
       ["move", state.position ? state.position.move : "any"],
       ["rate", turn.rate === null ? "" : `${turn.rate.toFixed(1)} °/s${scale}`],
+      ["best", !state.position && state.estimate ? state.estimate.next : ""],
       ["note", state.early],
     ]);
   } else {
     say(of("big"), "");
-    details(of("details"), scatter ? [["scatter now", `${number(scatter.now)} m/s², at rest below ${number(scatter.limit)}`], ["temperature", degrees]] : []);
+    details(of("details"), scatter ? [["scatter now", `${number(scatter.now)} m/s²`], ["of a rest below", `${number(scatter.limit)} m/s²`], ["temperature", degrees]] : []);
   }
 }
 
 function estimate() {
   const found = state.estimate;
-  const busy = state.estimating ? " · estimating …" : "";
+  const busy = state.estimating ? " …" : "";
   say(of("estimated"), (found ? `Estimate from ${found.rests} rests${found.enough ? ": all wanted u reached" : ""}` : "No estimate yet") + busy);
   if (!found) { of("groups").replaceChildren(); return; }
   groups(of("groups"), found.groups);
@@ -118,6 +121,7 @@ function buttons() {
   for (const button of document.querySelectorAll("#buttons button")) show(button, wanted[button.dataset.do]);
   for (const button of document.querySelectorAll("main button")) button.disabled = !state.may_command;
   show(of("table"), state.table);
+  show(of("leave"), Boolean(state.estimate) || state.excluded > 0);
 }
 
 /** The other benches on this server, and the list of them; built anew only where they change, for the focus. */
