@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from tumble.bench import folder as folders
-from tumble.bench.sources import MOTIONCAL_LOG, LineSource, in_si, source_of
+from tumble.bench.sources import MOTIONCAL_LOG, LineSource, in_si, is_recorded, source_of
 from tumble.bench.station import Station
 from tumble.errors import InputError
 from tumble.programme.positions import programme as built_in
-from tumble.recording.session import SESSION_FILE
+from tumble.recording.session import SESSION_FILE, read_session
 
 FULL_SCALE_OF_VIRTUAL = 5.235987755982989  # rad/s: 300 °/s
 
@@ -85,8 +85,11 @@ def _make(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any]
     if kind == "replay":
         original = Path(rest.rpartition("@")[0] if "@" in rest else rest)
         source_of(listen).close()
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(original / SESSION_FILE, folder / SESSION_FILE)
+        if is_recorded(read_session(original).log):
+            folder.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(original / SESSION_FILE, folder / SESSION_FILE)
+        else:
+            folders.begin_as_csv(folder, original)
         return
     if kind == "simulator":
         log = in_si()

@@ -123,6 +123,7 @@ export class Trace {
     this.plot = new window.uPlot(
       { title, width: this.width(), height: 170, series, axes, scales: { x: { time: false } }, cursor: { show: false }, legend: { show: false } },
       this.data, box);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.plot.redraw());
     new ResizeObserver(() => this.plot.setSize({ width: this.width(), height: 170 })).observe(box);
   }
 

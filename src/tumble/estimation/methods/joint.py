@@ -103,7 +103,7 @@ FREE = 0.01  # of the variance of the noise: directions in which residuals have 
 ROUNDED = 1e-9  # of the largest: directions of a projector below it are rounding
 STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 without a bad one, 1 % have such a one
 MOST_LEFT_OUT = 6
-QUICK_LEFT_OUT = 2
+QUICK_LEFT_OUT = 1
 """Rests and turns that a quick estimate leaves out at most: each costs as much as the estimate with them."""
 LEAST_CHANCE = 1e-300
 ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
