@@ -185,7 +185,8 @@ def main() -> int:
     print(f"{seconds / 3600.0:.2f} h of log in {passed / 60.0:.1f} min, {spent:.0f} s of processor time")
     print(f"{unit.sent} samples sent, {rows} in the log, {received['lost']} lost, {received['refused']} refused")
     print(f"memory {memory():.0f} MB at most, {before:.0f} MB before the first sample")
-    print(f"{estimate['rests']} rests, {estimate['unknowns']} unknowns: {estimate['seconds']:.2f} s of processor time for it")
+    found = f"{estimate['rests']} rests with {estimate['unknowns']} unknowns"
+    print(f"an estimate of {found} takes {estimate['seconds']:.2f} s of processor time")
     print(f"from a rest that is left out to the estimate without it on the state: {waited:.2f} s")
     print(f"from a sample to the state with it: {np.median(late):.2f} s in the middle, {late.max():.2f} s at most")
     kept = rows == unit.sent and received["lost"] == 0 and memory() < MEMORY
