@@ -79,11 +79,11 @@ class Bench:
 
 
 @contextmanager
-def served(station: Station) -> Iterator[str]:
-    """The link to the page of a station."""
+def served(*stations: Station) -> Iterator[str]:
+    """The link to the page of a station, or to the list of several."""
     with socket.create_server(("127.0.0.1", 0)) as bound:
         port = bound.getsockname()[1]
-        app = app_of(station, Access(host="127.0.0.1", port=port, token=TOKEN))
+        app = app_of(stations, Access(host="127.0.0.1", port=port, token=TOKEN))
         server = uvicorn.Server(uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=1))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
         thread.start()

@@ -28,6 +28,10 @@ FLAGS = (
 )
 KEYS = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "Enter": 13, "Tab": 9}
 
+ACCESSIBLE = (Path(__file__).parent / "accessible.js").read_text(encoding="utf-8")
+AXE = os.environ.get("TUMBLE_AXE")
+"""axe.min.js of axe-core, which then looks at every page too."""
+
 
 def chromium() -> str | None:
     """The program, if it is installed."""
@@ -100,6 +104,11 @@ class Browser:
         """Make the window this large."""
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
+    def dark(self, wanted: bool) -> None:
+        """Show the page as one who likes it dark sees it."""
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if wanted else "light"}
+        self.send("Emulation.setEmulatedMedia", features=[scheme])
+
     def js(self, expression: str) -> Any:
         """The value of an expression in the page."""
         found = self.send("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
@@ -136,6 +145,18 @@ class Browser:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def inaccessible(browser: Browser) -> list[str]:
+    """What is wrong with the page for those who do not see it well, or at all."""
+    found = list(browser.js(ACCESSIBLE))
+    if AXE is not None:
+        if not browser.js("Boolean(window.axe)"):
+            browser.js(Path(AXE).read_text(encoding="utf-8") + "; 0")
+        found += browser.js(
+            "axe.run().then(f => f.violations.map(v => `${v.id}: ${v.nodes.map(n => n.target.join(' ')).join(', ')}`))"
+        )
+    return [str(each) for each in found]
 
 
 def eventually(what: Callable[[], Any], seconds: float = 30.0, *, every: float = 0.05) -> Any:

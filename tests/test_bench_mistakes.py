@@ -9,14 +9,12 @@ from pathlib import Path
 
 import pytest
 from bench_driver import Bench, served
-from browser import Browser, chromium, eventually
+from browser import Browser, chromium, eventually, inaccessible
 
 from tumble.bench.virtual_table import VirtualTable
 from tumble.recording.session import read_session
 
 needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")
-AXE = os.environ.get("TUMBLE_AXE")
-"""axe.min.js of axe-core, which then looks at every page too."""
 
 
 @dataclass(kw_only=True)
@@ -26,6 +24,7 @@ class Shown:
     bench: Bench
     browser: Browser
     pictures: Path
+    place: str
     faults: list[str] = field(default_factory=list)
 
     @property
@@ -48,30 +47,24 @@ class Shown:
             self.bench.run(0.2)
             eventually(lambda: said not in self.browser.text("#fault"))
 
+    def seen(self, screen: str) -> None:
+        """A screen without a mistake."""
+        eventually(lambda: self.browser.js("document.body.dataset.screen") == screen)
+        self.look(screen)
+
     def look(self, name: str) -> None:
         """What is wrong with the page as it is."""
         for width, height in ((390, 844), (1100, 900)):
             self.browser.size(width, height)
             assert self.browser.js("document.documentElement.scrollWidth <= window.innerWidth")
             if os.environ.get("TUMBLE_SCREENSHOTS"):
-                self.browser.picture(self.pictures / f"mistake-{name}-{width}.png")
-        self.faults += [f"{name}: {fault}" for fault in self.browser.js(ACCESSIBLE)]
-        if AXE is not None:
-            self.faults += [f"{name}: {fault}" for fault in axe(self.browser)]
-
-
-ACCESSIBLE = (Path(__file__).parent / "accessible.js").read_text(encoding="utf-8")
-
-
-def axe(browser: Browser) -> list[str]:
-    """What axe-core finds wrong with the page."""
-    assert AXE is not None
-    if not browser.js("Boolean(window.axe)"):
-        browser.js(Path(AXE).read_text(encoding="utf-8") + "; 0")
-    found = browser.js(
-        "axe.run().then(f => f.violations.map(v => `${v.id}: ${v.nodes.map(n => n.target.join(' ')).join(', ')}`))"
-    )
-    return [str(each) for each in found]
+                self.browser.picture(self.pictures / f"mistake-{self.place}-{name}-{width}.png")
+        self.faults += [f"{name}: {fault}" for fault in inaccessible(self.browser)]
+        self.browser.dark(True)
+        self.faults += [f"{name}, dark: {fault}" for fault in inaccessible(self.browser)]
+        if os.environ.get("TUMBLE_SCREENSHOTS"):
+            self.browser.picture(self.pictures / f"dark-{self.place}-{name}.png")
+        self.browser.dark(False)
 
 
 @pytest.fixture
@@ -84,7 +77,7 @@ def shown(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Shown]:
             browser.open(link)
             eventually(lambda: browser.js("document.body?.dataset.screen"))
             pictures = Path(os.environ.get("TUMBLE_SCREENSHOTS") or tmp_path)
-            made = Shown(bench=bench, browser=browser, pictures=pictures)
+            made = Shown(bench=bench, browser=browser, pictures=pictures, place=request.param or "by-hand")
             yield made
             origin = link.split("?")[0]
             assert all(url.startswith(origin) for url in browser.requests)
@@ -99,6 +92,7 @@ def common_mistakes(shown: Shown, to_next: Callable[[], None], then: Callable[[]
     """Those of any session: at rest in the second position, then on the way to the next ones."""
     bench, table = shown.bench, shown.table
     bench.run(3.2)
+    shown.seen("rest")
     table.knock()
     shown.named("knock", "knock at", "a", later=0.1)
     bench.until(lambda: bench.screen == "turn")
@@ -113,6 +107,7 @@ def common_mistakes(shown: Shown, to_next: Callable[[], None], then: Callable[[]
     shown.named("movement", "Hold still: the unit is not yet at rest", "", later=1.5)
     bench.until(lambda: bench.screen == "rest")
     bench.until(lambda: bench.screen == "turn")
+    shown.seen("turn")
     table.warm(1.0)
     shown.named("temperature", "drift of temperature", "g", later=5.0)
     table.warm(0.0)

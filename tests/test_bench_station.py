@@ -20,6 +20,7 @@ from tumble.bench.wishes import wishes
 from tumble.calibration.calibrate import calibrate
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
+from tumble.recording.log import open_log
 from tumble.recording.session import read_session
 from tumble.simulation.session import simulate_session
 
@@ -167,6 +168,25 @@ def test_the_result_after_a_replay_is_that_of_the_batch(recorded: Path, tmp_path
     assert (tmp_path / "launch" / "log.csv").read_bytes() == (recorded / "log.csv").read_bytes()
     calibrate(recorded).write(tmp_path / "batch.json")
     assert _without_date(tmp_path / "launch" / "calibration.json") == _without_date(tmp_path / "batch.json")
+
+
+def test_a_session_in_another_format_is_replayed_to_the_last_digit(tmp_path: Path) -> None:
+    setup = Setup.of(grade="mems", positions=6, rest=6.0, rate_deg_s=90.0)
+    recorded = simulate_session(tmp_path / "recorded", setup, seed=5, log_format="parquet")
+    station = station_of(tmp_path / "launch", f"replay:{recorded}@max", site=SITE)
+    station.start()
+    try:
+        eventually(lambda: station.state["received"]["ended"], 60.0)
+    finally:
+        station.stop()
+    received, sent = (
+        [
+            np.column_stack([c.time, c.accel, *([] if c.gyro is None else [c.gyro])])
+            for c in open_log(read_session(folder)).chunks()
+        ]
+        for folder in (tmp_path / "launch", recorded)
+    )
+    np.testing.assert_array_equal(np.concatenate(received), np.concatenate(sent))
 
 
 def test_a_page_that_is_started_again_says_the_same(recorded: Path, tmp_path: Path) -> None:

@@ -210,13 +210,16 @@ def turn_fault(move: Move, before: Position, turned: Array | None, start: float,
         return None
     done = float(turned @ axis_b)
     if np.linalg.norm(turned + move.angle * axis_b) <= TURN_LIMIT:
-        said = f"turned the wrong way: {done / DEGREE:+.0f}° instead of {move.angle / DEGREE:+.0f}°"
+        said = f"turned the wrong way: {_degrees(done)} instead of {_degrees(move.angle)}"
         return Fault(kind="wrong way", said=f"{said}; turn back the way you came", start=start, stop=stop)
     across = float(np.linalg.norm(turned - done * axis_b))
-    said = (
-        f"another turn than the programme's: {done / DEGREE:+.0f}° about its axis and {across / DEGREE:.0f}° across it"
-    )
-    return Fault(kind="wrong turn", said=f"{said}, wanted {move.angle / DEGREE:+.0f}°", start=start, stop=stop)
+    said = f"another turn than the programme's: {_degrees(done)} about its axis and {across / DEGREE:.0f}° across it"
+    return Fault(kind="wrong turn", said=f"{said}, wanted {_degrees(move.angle)}", start=start, stop=stop)
+
+
+def _degrees(angle: float) -> str:
+    """An angle to a degree, with its sign."""
+    return f"{angle / DEGREE:+.0f}°".replace("-", "−")
 
 
 def against(move: Move, before: Position, turned: Array) -> float:

@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration
+from tumble.errors import CalibrationError
 from tumble.files import whole_file
-from tumble.recording.session import read_session
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibration_file import Calibration
 
 CALIBRATION_FILE = "calibration.json"
 REPORT_FILE = "report.html"
+_RESULTS = (0, 1)  # accepted and not
 _ENDINGS = {"c": ".h", "px4": ".params", "ardupilot": ".parm", "csv": ".csv", "mat": ".mat", "dcc": ".xml"}
 
 
 def calibrated(folder: Path) -> Calibration:
-    """The calibration of a session folder, written into it."""
-    calibration = calibrate(read_session(folder))
-    calibration.write(folder / CALIBRATION_FILE, force=True)
-    return calibration
+    """The calibration of a session folder, written into it by `tumble calibrate`: in a process of its own, which leaves
+    this one its time and gives back its memory. Raises CalibrationError with what that says."""
+    from tumble.calibration.calibration_file import read_calibration
+
+    target = folder / CALIBRATION_FILE
+    words = ["calibrate", "--force", "--out", str(target), "--", str(folder)]
+    run = subprocess.run(
+        [sys.executable, "-m", "tumble.cli", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    if run.returncode not in _RESULTS:
+        said = run.stderr.strip().splitlines() or [f"it ended with status {run.returncode}"]
+        raise CalibrationError(said[-1].removeprefix("tumble: "))
+    return read_calibration(target)
 
 
 def report_of(folder: Path) -> str:

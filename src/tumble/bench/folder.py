@@ -14,6 +14,7 @@ from tumble.errors import InputError, SessionError
 from tumble.files import whole_file
 from tumble.recording.session import SESSION_FILE, Exclusion, Session, read_session, write_session
 
+_DIALECT = ("delimiter", "decimal", "comment", "header", "encoding")
 _NOT_IN_A_NAME = re.compile(r"[^\w.+-]+")
 
 
@@ -30,6 +31,14 @@ def begin(
     if programme is not None:
         content["programme"] = {"name": programme}
     write_session(folder, content)
+
+
+def begin_as_csv(folder: Path, original: Path) -> None:
+    """Make the session folder of another one whose log is recorded as CSV: what is said of how its file is written is
+    left out."""
+    content = _content(original)
+    log = {key: value for key, value in content["log"].items() if key not in _DIALECT}
+    write_session(folder, {**content, "log": {**log, "file": "log.csv"}})
 
 
 def session_to_record(folder: Path) -> Session:

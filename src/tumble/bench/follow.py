@@ -11,7 +11,7 @@ from tumble.bench.lines import Lines, numbers_in
 from tumble.recording.session import LogSpec
 from tumble.units import Array
 
-PIECE_BYTES = 1 << 20
+PIECE_BYTES = 1 << 18
 
 
 @dataclass(kw_only=True, slots=True)

@@ -3,18 +3,61 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from tumble.bench import folder as folders
-from tumble.bench.sources import MOTIONCAL_LOG, LineSource, in_si, source_of
+from tumble.bench.sources import MOTIONCAL_LOG, LineSource, in_si, is_recorded, source_of
 from tumble.bench.station import Station
 from tumble.errors import InputError
 from tumble.programme.positions import programme as built_in
-from tumble.recording.session import SESSION_FILE
+from tumble.recording.session import SESSION_FILE, read_session
 
 FULL_SCALE_OF_VIRTUAL = 5.235987755982989  # rad/s: 300 °/s
+
+
+def stations_of(
+    folders: Sequence[Path],
+    listen: Sequence[str] = (),
+    *,
+    serials: Sequence[str] = (),
+    site: Mapping[str, Any],
+    programme: str | None = None,
+    wanted: tuple[str, ...] = (),
+    grade: str = "mems",
+    registry: str | None = None,
+) -> list[Station]:
+    """The benches of session folders: of each what stands after its --listen, and its --serial, in their order; of none
+    where another program writes the log. Raises InputError."""
+    for given, option in ((listen, "--listen"), (serials, "--serial")):
+        if given and len(given) != len(folders):
+            raise InputError(
+                f"{option}: expected none, or one for each of the {len(folders)} sessions, found {len(given)}"
+            )
+    twice = [folder for k, folder in enumerate(folders) if folder.resolve() in [f.resolve() for f in folders[:k]]]
+    if twice:
+        raise InputError(
+            f"{twice[0]}: expected every session once, found it twice; give each bench a folder of its own"
+        )
+    for folder in folders:
+        if not listen and not (folder / SESSION_FILE).exists():
+            raise InputError(
+                f"{folder}: expected a session folder, or --listen with what to record into it, found neither"
+            )
+    return [
+        station_of(
+            folder,
+            listen[k] if listen else None,
+            serial=serials[k] if serials else None,
+            site=site,
+            programme=programme,
+            wanted=wanted,
+            grade=grade,
+            registry=registry,
+        )
+        for k, folder in enumerate(folders)
+    ]
 
 
 def station_of(
@@ -42,8 +85,11 @@ def _make(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any]
     if kind == "replay":
         original = Path(rest.rpartition("@")[0] if "@" in rest else rest)
         source_of(listen).close()
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(original / SESSION_FILE, folder / SESSION_FILE)
+        if is_recorded(read_session(original).log):
+            folder.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(original / SESSION_FILE, folder / SESSION_FILE)
+        else:
+            folders.begin_as_csv(folder, original)
         return
     if kind == "simulator":
         log = in_si()

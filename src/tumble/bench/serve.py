@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import socket
 import webbrowser
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from tumble.bench.access import Access, lasting_token
@@ -17,9 +17,14 @@ _ANY = ("0.0.0.0", "::")
 
 
 def serve(
-    station: Station, *, host: str = LOOPBACK, port: int = 8422, browser: bool = False, say: Callable[[str], None]
+    stations: Sequence[Station],
+    *,
+    host: str = LOOPBACK,
+    port: int = 8422,
+    browser: bool = False,
+    say: Callable[[str], None],
 ) -> None:
-    """Serve the page of a station until the process is interrupted. `say` gets the link."""
+    """Serve the pages of stations until the process is interrupted. `say` gets the link."""
     with needs_extra("the bench page", "bench", "fastapi", "uvicorn", "starlette"):
         import uvicorn
 
@@ -27,7 +32,7 @@ def serve(
     with _listening(host, port) as bound:
         port = bound.getsockname()[1]
         access = Access(host=host, port=port, token=lasting_token())
-        app = app_of(station, access)
+        app = app_of(stations, access)
         server = _server(uvicorn, app)
         link = f"http://{_reachable(host)}:{port}/?token={access.token}"
         say(f"the page: {link}")
@@ -35,11 +40,11 @@ def serve(
             say(_qr(link))
         if browser:
             webbrowser.open(link)
-        station.start()
-        try:
+        with ExitStack() as running:
+            for station in stations:
+                running.callback(station.stop)
+                station.start()
             server.run(sockets=[bound])
-        finally:
-            station.stop()
 
 
 def _server(uvicorn: Any, app: Any) -> Any:

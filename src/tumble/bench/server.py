@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI, Request, Response
+from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.responses import FileResponse, RedirectResponse, StreamingResponse
 
 from tumble.bench.access import HEADERS, Access
-from tumble.bench.station import Station
+from tumble.bench.laboratory import listed
+from tumble.bench.station import STEP_SECONDS, Station
 from tumble.programme.positions import ANY_MOVE
 from tumble.programme.sheet_pictures import picture
 
@@ -20,17 +23,19 @@ PAGE = Path(__file__).parent / "page"
 ASSETS = {
     "bench.css": "text/css",
     "bench.js": "text/javascript",
+    "benches.js": "text/javascript",
     "parts.js": "text/javascript",
     "vendor/uPlot.iife.min.js": "text/javascript",
     "vendor/uPlot.min.css": "text/css",
 }
 _KEEP_ALIVE = 1.0
+_AGAIN, _STILL_HERE = "retry: 500\n\n", ": still here\n\n"
 _YEAR = 365 * 86400
 _LONGEST_COMMAND = 4096
 
 
-def app_of(station: Station, access: Access) -> FastAPI:
-    """The application that serves a station."""
+def app_of(stations: Sequence[Station], access: Access) -> FastAPI:
+    """The application that serves a station; several, each under its number from 1, and a list of them."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     app.state.stopping = False
 
@@ -42,41 +47,82 @@ def app_of(station: Station, access: Access) -> FastAPI:
             response.headers[name] = value
         return response
 
-    @app.get("/")
-    async def index() -> Response:
-        return FileResponse(PAGE / "index.html", media_type="text/html; charset=utf-8")
-
     @app.get("/favicon.ico")
     async def icon() -> Response:
         return Response(status_code=204)
 
-    @app.get("/assets/{name:path}")
+    if len(stations) == 1:
+        app.include_router(_page_of(app, stations[0], access, dict))
+        return app
+    app.include_router(_list_of(app, stations))
+    for number, station in enumerate(stations, 1):
+        routes = _page_of(app, station, access, partial(_others, stations, number))
+        app.include_router(routes, prefix=f"/{number}")
+    return app
+
+
+def _others(stations: Sequence[Station], number: int) -> dict[str, Any]:
+    """What the page of a bench shows of all."""
+    return {"bench": number, **listed(stations)}
+
+
+def _files(index: str) -> APIRouter:
+    """A page and its assets."""
+    routes = APIRouter()
+
+    @routes.get("/")
+    async def page() -> Response:
+        return FileResponse(PAGE / index, media_type="text/html; charset=utf-8")
+
+    @routes.get("/assets/{name:path}")
     async def asset(name: str) -> Response:
         if name not in ASSETS:
             return _plain(404, "no such file")
         return FileResponse(PAGE / name, media_type=ASSETS[name])
 
-    @app.get("/events")
+    return routes
+
+
+def _list_of(app: FastAPI, stations: Sequence[Station]) -> APIRouter:
+    """The list of the benches."""
+    routes = _files("benches.html")
+
+    @routes.get("/events")
+    async def events(request: Request) -> Response:
+        return StreamingResponse(_lists(app, stations, request), media_type="text/event-stream")
+
+    return routes
+
+
+def _page_of(app: FastAPI, station: Station, access: Access, others: Callable[[], dict[str, Any]]) -> APIRouter:
+    """The page of a station; `others` goes with its state."""
+    routes = _files("index.html")
+
+    @routes.get("/events")
     async def events(request: Request) -> Response:
         may_command = access.knows(request.cookies.get(access.cookie))
-        return StreamingResponse(_events(app, station, request, may_command), media_type="text/event-stream")
 
-    @app.get("/picture/{number}.svg")
+        def more() -> dict[str, Any]:
+            return {"may_command": may_command, **others()}
+
+        return StreamingResponse(_events(app, station, request, more), media_type="text/event-stream")
+
+    @routes.get("/picture/{number}.svg")
     async def drawing(number: int) -> Response:
-        listed = station.programme
-        if listed is None or not 0 <= number < len(listed.positions):
+        programme = station.programme
+        if programme is None or not 0 <= number < len(programme.positions):
             return _plain(404, "no such position")
-        move = listed.moves[number - 1] if number and listed.ordered else ANY_MOVE
-        return Response(picture(listed.positions[number], move), media_type="image/svg+xml")
+        move = programme.moves[number - 1] if number and programme.ordered else ANY_MOVE
+        return Response(picture(programme.positions[number], move), media_type="image/svg+xml")
 
-    @app.get("/files/{name}")
+    @routes.get("/files/{name}")
     async def result(name: str) -> Response:
         path = station.file(name)
         if path is None or not path.is_file():
             return _plain(404, "no such result")
         return FileResponse(path, media_type="application/octet-stream", filename=name)
 
-    @app.post("/command")
+    @routes.post("/command")
     async def command(request: Request) -> Response:
         body = await request.body()
         try:
@@ -87,7 +133,7 @@ def app_of(station: Station, access: Access) -> FastAPI:
         said = await asyncio.to_thread(station.command, name, value)
         return Response(json.dumps({"said": said}), media_type="application/json")
 
-    return app
+    return routes
 
 
 def _refusal(request: Request, access: Access) -> Response | None:
@@ -111,20 +157,43 @@ def _plain(status: int, said: str) -> Response:
     return Response(said, status_code=status, media_type="text/plain")
 
 
-async def _events(app: FastAPI, station: Station, request: Request, may_command: bool) -> AsyncIterator[str]:
-    """The states as they change, each with the block means that are new since the one before."""
-    yield "retry: 500\n\n"
+async def _events(
+    app: FastAPI, station: Station, request: Request, more: Callable[[], dict[str, Any]]
+) -> AsyncIterator[str]:
+    """The states as they change with what there is `more`, each with the block means that are new since the one
+    before."""
+    yield _AGAIN
     before: dict[str, Any] = {}
     since = 0
     while not app.state.stopping and not await request.is_disconnected():
         state = await asyncio.to_thread(station.wait, before, _KEEP_ALIVE)
         if state is before:
-            yield ": still here\n\n"
+            yield _STILL_HERE
             continue
         before = state
         trace = station.trace(since)
         since = trace["next"]
-        yield f"data: {json.dumps(_finite(state | {'trace': trace, 'may_command': may_command}))}\n\n"
+        yield _event(state | {"trace": trace} | more())
+
+
+async def _lists(app: FastAPI, stations: Sequence[Station], request: Request) -> AsyncIterator[str]:
+    """The list of the benches as it changes."""
+    yield _AGAIN
+    before, said = "", 0.0
+    while not app.state.stopping and not await request.is_disconnected():
+        now = _event(listed(stations))
+        if now != before:
+            yield now
+        elif time.monotonic() - said > _KEEP_ALIVE:
+            yield _STILL_HERE
+        else:
+            await asyncio.sleep(STEP_SECONDS)
+            continue
+        before, said = now, time.monotonic()
+
+
+def _event(value: dict[str, Any]) -> str:
+    return f"data: {json.dumps(_finite(value))}\n\n"
 
 
 def _finite(value: Any) -> Any:

@@ -10,6 +10,7 @@ come to an end.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import socket
@@ -21,7 +22,7 @@ from typing import Any, Protocol
 
 from tumble.bench.lines import MOTIONCAL_COLUMNS
 from tumble.errors import InputError, needs_extra
-from tumble.recording.session import read_session
+from tumble.recording.session import LogSpec, read_session
 
 _READ_BYTES = 1 << 16
 _AGAIN_SECONDS = 0.5
@@ -238,7 +239,8 @@ def _said(error: Exception) -> str:
 
 
 class Replay:
-    """A text log of a session, as fast as it was recorded or so many times as fast; `speed` infinite: at once."""
+    """The log of a session, as fast as it was recorded or so many times as fast; `speed` infinite: at once. That of a
+    CSV file with commas as it is written there; that of another file as lines of CSV."""
 
     unordered = False
 
@@ -248,17 +250,23 @@ class Replay:
         self.session = read_session(folder)
         log = self.session.log
         file = log.files[0]
-        if len(log.files) > 1 or not isinstance(file, Path) or file.suffix != ".csv" or log.dialect is not None:
+        if len(log.files) > 1 or not isinstance(file, Path) or log.clock:
             raise InputError(
-                f"--listen replay:{folder}: expected a session of one .csv file with commas, found another; "
-                "replay a session in that form"
+                f"--listen replay:{folder}: expected a session of one file with times in seconds or none, found "
+                "another; replay a session in that form"
             )
-        self._file = file.open("rb")
-        self._header = self._file.readline()
-        names = self._header.decode("utf-8-sig").strip().split(",")
+        self._open = contextlib.ExitStack()
+        if is_recorded(log):
+            self._file = self._open.enter_context(file.open("rb"))
+            self._header = self._file.readline()
+            names = self._header.decode("utf-8-sig").strip().split(",")
+            lines: Iterator[bytes] = iter(self._file)
+        else:
+            self._header, names = ",".join(log.columns).encode() + b"\n", list(log.columns)
+            lines = _as_csv(log, file)
         self._clock = None if log.time is None else names.index(log.time)
         self._scale = log.time_factor if log.rate is None else 1.0 / log.rate
-        self._lines = self._timed()
+        self._lines = self._timed(lines)
         self._next: tuple[float, bytes] | None = next(self._lines, None)
         self._begun: tuple[float, float] | None = None
         self._said_header = False
@@ -268,13 +276,16 @@ class Replay:
         while self._next is not None and self._next[0] <= at * (1.0 + 1e-15):
             self._next = next(self._lines, None)
 
-    def _timed(self) -> Iterator[tuple[float, bytes]]:
-        for number, line in enumerate(self._file, 1):
+    def _timed(self, lines: Iterator[bytes]) -> Iterator[tuple[float, bytes]]:
+        at = 0.0
+        for number, line in enumerate(lines, 1):
             if self._clock is None:
                 yield number * self._scale, line
                 continue
             with contextlib.suppress(ValueError, IndexError):
-                yield float(line.split(b",")[self._clock]) * self._scale, line
+                found = float(line.split(b",")[self._clock]) * self._scale
+                at = found if math.isfinite(found) else at
+                yield at, line
 
     def read(self, timeout: float) -> bytes:
         if not self._said_header:
@@ -301,7 +312,23 @@ class Replay:
         return bytes(out)
 
     def close(self) -> None:
-        self._file.close()
+        self._open.close()
+
+
+def is_recorded(log: LogSpec) -> bool:
+    """Whether a log is written as the bench writes it: one CSV file with commas, with its names in the first line."""
+    file = log.files[0]
+    plain = len(log.files) == 1 and isinstance(file, Path) and file.suffix == ".csv"
+    return plain and log.dialect is None and not log.clock
+
+
+def _as_csv(log: LogSpec, file: Path) -> Iterator[bytes]:
+    """The rows of a file as lines of the columns of its log, to the last digit; what could not be read is nan."""
+    from tumble.recording.readers import source_of as reader_of
+
+    for table, _ in reader_of(file, log.dialect).tables(log.columns):
+        for row in table.iter_rows():
+            yield ",".join(map(repr, row)).encode("ascii") + b"\n"
 
 
 def source_of(text: str) -> LineSource:

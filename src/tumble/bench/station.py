@@ -70,7 +70,7 @@ NOTHING_MORE = 0.93
 """Where twice the time leaves more than this of u, longer gives nothing."""
 _WINDOW = 1200
 _TRACE = 600
-_PIECES = 8
+_PIECES = 32
 _SETTLING = 20.0
 """Of u: a drift over a rest that is no noise; that of white noise is √12 u."""
 
@@ -135,12 +135,15 @@ class Station:
         self._answered: set[tuple[str, int]] = set()
         self._open: Exclusion | None = None
         self._cut: list[Exclusion] = []
+        self._closed: dict[tuple[int, int], Rest] = {}
         self._judged: dict[tuple[int, int], Judged] = {}
         self._estimated: tuple[object, ...] = ()
         self._future: Future[dict[str, Any]] | None = None
         self._estimate: dict[str, Any] | None = None
         self._result: dict[str, Any] | None = None
         self._message = ""
+        self._wrong: tuple[str, int] | None = None
+        self._calibrating = False
         self._go_on_after = -1
         self._samples = self._lost = 0
 
@@ -272,7 +275,9 @@ class Station:
         if now is not None:
             cut = self._after_cuts(blocks, now)
             current = rest_of(blocks, cut, len(blocks)) if cut is not None else None
-        closed = [rest_of(blocks, span.first, span.last) for span in self._spans if now is None or span.last <= now]
+        ended = [(span.first, span.last) for span in self._spans if now is None or span.last <= now]
+        self._closed = {each: self._closed.get(each) or rest_of(blocks, *each) for each in ended}
+        closed = list(self._closed.values())
         return (closed if current is None else [*closed, current]), current
 
     def _after_cuts(self, blocks: Blocks, first: int) -> int | None:
@@ -324,11 +329,20 @@ class Station:
             "scatter": {"now": scatter_now(blocks), "limit": self._limits.scatter},
             "sphere": self._sphere(groups),
             "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - 273.15),
+            "to_go": self._to_go(groups, current),
+            "message": self._still_said(fault),
         }
         if fault is not None:
             said = {"kind": fault.kind, "said": fault.said, "at": fault.start, "choices": list(fault.choices)}
             return state | {"screen": "fault", "headline": "Not good", "fault": said, **self._where(groups, current)}
         return state | {"fault": None} | self._screen(blocks, groups, current)
+
+    def _still_said(self, fault: Fault | None) -> str:
+        """What was answered last, until something else is wrong."""
+        if fault is not None and _key(fault) != self._wrong:
+            self._message = ""
+        self._wrong = None if fault is None else _key(fault)
+        return self._message
 
     def _header(self) -> dict[str, Any]:
         intake = self.intake.received if self.intake is not None else None
@@ -353,6 +367,7 @@ class Station:
             "estimate": self._estimate,
             "estimating": self._future is not None,
             "result": self._result,
+            "calibrating": self._calibrating,
             "message": self._message,
             "excluded": len(self.session.excluded) + len(self._cut),
             "table": hasattr(self.intake.source, "knock") if self.intake is not None else False,
@@ -472,6 +487,18 @@ class Station:
                 "full_scale": None if full is None else full / DEGREE,
             },
         }
+
+    def _to_go(self, groups: list[list[Rest]], current: Rest | None) -> float | None:
+        """The time, s, that the positions of the programme still take, as long each as those before were on average;
+        None where that is not known."""
+        if self.programme is None or not groups:
+            return None
+        left = self._judge(current).left if current is not None else 0.0
+        further = max(0, len(self.programme.positions) - len(groups))
+        if left is None or (further and len(groups) < 2):
+            return None
+        each = (groups[-1][0].start - groups[0][0].start) / (len(groups) - 1) if further else 0.0
+        return left + further * each
 
     def _done(self, groups: list[list[Rest]]) -> dict[str, Any]:
         count = len(groups)
@@ -610,15 +637,44 @@ class Station:
 
     def command(self, name: str, value: str = "") -> str:
         """Do what a button asks for; what came of it, in a sentence."""
+        if name == "calibrate":
+            return self._calibrate()
         with self._guard:
             action = getattr(self, f"_do_{name}", None)
             if action is None:
                 return "no such command"
+            if self._calibrating:
+                return "calibrating: wait until it is done"
             try:
                 self._message = action(value)
             except (TumbleError, OSError) as error:
                 self._message = " ".join(str(error).split())
             return self._message
+
+    def _calibrate(self) -> str:
+        """Stop recording and calibrate; the page goes on meanwhile."""
+        with self._guard:
+            if self._calibrating:
+                return "calibrating: wait until it is done"
+            self._do_stop("")
+            self._calibrating, self._message = True, "calibrating …"
+        result = None
+        try:
+            calibration = ending.calibrated(self.folder)
+            said = "calibrated: accepted" if calibration.outcome.accepted else "calibrated: not accepted"
+            result = {
+                "accepted": calibration.outcome.accepted,
+                "reasons": list(calibration.outcome.reasons),
+                "parameters": len(calibration.parameters),
+                "files": [ending.CALIBRATION_FILE],
+                "registered": "",
+            }
+        except (TumbleError, OSError) as error:
+            said = " ".join(str(error).split())
+        with self._guard:
+            self._calibrating, self._message = False, said
+            self._result = result or self._result
+        return said
 
     def _present_fault(self) -> Fault | None:
         if self._blocks is None or self._limits is None:
@@ -686,18 +742,6 @@ class Station:
             self._result = None
             self._record()
         return "recording goes on"
-
-    def _do_calibrate(self, _: str) -> str:
-        self._do_stop("")
-        calibration = ending.calibrated(self.folder)
-        self._result = {
-            "accepted": calibration.outcome.accepted,
-            "reasons": list(calibration.outcome.reasons),
-            "parameters": len(calibration.parameters),
-            "files": [ending.CALIBRATION_FILE],
-            "registered": "",
-        }
-        return "calibrated: accepted" if calibration.outcome.accepted else "calibrated: not accepted"
 
     def _do_report(self, _: str) -> str:
         return self._filed(ending.report_of(self.folder))

@@ -8,17 +8,25 @@ import click
 
 from tumble import usual_setup
 from tumble.commands.arguments import EXISTING_FOLDER, say
-from tumble.errors import InputError
 
 GRADES = ["navigation", "tactical", "mems", "consumer"]
 
 
 @click.command()
-@click.argument("session", type=EXISTING_FOLDER)
+@click.argument("sessions", metavar="SESSION...", type=EXISTING_FOLDER, nargs=-1, required=True)
 @click.option(
-    "--listen", metavar="SOURCE", help="What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …"
+    "--listen",
+    metavar="SOURCE",
+    multiple=True,
+    help="What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …; again: for the next SESSION.",
 )
-@click.option("--serial", "serial_number", help="Serial number, where SESSION is new.")
+@click.option(
+    "--serial",
+    "serial_numbers",
+    metavar="NUMBER",
+    multiple=True,
+    help="Serial number, where SESSION is new; again: for the next SESSION.",
+)
 @click.option(
     "--latitude",
     type=float,
@@ -49,9 +57,9 @@ GRADES = ["navigation", "tactical", "mems", "consumer"]
 @click.option("--port", type=click.IntRange(0, 65535), default=8422, show_default=True, help="0: any that is free.")
 @click.option("--browser", is_flag=True, help="Open the page.")
 def bench(
-    session: Path,
-    listen: str | None,
-    serial_number: str | None,
+    sessions: tuple[Path, ...],
+    listen: tuple[str, ...],
+    serial_numbers: tuple[str, ...],
     latitude: float,
     gravity: float | None,
     programme: str | None,
@@ -65,24 +73,21 @@ def bench(
     """The live page: follow a recording, say what to do next, and calibrate at the end.
 
     SESSION is a folder with session.toml, or a new one for a source that is recorded. Without --listen the log that
-    another program writes there is followed.
+    another program writes there is followed. Several are several benches, each with a page of its own, and a list of
+    them.
     """
-    from tumble.bench.opening import station_of
+    from tumble.bench.opening import stations_of
     from tumble.bench.serve import serve
 
-    if listen is None and not (session / "session.toml").exists():
-        raise InputError(
-            f"{session}: expected a session folder, or --listen with what to record into it, found neither"
-        )
     site = {"latitude_deg": latitude} | ({} if gravity is None else {"gravity": gravity})
-    station = station_of(
-        session,
+    stations = stations_of(
+        sessions,
         listen,
-        serial=serial_number,
+        serials=serial_numbers,
         site=site,
         programme=programme,
         wanted=wanted,
         grade=grade,
         registry=registry,
     )
-    serve(station, host=host, port=port, browser=browser, say=lambda text: say(text))
+    serve(stations, host=host, port=port, browser=browser, say=lambda text: say(text))

@@ -49,17 +49,18 @@ class ChannelState:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Tail:
-    """The samples after the last whole block of a file: their weighted `total` (n,); and the weights (K + 1,) of the
-    blocks and of the tail in a mean."""
+    """The samples after the last whole block of a file: their weighted `total` (n,) and their `weight`; and those of
+    the `blocks` (K,) in a mean."""
 
     total: Array
-    weight: Array
+    weight: float
+    blocks: Array
 
     def mean(self, means: Array, first: int, last: int) -> Array:
         """Mean (n,) over blocks first … last − 1, with the tail where they end the file."""
-        total, weight = self.weight[first:last] @ means[first:last], self.weight[first:last].sum()
+        total, weight = self.blocks[first:last] @ means[first:last], self.blocks[first:last].sum()
         if last == len(means):
-            total, weight = total + self.total, weight + self.weight[-1]
+            total, weight = total + self.total, weight + self.weight
         return np.asarray(total / weight)
 
 
@@ -172,6 +173,7 @@ class _Channels:
         self.sums = np.zeros(len(self.state))
         self.filled = np.zeros(1, dtype=np.int64)
         self.means = _Growing(len(self.state))
+        self.weights = _Growing(1)
         self.ends = _Growing(len(self.state))
 
     def feed(self, values: Array, time: Array, dt: Array, ends: IntArray, seconds: Array) -> None:
@@ -179,14 +181,15 @@ class _Channels:
         weight = dt if self.increments else np.ones(len(dt))
         out = np.empty((len(ends), len(self.sums)))
         _kernels.block_sums(values, time, weight, self.size, self.sums, self.filled, self.state, out)
-        self.means.add(out / (seconds[:, None] if self.increments else float(self.size)))
+        weights = seconds if self.increments else np.full(len(ends), float(self.size))
+        self.means.add(out / weights[:, None])
+        self.weights.add(weights[:, None])
         self.ends.add(values[ends])
 
-    def tail(self, covered: Array) -> Tail:
-        """What is left after the last block; `covered` (K + 1,): the time, s, that the samples of each block and of
-        what is left cover."""
-        counted = np.append(np.full(len(covered) - 1, float(self.size)), self.filled)
-        return Tail(total=self.sums.copy(), weight=covered if self.increments else counted)
+    def tail(self, seconds: float) -> Tail:
+        """What is left after the last block, which takes so many `seconds`."""
+        weight = seconds if self.increments else float(self.filled[0])
+        return Tail(total=self.sums.copy(), weight=weight, blocks=self.weights.rows[:, 0])
 
     def states(self) -> tuple[ChannelState, ...]:
         return tuple(_channel_state(row) for row in self.state)
@@ -315,7 +318,7 @@ class Reducer:
         """The blocks of the present file so far."""
         edges = self._edges.rows[:, 0]
         accel, gyro, field = self._accel, self._gyro, self._magnetometer
-        covered = self._covered(0, np.append(edges, self._stop))
+        left = float(self._covered(len(edges) - 1, np.append(edges[-1:], self._stop))[0])
         return FileBlocks(
             file=self._file,
             first_sample=self._first,
@@ -327,15 +330,15 @@ class Reducer:
             accel_end=accel.ends.rows,
             gyro_end=gyro.ends.rows if gyro else None,
             magnetometer_end=field.ends.rows if field else None,
-            accel_tail=accel.tail(covered),
-            gyro_tail=gyro.tail(covered) if gyro else None,
+            accel_tail=accel.tail(left),
+            gyro_tail=gyro.tail(left) if gyro else None,
             magnetometer=field.means.rows if field else None,
-            magnetometer_tail=field.tail(covered) if field else None,
+            magnetometer_tail=field.tail(left) if field else None,
         )
 
     def now(self) -> Reduction:
-        """The reduction of what was fed so far, to the bit that of a log which ends here. Only weights are copied, the
-        blocks are not; more may be fed afterwards."""
+        """The reduction of what was fed so far, to the bit that of a log which ends here. No block is copied; more may
+        be fed afterwards."""
         return Reduction(
             rate=self.rate,
             files=(*self._files, self._blocks()) if self._file >= 0 else (),

@@ -302,6 +302,7 @@ def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation,
     whole = _nothing(turns, compensation, own)
     for pieces in batches:
         _add(whole, pieces, moments_of(pieces, compensation, own))
+        del pieces  # before the next are read
     return whole
 
 

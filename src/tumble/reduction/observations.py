@@ -49,7 +49,8 @@ from tumble.reduction.warming import without_warming
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
-BATCH_SAMPLES = 2**20
+BATCH_SAMPLES = 2**17
+"""Of turns, that are in memory at a time: 7 MB."""
 AHEAD = 2
 """Samples kept ahead of every piece of a turn, which the first step wants."""
 ACCEL_FLOOR = 1e-9  # m/s²

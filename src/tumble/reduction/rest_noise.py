@@ -72,4 +72,5 @@ def channel_rounding(
     channels: Sequence[ChannelState] = getattr(reduction, f"{kind}_channels")
     ends = {f.file: np.asarray(getattr(f, f"{kind}_end")) for f in reduction.files}
     rests = [ends[s.file][s.first : s.last] for s in spans]
-    return rounding(np.concatenate(list(ends.values())), rests, channels)
+    every = list(ends.values())
+    return rounding(every[0] if len(every) == 1 else np.concatenate(every), rests, channels)

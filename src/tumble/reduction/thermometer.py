@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
 
 from tumble.units import Array, IntArray
 
@@ -133,7 +133,8 @@ def followed(kelvin: Array, step: float, lag: float, first: float | None = None)
     driven = np.empty(len(kelvin))
     driven[0] = kelvin[0] if first is None else first
     driven[1:] = kelvin[1:] - a * kelvin[:-1] - np.diff(kelvin) / step * lag * (1.0 - a)
-    return np.asarray(lfilter([1.0], [1.0, -a], driven))
+    below = np.array([np.ones(len(kelvin)), np.full(len(kelvin), -a)])
+    return np.asarray(solve_banded((1, 0), below, driven, check_finite=False))  # y₁ − a y₀ = what drives it
 
 
 def _every_step(time: Array, kelvin: Array) -> tuple[float, Array]:

@@ -1,6 +1,6 @@
 // The page follows the states that the server sends, and sends back what the operator answers.
 
-import { clock, details, groups, made, number, residuals, sphere, Tones, Trace } from "./parts.js";
+import { clock, details, groups, made, number, points, residuals, sphere, Tones, Trace } from "./parts.js";
 
 const of = (id) => document.getElementById(id);
 const tones = new Tones();
@@ -8,6 +8,7 @@ const accel = new Trace(of("accel"), "Accelerometers", "m/s²");
 const gyro = new Trace(of("gyro"), "Gyros", "°/s");
 let state = {};
 let screen = "";
+let noted = { text: "", until: 0 };
 
 function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
@@ -22,7 +23,8 @@ function show(element, wanted) {
 function header() {
   const { unit, received, rest, session } = state;
   say(of("serial"), unit.serial);
-  say(of("count"), rest ? `${rest.number}${rest.of ? ` of ${rest.of}` : ""} · ${session}` : session);
+  const parts = [rest && `${rest.number}${rest.of ? ` of ${rest.of}` : ""}`, state.to_go && `about ${clock(state.to_go)} to go`, session];
+  say(of("count"), parts.filter(Boolean).join(" · "));
   const faults = [[received.lost, "lost"], [received.late, "late"], [received.repeated, "repeated"], [received.refused, "refused"]];
   const said = faults.filter(([count]) => count).map(([count, what]) => `${count} ${what}`).join(", ");
   const rate = received.rate ? `${number(received.rate)} Hz` : "–";
@@ -35,10 +37,12 @@ function header() {
 
 function now() {
   const { fault, position } = state;
-  say(of("headline"), state.headline);
+  const { result } = state;
+  const ended = result && (result.accepted ? "Calibrated: accepted" : "Calibrated: not accepted");
+  say(of("headline"), fault ? state.headline : ended || (state.calibrating ? "Calibrating …" : state.headline));
   say(of("fault"), fault ? fault.said : "");
   show(of("fault"), Boolean(fault));
-  of("now").className = `now ${state.screen}`;
+  of("now").className = `now ${result && !result.accepted ? "fault" : state.screen}`;
   show(of("picture"), Boolean(position));
   if (position && of("picture").getAttribute("src") !== position.picture) {
     of("picture").src = position.picture;
@@ -46,8 +50,7 @@ function now() {
   }
   show(of("sphere"), Boolean(state.sphere) && !position && state.screen !== "done");
   if (state.sphere && !position) sphere(of("sphere"), state.sphere);
-  const points = position ? Object.entries(position.points).map(([axis, to]) => `${axis} → ${to}`).join("   ") : "";
-  say(of("points"), position ? `${position.label}   ${points}` : "");
+  points(of("points"), position);
   figures();
 }
 
@@ -57,7 +60,7 @@ function figures() {
   if (state.screen === "rest") {
     say(of("big"), rest.nothing_more ? "enough" : rest.left === null ? "…" : clock(rest.left));
     details(of("details"), [
-      ["u of the mean", `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
+      ["u of the mean", rest.u === null ? "…" : `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
       ["gyros", rest.gyro_u === null ? "" : `${number(rest.gyro_u)} °/h of ${number(rest.gyro_wanted)} °/h`],
       ["drift", `${number(rest.drift)} µg${rest.settling ? ": still settling" : ""}`],
       ["temperature", degrees],
@@ -70,17 +73,18 @@ function figures() {
     details(of("details"), [
       ["move", state.position ? state.position.move : "any"],
       ["rate", turn.rate === null ? "" : `${turn.rate.toFixed(1)} °/s${scale}`],
+      ["best", !state.position && state.estimate ? state.estimate.next : ""],
       ["note", state.early],
     ]);
   } else {
     say(of("big"), "");
-    details(of("details"), scatter ? [["scatter now", `${number(scatter.now)} m/s², at rest below ${number(scatter.limit)}`], ["temperature", degrees]] : []);
+    details(of("details"), scatter ? [["scatter now", `${number(scatter.now)} m/s²`], ["of a rest below", `${number(scatter.limit)} m/s²`], ["temperature", degrees]] : []);
   }
 }
 
 function estimate() {
   const found = state.estimate;
-  const busy = state.estimating ? " · estimating …" : "";
+  const busy = state.estimating ? " …" : "";
   say(of("estimated"), (found ? `Estimate from ${found.rests} rests${found.enough ? ": all wanted u reached" : ""}` : "No estimate yet") + busy);
   if (!found) { of("groups").replaceChildren(); return; }
   groups(of("groups"), found.groups);
@@ -111,22 +115,43 @@ function buttons() {
     again: choices.includes("again"),
     keep_first: choices.includes("keep_first"),
     go_on: choices.includes("go_on") || (state.screen === "done" && !state.complete && !state.result),
-    calibrate: !state.result && (state.screen === "done" || state.received.ended || Boolean(state.estimate)),
+    calibrate: !state.result && !state.calibrating && (state.screen === "done" || state.received.ended || Boolean(state.estimate)),
     resume: Boolean(state.result) && !state.received.ended,
   };
   for (const button of document.querySelectorAll("#buttons button")) show(button, wanted[button.dataset.do]);
   for (const button of document.querySelectorAll("main button")) button.disabled = !state.may_command;
   show(of("table"), state.table);
+  show(of("leave"), Boolean(state.estimate) || state.excluded > 0);
+}
+
+/** The other benches on this server, and the list of them; built anew only where they change, for the focus. */
+function benches() {
+  show(of("benches"), Boolean(state.benches));
+  if (!state.benches) return;
+  const all = [["../", "0 · All benches", "", false], ...state.benches.map((bench) => {
+    const here = bench.number === state.bench;
+    const named = `${bench.number} · ${bench.unit.serial}`;
+    return [`../${bench.number}/`, here ? named : `${named}: ${bench.headline}`, here ? "" : bench.screen, here];
+  })];
+  if (of("benches").children.length !== all.length) of("benches").replaceChildren(...all.map(() => made("a")));
+  all.forEach(([href, text, name, here], i) => {
+    const link = of("benches").children[i];
+    if (link.getAttribute("href") !== href) link.href = href;
+    say(link, text);
+    link.className = name;
+    if (here) link.setAttribute("aria-current", "page");
+  });
 }
 
 function update(next) {
   state = next;
   header();
+  benches();
   now();
   estimate();
   finish();
   buttons();
-  say(of("message"), state.message);
+  say(of("message"), Date.now() < noted.until ? noted.text : state.message);
   accel.add(state.trace.t, state.trace.a, state.trace.anew);
   gyro.add(state.trace.t, state.trace.g, state.trace.anew);
   const heard = `${state.screen} ${state.headline}`;
@@ -144,9 +169,10 @@ async function command(name, value = "") {
       headers: { "Content-Type": "application/json" },
       body: JSON.stringify({ do: name, value }),
     });
-    say(of("message"), answer.ok ? (await answer.json()).said : await answer.text());
+    if (answer.ok) say(of("message"), (await answer.json()).said);
+    else note(await answer.text());
   } catch {
-    say(of("message"), "the server does not answer");
+    note("the server does not answer");
   }
 }
 
@@ -157,13 +183,40 @@ function table(what) {
 
 const ARROWS = { ArrowLeft: "U+90", ArrowRight: "U-90", ArrowUp: "E+90", ArrowDown: "E-90", PageUp: "N+90", PageDown: "N-90" };
 
+const SCAN_MS = 60; // keys that follow each other faster are a scanner's
+let typed = "";
+let pause = 0;
+
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || event.target.matches("input, select")) return;
   if (state.table && ARROWS[event.key]) { event.preventDefault(); table(ARROWS[event.key]); return; }
-  if (state.table && event.key === "n") { table("next"); return; }
-  const button = document.querySelector(`button[data-key="${CSS.escape(event.key.toLowerCase())}"]`);
-  if (button && button.offsetParent && !button.disabled) button.click();
+  if (event.key === "Enter" && typed.length > 2) { event.preventDefault(); scanned(typed); typed = ""; return; }
+  if (event.key.length !== 1 || event.repeat) return;
+  typed += event.key;
+  clearTimeout(pause);
+  pause = setTimeout(() => { if (typed.length === 1) pressed(typed.toLowerCase()); typed = ""; }, SCAN_MS);
 });
+
+/** A key alone. */
+function pressed(key) {
+  if (state.table && key === "n") { table("next"); return; }
+  const link = document.querySelectorAll("#benches a")[Number(key)];
+  if (state.benches && link && key !== " ") { link.click(); return; }
+  const button = document.querySelector(`button[data-key="${CSS.escape(key)}"]`);
+  if (button && button.offsetParent && !button.disabled) button.click();
+}
+
+/** What a scanner types, with an Enter behind it: the serial number of the next unit. */
+function scanned(text) {
+  if (state.result && state.may_command) command("next_unit", text);
+  else note(`scanned ${text}: this unit is not calibrated yet`);
+}
+
+/** Say something for a while. */
+function note(text) {
+  noted = { text, until: Date.now() + 5000 };
+  say(of("message"), text);
+}
 
 document.addEventListener("click", (event) => {
   const button = event.target.closest("button");

@@ -34,6 +34,13 @@ export function details(list, pairs) {
   list.replaceChildren(...wanted.flatMap(([term, value]) => [made("dt", term), made("dd", value)]));
 }
 
+/** A position by its name and by where the body axes point. */
+export function points(box, position) {
+  const words = position ? [position.label, ...Object.entries(position.points).map(([axis, to]) => `${axis} → ${to}`)] : [];
+  if (words.join() === [...box.children].map((each) => each.textContent).join()) return;
+  box.replaceChildren(...words.map((text, i) => made("span", text, i ? "" : "name")));
+}
+
 /** A bar for every group: the middle is the wanted u, each half a factor of a hundred. */
 export function groups(box, list) {
   box.replaceChildren(...list.map((group) => {
@@ -41,7 +48,7 @@ export function groups(box, list) {
     const name = made("div", "", "name");
     const found = group.determined ? `${number(group.u)} ${group.unit}` : "not determined";
     const limit = `${number(group.wanted)} ${group.unit}`;
-    const wanted = group.determined ? ` of ${limit}` : `, wanted ${limit}`;
+    const wanted = group.determined ? ` of ${limit}` : ` (${limit})`;
     name.append(made("span", group.group), made("span", found + wanted));
     row.append(name, bar(group, found));
     return row;
@@ -73,21 +80,24 @@ export function residuals(box, list) {
   }));
 }
 
-/** The sphere of directions: what is taken, and what each of the 26 directions would buy (the fuller, the more). */
+/** The sphere of directions: what is taken, what each of the 26 directions would buy (the fuller, the more), and the
+ * one that would buy most. */
 export function sphere(box, data) {
-  const picture = shape("svg", { viewBox: "-118 -66 236 132" });
+  const best = data.gains ? data.gains.indexOf(Math.min(...data.gains)) : -1;
+  const picture = shape("svg", { viewBox: "-118 -74 236 142" });
   for (const [side, x] of [[1, -59], [-1, 59]]) {
     picture.append(shape("circle", { cx: x, cy: 4, r: 50, fill: "#eef1f6", stroke: "#5b6470" }));
-    const label = shape("text", { x, y: -53, "text-anchor": "middle", "font-size": 11, fill: "#16181d" });
+    const label = shape("text", { x, y: -61, "text-anchor": "middle", "font-size": 11, fill: "currentColor" });
     label.textContent = side > 0 ? "Z up" : "Z down";
     picture.append(label);
     let k = 0;
     for (let i = -1; i < 2; i++) for (let j = -1; j < 2; j++) for (let l = -1; l < 2; l++) {
       if (!i && !j && !l) continue;
       const gain = data.gains ? 1 - data.gains[k] : 0;
-      k += 1;
       const length = Math.hypot(i, j, l);
-      mark(picture, [i / length, j / length, l / length], side, x, 2 + 14 * Math.sqrt(Math.max(0, gain)), "none", "#b3141c");
+      const [fill, stroke] = k === best ? ["#7d3c98", "#7d3c98"] : ["none", "#b3141c"];
+      mark(picture, [i / length, j / length, l / length], side, x, 2 + 14 * Math.sqrt(Math.max(0, gain)), fill, stroke);
+      k += 1;
     }
     for (const direction of data.taken) mark(picture, direction, side, x, 4.5, "#17692f", "#17692f");
   }
@@ -104,13 +114,16 @@ function mark(picture, [dx, dy, dz], side, x, radius, fill, stroke) {
 export class Trace {
   constructor(box, title, unit) {
     this.box = box;
-    const colours = ["#c0392b", "#217a4b", "#2c5fa8"];
+    const stroke = () => getComputedStyle(box).color;
+    const grid = { stroke: "#88888855" };
+    const colours = ["--trace-x", "--trace-y", "--trace-z"].map((name) => () => getComputedStyle(box).getPropertyValue(name));
     const series = [{}, ...["x", "y", "z"].map((name, i) => ({ label: name, stroke: colours[i], width: 1.5 }))];
-    const axes = [{}, { label: unit, size: 64 }];
+    const axes = [{ stroke, grid }, { label: unit, size: 64, stroke, grid }];
     this.data = [[], [], [], []];
     this.plot = new window.uPlot(
       { title, width: this.width(), height: 170, series, axes, scales: { x: { time: false } }, cursor: { show: false }, legend: { show: false } },
       this.data, box);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.plot.redraw());
     new ResizeObserver(() => this.plot.setSize({ width: this.width(), height: 170 })).observe(box);
   }
 

@@ -108,6 +108,8 @@ FREE = 0.01  # of the variance of the noise: directions in which residuals have 
 ROUNDED = 1e-9  # of the largest: directions of a projector below it are rounding
 STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 without a bad one, 1 % have such a one
 MOST_LEFT_OUT = 6
+QUICK_LEFT_OUT = 1
+"""Rests and turns that a quick estimate leaves out at most: each costs as much as the estimate with them."""
 LEAST_CHANCE = 1e-300
 ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
 ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
@@ -131,15 +133,16 @@ def joint(
     """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
     where None, the groups whose usual size the observations know. With `robust`, the estimate is that without the
     rests and turns that do not fit; their sigmas say which they are. A `quick` one ends after
-    QUICK_STEPS, settled or not, and then does not look for what does not fit: it is for a page that follows a session
-    and cannot wait for one that contradicts itself."""
+    QUICK_STEPS, settled or not; of what does not fit it looks for QUICK_LEFT_OUT, where it has not settled for nothing:
+    it is for a page that follows a session and cannot wait for one that contradicts itself."""
     usual, own = instruments_of(observations)
     instrument = instrument or usual
     problem = Problem.of(observations, prior, instrument=instrument, own=own, usual=observations.usual)
     at, first = _started(problem)
     at = _with_lag(problem, at)
     everything = _fitted_with_lag(problem, at, QUICK_STEPS if quick else ALL_STEPS)
-    fitting = everything if quick and not everything.settled else _fitting(everything)
+    most = (QUICK_LEFT_OUT if everything.settled else 0) if quick else MOST_LEFT_OUT
+    fitting = _fitting(everything, most)
     shown = _with_posterior(fitting if robust else everything, problem)
     return _estimate(shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
 
@@ -782,11 +785,11 @@ def _suspect(fitted: _Fitted) -> _Out | None:
     return _Out(rest=rest, turn=turn)
 
 
-def _fitting(everything: _Fitted) -> _Fitted:
-    """The fit without what does not fit. Suspects are left out one after the other, for they hide each other; those
-    that the others confirm stay out."""
+def _fitting(everything: _Fitted, most: int) -> _Fitted:
+    """The fit without what does not fit. Suspects, `most` of them, are left out one after the other, for they hide each
+    other; those that the others confirm stay out."""
     fitted = everything
-    for _ in range(MOST_LEFT_OUT):
+    for _ in range(most):
         suspect = _suspect(fitted)
         if suspect is None:
             break
