@@ -170,6 +170,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         groups=_groups(runs, parameters),
         prediction=_prediction(runs, common, values.mean(axis=0), covariance),
         reference_temperature=reference,
+        clock_u=_clock_u(runs),
         provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
     )
 
@@ -230,7 +231,7 @@ def _covariance(
     whole = [move @ _own(run, names) @ move.T for run, move in zip(runs, moves, strict=True)]
     gravity = _gravity_in_common(runs, names, whole)
     by_prior = [_by_prior(run, names, covariance) for run, covariance in zip(runs, whole, strict=True)]
-    clock = by_time_base(names, min(run.session.log.gyro_clock_u for run in runs))
+    clock = by_time_base(names, _clock_u(runs))
     of_site = np.outer(gravity, gravity) + np.outer(clock, clock)
     own = [c - of_site - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
     common = of_site + np.mean(by_prior, axis=0)
@@ -260,6 +261,11 @@ def _own_variance(parameter: Parameter, whole: float, own: float) -> tuple[float
     """The part of a variance that is not common, and its degrees of freedom."""
     own = max(own, 0.0)
     return own, None if parameter.dof is None or whole == 0.0 else parameter.dof * (own / whole) ** 2
+
+
+def _clock_u(runs: Sequence[Run]) -> float:
+    """The uncertainty of the time base that all launches have at least."""
+    return min(run.session.log.gyro_clock_u for run in runs)
 
 
 def _gravity_in_common(runs: Sequence[Run], names: list[str], covariances: Sequence[Array]) -> Array:

@@ -181,7 +181,6 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
     """
     from tumble.registry.connect import open_registry
     from tumble.registry.monitor import monitored
-    from tumble.registry.trend import beyond_chance
     from tumble.report.control_chart import write_chart
     from tumble.terminal.registry import history_report, trend_report
     from tumble.terminal.text import print_report
@@ -192,9 +191,9 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
         write_chart(out, found)
         say(f"written to {out}")
     print_report(trend_report(found) if parameter is None else history_report(found))
-    changed = beyond_chance(found.trends)
+    changed = found.changed()
     if changed:
-        say(f"changed: {', '.join(own.series.name for own in changed)}")
+        say(f"changed: {', '.join(changed)}")
     sys.exit(1 if changed else 0)
 
 

@@ -9,23 +9,27 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from tumble.calibration.compare import Comparison
 from tumble.errors import InputError
 from tumble.registry.connect import Registry
 from tumble.registry.limits import Limits, judge_value, parse_limits
 from tumble.registry.records import Record
-from tumble.registry.series import series_of
+from tumble.registry.series import latest_comparison, series_of
 from tumble.registry.store import latest_record, limits_in_force
-from tumble.registry.trend import Trend, trend_of
+from tumble.registry.trend import Trend, beyond_chance, trend_of
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Monitored:
-    """The latest record of a device, its trends in a `frame`, and the limits (SI) that are in force, by name."""
+    """The latest record of a device, its trends in a `frame`, and the limits (SI) that are in force, by name;
+    `comparison` is that of all parameters in the latest calibration with the one before (`latest_comparison`), None
+    for a single parameter."""
 
     latest: Record
     frame: str
     trends: Sequence[Trend]
     limits: Mapping[str, tuple[float, float]]
+    comparison: Comparison | None = None
 
     def latest_verdicts(self) -> Mapping[str, str]:
         """The verdict on the latest value of every parameter that has limits."""
@@ -37,6 +41,13 @@ class Monitored:
         if first.series.name not in self.limits:
             return {}
         return {point.number: self._verdict(first, i) for i, point in enumerate(first.series.points)}
+
+    def changed(self) -> list[str]:
+        """The parameters that have changed by more than chance makes since the calibration before, or where none does
+        by itself, that they have together."""
+        names = [trend.series.name for trend in beyond_chance(self.trends)]
+        together = self.comparison is not None and self.comparison.contradicts
+        return names or (["all parameters together"] if together else [])
 
     def _verdict(self, trend: Trend, i: int) -> str:
         point = trend.series.points[i]
@@ -72,6 +83,7 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
         frame=frame,
         trends=[trend_of(own) for own in chosen],
         limits={name: own for name, own in known_limits.items() if own is not None},
+        comparison=latest_comparison(registry, serial, frame) if parameter is None else None,
     )
 
 

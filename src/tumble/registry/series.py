@@ -13,7 +13,9 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from tumble.calibration.coverage import by_gravity
+from tumble.calibration.compare import Comparison, compare_calibrations
 from tumble.errors import InputError
+from tumble.estimation.common_errors import by_time_base
 from tumble.recording.session import Site
 from tumble.registry.connect import Registry
 from tumble.registry.limits import Verdict, judge, parse_limits
@@ -40,6 +42,10 @@ class SeriesPoint:
     site: Site | None = None
     by_gravity: float = 0.0
     """Change of the value with one standard uncertainty of the site's gravity."""
+    clock_u: float = 0.0
+    """Relative standard uncertainty of the time base."""
+    by_clock: float = 0.0
+    """Change of the value with it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,7 +86,22 @@ def _points(name: str, unit: str, found: Iterable[Record], alike: Mapping[int, C
                     dof=own.dof,
                     site=calibration.site,
                     by_gravity=float(change[i]),
+                    clock_u=calibration.clock_u,
+                    by_clock=float(by_time_base([name], calibration.clock_u)[0]),
                 )
+
+
+def latest_comparison(registry: Registry, serial: str, frame: str) -> Comparison | None:
+    """The last calibration of a device in force that is no adjustment against the one before it, in a frame; None
+    where there are no two with parameters in common."""
+    found = [record for record in records(registry, serial) if record.superseded_by is None]
+    at = next((i for i in range(len(found) - 1, 0, -1) if found[i].state != "as-left"), None)
+    if at is None:
+        return None
+    later, earlier = (_in_frame(registry, found[i], frame) for i in (at, at - 1))
+    if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
+        return None
+    return compare_calibrations(later, earlier)
 
 
 def verdict_of(

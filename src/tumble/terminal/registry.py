@@ -19,6 +19,7 @@ from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
+from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
 from tumble.units import rounded
@@ -182,7 +183,14 @@ def trend_report(found: Monitored) -> RenderableType:
             unit,
             *([verdicts.get(name, "")] if limits else []),
         )
-    return Group(Text(_trend_line(found)), Text(""), table)
+    return Group(Text(_trend_line(found)), Text(""), table, *_together(found))
+
+
+def _together(found: Monitored) -> list[RenderableType]:
+    """What all parameters together say of a change."""
+    if found.comparison is None or found.comparison.chi_square is None:
+        return []
+    return [Text(""), Text(f"the latest against the one before, all together: {chi_square_of(found.comparison)}")]
 
 
 def history_report(found: Monitored) -> RenderableType:
