@@ -17,9 +17,9 @@ a normal distribution.
 
 The u_i are without the uncertainty of gravity where all calibrations used the same stated gravity, and without that of
 the time base where all state the same: their error is the same every time and hence no part of a drift. It is no part
-of a change between two that share it either (`tumble.calibration.shared_errors`). A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`); it is `beyond
-chance` where chance alone makes one of all parameters of the device change so much less often than in CHANCE of all
-cases.
+of a change between two that share it either (`tumble.calibration.shared_errors`). A change has the expanded uncertainty
+U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`); it is `beyond chance` where chance alone
+makes one of all parameters of the device change so much less often than in CHANCE of all cases.
 
 Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
 """
