@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 
 from tumble.calibration.compare import Comparison
 from tumble.errors import InputError
 from tumble.registry.connect import Registry
+from tumble.registry.forecast import Forecast, forecast
 from tumble.registry.limits import Limits, judge_value, parse_limits
 from tumble.registry.records import Record
 from tumble.registry.series import latest_comparison, series_of
@@ -30,17 +32,26 @@ class Monitored:
     trends: Sequence[Trend]
     limits: Mapping[str, tuple[float, float]]
     comparison: Comparison | None = None
+    by_calendar: date | None = None
+    """The day the next calibration is due by the interval of the type."""
 
     def latest_verdicts(self) -> Mapping[str, str]:
         """The verdict on the latest value of every parameter that has limits."""
         return {t.series.name: self._verdict(t, -1) for t in self.trends if t.series.name in self.limits}
 
-    def verdicts(self) -> Mapping[int, str]:
-        """The verdicts on the first parameter in every record, by number."""
-        first = self.trends[0]
-        if first.series.name not in self.limits:
+    def verdicts(self, trend: Trend | None = None) -> Mapping[int, str]:
+        """The verdicts on a parameter, the first where none is named, in every record, by number; none without
+        limits."""
+        trend = self.trends[0] if trend is None else trend
+        if trend.series.name not in self.limits:
             return {}
-        return {point.number: self._verdict(first, i) for i, point in enumerate(first.series.points)}
+        return {point.number: self._verdict(trend, i) for i, point in enumerate(trend.series.points)}
+
+    def forecasts(self) -> list[Forecast]:
+        """When parameters that are inside their limits meet them by their drift, the earliest first."""
+        passing = {name for name, verdict in self.latest_verdicts().items() if verdict == "pass"}
+        found = [forecast(t, self.limits[t.series.name]) for t in self.trends if t.series.name in passing]
+        return sorted((each for each in found if each is not None), key=lambda each: each.earliest)
 
     def changed(self) -> list[str]:
         """The parameters that have changed by more than chance makes since the calibration before, or where none does
@@ -84,6 +95,7 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
         trends=[trend_of(own) for own in chosen],
         limits={name: own for name, own in known_limits.items() if own is not None},
         comparison=latest_comparison(registry, serial, frame) if parameter is None else None,
+        by_calendar=None if limits is None else limits.due(serial, latest.performed.date()),
     )
 
 

@@ -52,13 +52,16 @@ CHANCE = 1e-3
 class Drift:
     """A drift in SI a year with its standard and its expanded uncertainty; without degrees of freedom nothing says how
     unstable the device is from run to run, and there is no expanded one. The line: `level` (SI) at `since` (years
-    since the first calibration) in the last stretch."""
+    since the first calibration) in the last stretch, with its standard uncertainty and its covariance with the
+    drift."""
 
     per_year: float
     u: float
     degrees: int
     expanded: float | None
     level: float
+    level_u: float
+    level_with_drift: float
     since: float
 
 
@@ -213,6 +216,8 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
         degrees=degrees,
         expanded=float(special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
         level=float(line.values[stretches - 1]),
+        level_u=math.sqrt(float(line.covariance[stretches - 1, stretches - 1])),
+        level_with_drift=float(line.covariance[stretches - 1, -1]),
         since=float(years(points).mean()),
     )
 

@@ -74,10 +74,10 @@ def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]
         draw(figure)
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata=_DATA_OF_THE_FILE, transparent=True)
-    return _for_a_page(out.getvalue(), name)
+    return for_a_page(out.getvalue(), name)
 
 
-def _for_a_page(svg: str, name: str) -> str:
+def for_a_page(svg: str, name: str) -> str:
     """The svg element alone, its identifiers made this figure's own, without comments."""
     svg = re.sub(r"<!--.*?-->", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
