@@ -4,8 +4,8 @@ Each trial draws a device (MEMS grade, positions by hand), simulates its session
 method with the linear model. Rests scatter by a bias that is drawn anew at every rest, `scatter` times the usual one of
 the grade. In several launches biases change from power-on to power-on by much more than a session's noise, the other
 parameters do not; the error of gravity is common to them. With devices `alike`, the launches of so many others of the
-type, the next trials, count beside them as those of a registry do. All 21 parameters are judged, each against an upper limit
-that lies exactly at its true value: the guard band promises that at most 2.275 % pass.
+type, those of the next trials, count beside them as those of a registry do. All 21 parameters are judged, each against
+an upper limit that lies exactly at its true value: the guard band promises that at most 2.275 % pass.
 
     python studies/coverage_of_limits.py [--short]
 """
@@ -128,7 +128,8 @@ def _mean(device: Launched, alike: TypeSpread) -> list[Parameter]:
         own = [(max((run[i].u or 0.0) ** 2 - common**2, 0.0), run[i].dof) for run, _ in runs]
         values = np.array([run[i].value for run, _ in runs])
         s2 = float(values.var(ddof=1))
-        variance, degrees = pooled(s2, len(runs) - 1.0, alike.of(first.name, device.noise(i))) or (s2, len(runs) - 1.0)
+        of_type = alike.of(first.name, device.noise(i))
+        variance, degrees = pooled(s2, len(runs) - 1.0, of_type) or (s2, len(runs) - 1.0)
         u, dof = degrees_of_mean(own, sqrt(variance), common, degrees=degrees)
         out.append(replace(first, value=float(values.mean()), u=u, dof=dof))
     return out
