@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from calibrated import HEXAD, calibration, warmed
 from test_applied_model import larger, read, truth
-from test_export import CERTIFICATE
+from test_export import CERTIFICATE, NOISE
 from test_export_c import PROGRAM, gcc
-from test_export_kalibr import NOISE
 from test_export_mat_csv import read_csv, read_mat
 
 from tumble.calibration.calibration_file import Calibration

@@ -253,7 +253,7 @@ def heights(made: Trend, limits: tuple[float, float]) -> tuple[float, float, lis
     """The lowest and the highest value in the picture of a parameter, and what stands above it."""
     axes = Figure().add_subplot()
     draw_panel(axes, made, limits, {}, (1.0, "mg"))
-    return *axes.get_ylim(), axes.get_title(loc="right").split()  # type: ignore[return-value]
+    return *axes.get_ylim(), axes.get_title(loc="right").split()
 
 
 def test_the_axis_follows_the_data_and_a_far_limit_is_a_note() -> None:
