@@ -6,7 +6,7 @@ The axis of values follows the data. A limit that is near is drawn; one that is 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING
 
@@ -43,6 +43,7 @@ def draw_panel(
     bars = np.array([expanded_of(p) or 0.0 for p in points]) / size
     low, high = _heights(values, bars, None if limits is None else tuple(limit / size for limit in limits))
     _draw_points(axes, trend, verdicts, values, bars)
+    _draw_launches(axes, points, size)
     _draw_drift(axes, trend, size)
     axes.set_ylim(low, high)
     if limits is not None:
@@ -60,7 +61,7 @@ def _heights(
     longest = _LONGEST_BAR * max(float(np.ptp(values)), float(np.median(bars)))
     shown = np.minimum(bars, longest)
     low, high = float((values - shown).min()), float((values + shown).max())
-    height = (high - low) or max(abs(high), 1.0)
+    height = (high - low) or abs(high) or 1.0
     near = [limit for limit in limits or () if low - _NEAR * height <= limit <= high + _NEAR * height]
     low, high = min([low, *near]), max([high, *near])
     margin = 0.1 * ((high - low) or height)
@@ -74,7 +75,7 @@ def _draw_points(
     values: npt.NDArray[np.float64],
     bars: npt.NDArray[np.float64],
 ) -> None:
-    """Values with U, in the colour of their verdict, launches beside them, and rings where E_n is beyond 1."""
+    """Values with U, in the colour of their verdict, and rings where E_n is beyond 1."""
     points = trend.series.points
     changed = {c.later: c.e_n for c in trend.changes if c.e_n is not None and abs(c.e_n) > 1.0 and not c.adjustment}
     for point, value, bar in zip(points, values.tolist(), bars.tolist(), strict=True):
@@ -84,7 +85,6 @@ def _draw_points(
         axes.errorbar(
             at, [value], yerr=[bar], fmt=MARKERS[point.state], markersize=4.5, color=colour, capsize=2.5, linewidth=1.0
         )
-        _draw_launches(axes, point, value / point.value if point.value else 1.0)
         if point.number in changed:
             axes.plot(at, [value], "o", markersize=10, fillstyle="none", color=TONES["fail"], markeredgewidth=1.2)
             _draw_number(axes, at, value, changed[point.number])
@@ -104,9 +104,10 @@ def _draw_number(axes: Axes, at: npt.NDArray[np.datetime64], value: float, e_n: 
     )
 
 
-def _draw_launches(axes: Axes, point: SeriesPoint, per_si: float) -> None:
-    launches = [value * per_si for value, _ in point.launches]
-    axes.plot(_times([point.performed] * len(launches)), launches, "_", markersize=4.0, color=GREY)
+def _draw_launches(axes: Axes, points: Sequence[SeriesPoint], size: float) -> None:
+    for point in points:
+        launches = [value / size for value, _ in point.launches]
+        axes.plot(_times([point.performed] * len(launches)), launches, "_", markersize=4.0, color=GREY)
 
 
 def _draw_limits(axes: Axes, limits: tuple[float, float], guard: float, size: float) -> None:
