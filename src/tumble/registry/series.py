@@ -117,7 +117,7 @@ def verdict_of(
     found = judge(parsed, record.occasion, rows_in_frame(registry, record, rows, parsed.frame), unobservable)
     if found is None or parsed.temperatures is None:
         return found
-    return over_temperature(found, _in_frame(registry, record, parsed.frame), parsed)
+    return over_temperature(found, calibration_in(registry, record, parsed.frame), parsed)
 
 
 # -------------------- frames --------------------
