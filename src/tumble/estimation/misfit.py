@@ -126,9 +126,9 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
 
 
 def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concerns]) -> list[Cause]:
-    """Causes, of those that do not stand out, for a scatter that is there, which is `ratios` times the noise. What makes
-    turns scatter and not, or much less, the gyros at rest is random itself, so that nothing systematic need fit well: it
-    comes first."""
+    """Causes, of those that do not stand out, for a scatter that is there, which is `ratios` times the noise. What
+    makes turns scatter and not, or much less, the gyros at rest is random itself, so that nothing systematic need fit
+    well: it comes first."""
     likely = [c for c in found if c.concerns in {*concerned, "both"}]
     random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in ratios else []
     if random and random[0].probability > 0.05:
