@@ -3,8 +3,9 @@
 Each trial draws a device (MEMS grade, positions by hand), simulates its sessions and calibrates them by the joint
 method with the linear model. Rests scatter by a bias that is drawn anew at every rest, `scatter` times the usual one of
 the grade. In several launches biases change from power-on to power-on by much more than a session's noise, the other
-parameters do not; the error of gravity is common to them. All 21 parameters are judged, each against an upper limit
-that lies exactly at its true value: the guard band promises that at most 2.275 % pass.
+parameters do not; the error of gravity is common to them. With devices `alike`, the launches of so many others of the
+type, those of the next trials, count beside them as those of a registry do. All 21 parameters are judged, each against
+an upper limit that lies exactly at its true value: the guard band promises that at most 2.275 % pass.
 
     python studies/coverage_of_limits.py [--short]
 """
@@ -19,6 +20,7 @@ import numpy as np
 
 from tumble.calibration.coverage import by_gravity, degrees_of_mean, expanded
 from tumble.calibration.results import Parameter
+from tumble.calibration.type_spread import KnownLaunches, TypeSpread, pooled
 from tumble.estimation.methods.joint import joint
 from tumble.planning.setup import Setup
 from tumble.registry.limits import judge_value
@@ -37,11 +39,13 @@ CORRELATED = 4.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Case:
-    """So many launches of so many rests, whose scatter is so many times the usual one."""
+    """So many launches of so many rests, whose scatter is so many times the usual one, and so many other devices of
+    the type with as many launches."""
 
     launches: int
     rests: int
     scatter: float
+    alike: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,8 +59,30 @@ class Outcome:
 
 CASES = (
     *(Case(launches=n, rests=18, scatter=3.0) for n in (1, 2, 3, 5)),
+    *(Case(launches=n, rests=18, scatter=3.0, alike=10) for n in (2, 3, 5)),
     *(Case(launches=1, rests=n, scatter=10.0) for n in (9, 12, 18, 26)),
 )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Launched:
+    """The launches of a device: for each parameter of the first the values, what each launch knows of itself, its
+    degrees of freedom, and what is common to all."""
+
+    truth: dict[str, float]
+    runs: list[tuple[list[Parameter], Array]]
+
+    def known(self, serial: int) -> KnownLaunches:
+        """What a registry knows of them."""
+        variances = {}
+        for i, first in enumerate(self.runs[0][0]):
+            values = np.array([run[i].value for run, _ in self.runs])
+            variances[first.name] = (float(values.var(ddof=1)), self.noise(i))
+        return KnownLaunches(serial=str(serial), logs=frozenset(), degrees=len(self.runs) - 1, variances=variances)
+
+    def noise(self, i: int) -> float:
+        """The mean variance that launches know of themselves."""
+        return float(np.mean([(run[i].u or 0.0) ** 2 for run, _ in self.runs]))
 
 
 def run(case: Case, trials: int, *, seed: int = 0) -> Outcome:
@@ -68,30 +94,43 @@ def run(case: Case, trials: int, *, seed: int = 0) -> Outcome:
         gyro_instability=case.scatter * setup.noise.gyro_instability,
     )
     setup = replace(setup, noise=noise)
+    devices = [
+        _launched(setup, case, np.random.default_rng([seed, case.launches, case.rests, t])) for t in range(trials)
+    ]
     covered, passed = [], []
-    for trial in range(trials):
-        rng = np.random.default_rng([seed, case.launches, case.rests, trial])
-        scenario = scenario_of(setup, rng)
-        for parameter in _mean(scenario, case.launches, rng):
-            U, truth = expanded(parameter) or inf, scenario.truth[parameter.name]
+    for trial, device in enumerate(devices):
+        others = [(trial + 1 + i) % trials for i in range(min(case.alike, trials - 1))]
+        alike = TypeSpread(model="mems", frame="", known=tuple(devices[i].known(i) for i in others))
+        for parameter in _mean(device, alike):
+            U, truth = expanded(parameter) or inf, device.truth[parameter.name]
             covered.append(abs(parameter.value - truth) <= U)
             at_limit = judge_value(parameter.value, parameter.u, -inf, truth, parameter.dof)
             passed.append(at_limit == "pass")
     return Outcome(covered=float(np.mean(covered)), passed=float(np.mean(passed)), values=len(covered))
 
 
-def _mean(scenario: Scenario, launches: int, rng: np.random.Generator) -> list[Parameter]:
-    """The parameters of the mean of launches."""
+def _launched(setup: Setup, case: Case, rng: np.random.Generator) -> Launched:
+    """A device and its launches."""
+    scenario = scenario_of(setup, rng)
     off = scenario.site.gravity_u * rng.standard_normal()
-    runs = [_session(scenario, off, launches, rng) for _ in range(launches)]
-    if launches == 1:
+    runs = [_session(scenario, off, case.launches, rng) for _ in range(case.launches)]
+    return Launched(truth=dict(scenario.truth), runs=runs)
+
+
+def _mean(device: Launched, alike: TypeSpread) -> list[Parameter]:
+    """The parameters of the mean of launches."""
+    runs = device.runs
+    if len(runs) == 1:
         return runs[0][0]
     out = []
     for i, first in enumerate(runs[0][0]):
         common = float(np.mean([change[i] for _, change in runs]))
         own = [(max((run[i].u or 0.0) ** 2 - common**2, 0.0), run[i].dof) for run, _ in runs]
         values = np.array([run[i].value for run, _ in runs])
-        u, dof = degrees_of_mean(own, float(values.std(ddof=1)), common)
+        s2 = float(values.var(ddof=1))
+        of_type = alike.of(first.name, device.noise(i))
+        variance, degrees = pooled(s2, len(runs) - 1.0, of_type) or (s2, len(runs) - 1.0)
+        u, dof = degrees_of_mean(own, sqrt(variance), common, degrees=degrees)
         out.append(replace(first, value=float(values.mean()), u=u, dof=dof))
     return out
 
@@ -119,12 +158,12 @@ def _session(scenario: Scenario, off: float, launches: int, rng: np.random.Gener
 
 def main(trials: int) -> int:
     """Print a line for each case, and the answer; 1 where the limits do not protect."""
-    print("launches  rests  scatter   covered   passed at the limit")
+    print("launches  alike  rests  scatter   covered   passed at the limit")
     protected = True
     for case in CASES:
         found = run(case, trials)
         print(
-            f"{case.launches:8d} {case.rests:6d} {case.scatter:8.0f} {100.0 * found.covered:8.2f} % "
+            f"{case.launches:8d} {case.alike:6d} {case.rests:6d} {case.scatter:8.0f} {100.0 * found.covered:8.2f} % "
             f"{100.0 * found.passed:8.2f} %"
         )
         chance = 5.0 * sqrt(0.025 / found.values * CORRELATED)

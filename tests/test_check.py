@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy import stats
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.check import FieldCheck, check_calibration, known_before
-from tumble.calibration.results import Parameter
+from tumble.calibration.results import Launch, Parameter
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
-from tumble.estimation.field_check import CheckResult, field_check
+from tumble.estimation.field_check import CHANCE, CheckResult, _student, field_check
 from tumble.estimation.likelihood import Point, Prior, Problem, linearise
 from tumble.estimation.methods.joint import joint
 from tumble.planning.setup import Setup
@@ -260,3 +261,42 @@ def test_another_device_and_a_refused_calibration_are_refused(folder: Path) -> N
         check_calibration(replace(calibration, serial="other"), folder / "again")
     with pytest.raises(CalibrationError, match="expected an accepted one"):
         check_calibration(replace(calibration, outcome=Outcome(reasons=("no",))), folder / "again")
+
+
+@pytest.mark.parametrize("degrees", [5.0, 20.0, 1000.0])
+def test_a_limit_is_that_of_students_t(degrees: float) -> None:
+    """Of 20 000 draws the quantile of 0.991 is known to 2 %; Wilson and Hilferty's formula is better."""
+    drawn = np.random.default_rng(2).standard_normal((20_000, 2))
+    found = np.quantile(np.abs(drawn[:, 0]) * _student(drawn[:, 1:], np.array([1.0 / degrees]))[:, 0], 1.0 - CHANCE)
+    assert found == pytest.approx(stats.t.isf(0.5 * CHANCE, degrees), rel=0.06 if degrees < 10.0 else 0.04)
+
+
+def test_a_calibration_of_few_degrees_of_freedom_is_believed_less() -> None:
+    """Where the calibration is most of what is not known, limits are higher, and not by more than if it were all."""
+    _, calibration = device()
+    assert calibration.covariance is not None
+    vague = tuple(replace(p, u=10.0 * (p.u or 0.0)) for p in calibration.parameters)
+    sure = replace(calibration, parameters=vague, covariance=100.0 * calibration.covariance)
+    few = replace(sure, parameters=tuple(replace(p, dof=4.0) for p in vague))
+    observations = seen(4)
+    known = [known_before(c, observations, "mems", {}) for c in (sure, few)]
+    assert not known[0].doubt.any()
+    i = known[1].instrument.names.index("accel.scale.y")
+    own = next(p.u or 0.0 for p in vague if p.name == "accel.scale.y")
+    assert known[1].doubt[1 + i, 1 + i] == pytest.approx(own**2 / 2.0)
+    limits, part = [field_check(observations, each).limit for each in known], 0.5 * CHANCE / 21
+    assert 1.1 * limits[0] < limits[1] < limits[0] * stats.t.isf(part, 4.0) / stats.norm.isf(part)
+
+
+def test_deviations_of_few_launches_are_believed_less() -> None:
+    _, calibration = device()
+    launch = Launch(session="a", parameters=(), covariance=None, log_sha256="")
+    launched = replace(
+        calibration,
+        launches=(launch,) * 3,
+        parameters=tuple(replace(p, run_to_run=2.0 * (p.u or 0.0)) for p in calibration.parameters),
+    )
+    known = known_before(launched, seen(3), "mems", {})
+    i = known.instrument.names.index("gyro.bias.z")
+    u = next(p.u or 0.0 for p in calibration.parameters if p.name == "gyro.bias.z")
+    assert known.doubt[1 + i, 1 + i] == pytest.approx((2.0 * u) ** 2 / np.sqrt(2.0))

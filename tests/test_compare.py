@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,10 @@ from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.recording.session import Site
+from tumble.registry.connect import open_registry
+from tumble.registry.monitor import monitored
+from tumble.registry.records import Particulars, read_submission
+from tumble.registry.store import add
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 
@@ -205,6 +211,70 @@ def test_a_common_error_of_gravity_hides_no_step_of_a_scale_factor() -> None:
     assert not found.agree
     assert found.probability is not None
     assert found.probability < 1e-100
+
+
+def of_common_time_base(moved: float) -> tuple[Calibration, Calibration]:
+    """The same of the gyros, whose time base is known to 20 ppm."""
+    one = calibration()
+    change = np.where([p.name.startswith("gyro.scale") for p in one.parameters], 20e-6, 0.0)
+    own = np.where(change > 0.0, 1.2e-6, np.array([p.u for p in one.parameters], dtype=float))
+    covariance = np.diag(own**2) + np.outer(change, change)
+    u = np.sqrt(np.diag(covariance)).tolist()
+    parameters = tuple(replace(p, u=each) for p, each in zip(one.parameters, u, strict=True))
+    first = replace(one, parameters=parameters, covariance=covariance, clock_u=20e-6)
+    other = tuple(replace(p, value=p.value + moved) if p.name == "gyro.scale.y" else p for p in parameters)
+    return first, replace(first, parameters=other)
+
+
+def test_a_common_error_of_the_time_base_hides_no_step_of_a_scale_factor() -> None:
+    first, second = of_common_time_base(40e-6)
+    found = compare_calibrations(first, second)
+    moved = next(d for d in found.differences if d.name == "gyro.scale.y")
+    assert moved.u == pytest.approx(1.2e-6 * np.sqrt(2.0))
+    assert not found.agree
+    assert found.probability is not None
+    assert found.probability < 1e-100
+    assert any("the same error of the time base" in remark for remark in found.remarks)
+    of_its_own = (replace(second, clock_u=10e-6), replace(second, serial="another device"))
+    for other in of_its_own:
+        alone = next(d for d in compare_calibrations(first, other).differences if d.name == "gyro.scale.y")
+        assert alone.u == pytest.approx(np.hypot(20e-6, 1.2e-6) * np.sqrt(2.0))
+
+
+@pytest.mark.parametrize("pair", [of_common_gravity, of_common_time_base])
+def test_a_step_of_40_ppm_under_a_common_error_of_20_ppm_ends_compare_and_trend_with_1(
+    pair: Callable[[float], tuple[Calibration, Calibration]], tmp_path: Path
+) -> None:
+    """From files: the scale factor is known to 1.2 ppm but for what both share. Without the step both end with 0."""
+    for moved, status in ((40e-6, 1), (0.0, 0)):
+        place = str(tmp_path / f"{status}.sqlite")
+        words = ["compare"]
+        for i, made in enumerate(pair(moved)):
+            path = tmp_path / f"{status}-{i}.json"
+            replace(made, provenance={**made.provenance, "log_sha256": f"{i:064x}"}).write(path)
+            words.append(str(path))
+            added = ["registry", "add", str(path), "--date", f"202{i}-03-01", "--registry", place]
+            assert CliRunner().invoke(main, added).exit_code == 0
+        assert CliRunner().invoke(main, words).exit_code == status
+        trend = CliRunner().invoke(main, ["registry", "trend", "A-0007", "--registry", place])
+        assert trend.exit_code == status
+        name = "accel.scale.x" if pair is of_common_gravity else "gyro.scale.y"
+        said = f"changed: {name}\n" if status else ""
+        assert trend.stderr == said
+
+
+def test_the_registry_finds_what_only_all_parameters_together_show(tmp_path: Path) -> None:
+    first, second = calibration(), calibration()
+    apart = tuple(replace(p, value=p.value + 0.9 * 2.0 * np.sqrt(2.0) * (p.u or 0.0)) for p in second.parameters)
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        for i, made in enumerate((first, replace(second, parameters=apart))):
+            path = tmp_path / f"{i}.json"
+            replace(made, provenance={**made.provenance, "log_sha256": f"{i:064x}"}).write(path)
+            add(registry, read_submission(path, Particulars(performed=datetime(2024 + i, 3, 1, tzinfo=UTC))))
+        found = monitored(registry, "A-0007", None)
+    assert found.changed() == ["all parameters together"]
+    assert found.comparison is not None
+    assert found.comparison.contradicts
 
 
 def test_gravity_of_its_own_for_each_is_in_the_difference() -> None:

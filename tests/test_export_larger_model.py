@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from calibrated import HEXAD, calibration, warmed
 from test_applied_model import larger, read, truth
+from test_export import CERTIFICATE, NOISE
 from test_export_c import PROGRAM, gcc
 from test_export_mat_csv import read_csv, read_mat
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import model_at
-from tumble.export import export_calibration
+from tumble.export import FORMATS, export_calibration
 from tumble.export.larger_model import not_held
 from tumble.units import DEGREE, G_STANDARD, Array
 
@@ -96,14 +97,25 @@ def test_tables_hold_prior_learned_k_and_degrees_of_freedom() -> None:
         assert np.isnan(content["parameter_prior"].ravel()[i]) == (p.prior is None)
 
 
-@pytest.mark.parametrize("to", ["px4", "ardupilot", "ros-imu-calib", "imucal", "c", "mat", "csv"])
+@pytest.mark.parametrize("to", [name for name in FORMATS if not name.endswith("-thermal")])
 def test_every_format_says_what_it_loses_of_the_larger_model(to: str) -> None:
     made, _, _ = larger(leave=())
-    said = export_calibration(made, to).losses
-    held = {"c": 14, "imucal": 1}.get(to, 0)
+    given = {"dcc": {"certificate": CERTIFICATE}, "kalibr": {"noise": NOISE}}.get(to, {})
+    said = export_calibration(made, to, **given).losses  # type: ignore[arg-type]
+    held = {"c": 14, "imucal": 1, "kalibr": 1}.get(to, 0)
     beyond = [s for s in said if "an error of up to" in s and (": no place" in s or ": not in matrix" in s)]
     assert len(beyond) == 16 - held
     assert all(s.isascii() for s in beyond)
+
+
+@pytest.mark.parametrize("to", [name for name in FORMATS if name.endswith("-thermal")])
+def test_formats_over_temperature_say_what_they_lose_of_the_larger_model(to: str) -> None:
+    """Slopes are in them; the eight groups that do not change with temperature are not."""
+    made = warmed(larger(leave=())[0])
+    assert made.reference_temperature is not None
+    lost = [s for s in export_calibration(made, to).losses if "no place in this file, an error of up to" in s]
+    assert len(lost) == 8
+    assert all("mg " in s or "deg/s " in s for s in lost)
 
 
 def test_the_size_of_what_is_lost_is_that_of_the_readings() -> None:

@@ -14,6 +14,7 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
 from tumble.calibration.launches import Run, mean_of_launches
 from tumble.calibration.results import Parameter
+from tumble.calibration.type_spread import KnownLaunches, TypeSpread
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
@@ -138,3 +139,29 @@ def test_launches_at_other_temperatures_meet_at_their_mean(runs: list[Run]) -> N
     assert warm["accel.bias.x"].value == pytest.approx(np.mean(biases))
     spread = np.std([biases[0] + 1e-2, biases[1] - 1e-2], ddof=1)
     assert warm["accel.bias.x"].run_to_run == pytest.approx(spread)
+
+
+def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) -> None:
+    """By themselves two launches have one degree of freedom; a log that is one of them counts once."""
+    alone = mean_of_launches(runs[:2])
+    noise = {
+        n: np.mean([(run.calibration[n].u or 0.0) ** 2 for run in runs[:2]]) for n in (p.name for p in alone.parameters)
+    }
+    variances = {p.name: ((p.run_to_run or 0.0) ** 2, float(noise[p.name])) for p in alone.parameters}
+    known = KnownLaunches(serial="other", logs=frozenset({"a", "b"}), degrees=50, variances=variances)
+    own = replace(known, logs=frozenset({runs[0].calibration.provenance["log_sha256"]}))
+    alike = TypeSpread(model="mems", frame="accelerometer", known=(known,))
+    better = mean_of_launches(runs[:2], alike=alike)
+    same = mean_of_launches(runs[:2], alike=replace(alike, known=(own,)))
+    for p, q, unchanged in zip(alone.parameters, better.parameters, same.parameters, strict=True):
+        assert (q.value, q.run_to_run) == (p.value, p.run_to_run)
+        assert q.k * (q.u or 0.0) <= p.k * (p.u or 0.0) * (1.0 + 1e-9)
+        assert (unchanged.u, unchanged.dof) == (p.u, p.dof)
+    assert "by all launches of the type mems in the registry, 50 degrees of freedom" in better.notes[-1]
+
+
+def test_launches_of_the_type_are_for_several_launches(folders: list[Path]) -> None:
+    for words in ([folders[0]], [folders[0], folders[1], "--together", "-o", "out.json"]):
+        result = CliRunner().invoke(main, ["calibrate", *map(str, words), "--registry", "r.sqlite"])
+        assert result.exit_code == 2
+        assert "--registry: expected several launches" in result.stderr

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +14,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from registry_files import content, write
+from rich.console import Console
 
 from tumble.errors import InputError
 from tumble.registry.connect import open_registry
-from tumble.registry.due import due, months_later
-from tumble.registry.limits import Limits, judge, judge_value, parse_limits, read_limits
+from tumble.registry.due import due
+from tumble.registry.limits import Limits, judge, judge_value, months_later, parse_limits, read_limits
 from tumble.registry.monitor import monitored
 from tumble.registry.records import ParameterRow, Particulars, submission, utc
 from tumble.registry.series import verdict_of
 from tumble.registry.store import add, limits_records, parameters_of, record, set_limits
+from tumble.terminal.registry import due_table
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
 
 MG = 1e-3 * G_STANDARD
@@ -283,3 +287,23 @@ def test_limits_of_a_further_group_are_in_its_units_and_a_bias_limit_is_not_for_
     assert found.of("accel.bias.x", "incoming") == pytest.approx((-5 * MG, 5 * MG))
     assert found.of("accel.bias.x.t1", "incoming") == pytest.approx((-0.1 * MG, 0.1 * MG))
     assert found.of("accel.bias.x.drift", "incoming") is None
+
+
+def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(tmp_path: Path) -> None:
+    """0.4 mg a year from 3 mg, the limit at 5 mg: it is met after five years, one after the last calibration."""
+    text = 'format = 1\ninterval_months = 36\n[periodic]\n"accel.bias" = "5 mg"'
+    with open_registry(str(tmp_path / "r.sqlite"), create=True) as registry:
+        set_limits(registry, "BCHE-501", text, None)
+        for year, off in enumerate((0.01, -0.01, 0.0, -0.01, 0.01)):
+            values = {"accel.bias.x": (3.0 + 0.4 * year + off) * MG}
+            added(registry, Particulars(performed=utc(f"{2020 + year}-03-01", "")), log=str(year), values=values)
+        (item,) = due(registry)
+    assert str(item.by_calendar) == "2027-03-01"
+    assert item.by_drift is not None
+    assert item.by_drift.name == "accel.bias.x"
+    assert item.drifts
+    assert abs((item.by_drift.expected.date() - date(2025, 3, 1)).days) < 20
+    assert str(item.day) < str(item.by_drift.expected.date())
+    table = io.StringIO()
+    Console(file=table, width=200).print(due_table([item], date(2024, 6, 1)))
+    assert "by the drift of accel.bias.x" in table.getvalue()

@@ -15,17 +15,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from registry_files import content
-from scipy import stats
+from scipy import optimize, stats
 
 from tumble.errors import InputError, MissingExtraError
 from tumble.registry.connect import open_registry
+from tumble.registry.forecast import forecast
 from tumble.registry.limits import read_limits
 from tumble.registry.monitor import Monitored, monitored
 from tumble.registry.records import Particulars, State, submission, utc
 from tumble.registry.series import Series, SeriesPoint
 from tumble.registry.store import add, set_limits
 from tumble.registry.trend import YEAR, Trend, trend_of
+from tumble.report.chart_panel import draw_panel
 from tumble.report.control_chart import write_chart
 from tumble.terminal.registry import sparkline
 from tumble.units import Array
@@ -186,7 +190,99 @@ def test_a_sparkline_goes_from_the_lowest_to_the_highest() -> None:
     assert len(sparkline(list(map(float, range(100))))) == 24
 
 
+# -------------------- forecasts --------------------
+
+
+def drifting(*, u: float = 0.1, state: State = "unchanged") -> Trend:
+    """0.5 a year, scattered by about u."""
+    off = (0.3, -0.8, 0.9, 0.1, -0.5)
+    return trend(*(point(t, 0.5 * t + u * e, u=u, state=state) for t, e in enumerate(off)))
+
+
+def test_a_forecast_is_where_the_line_and_its_uncertainty_meet_the_limit() -> None:
+    """By ordinary weighted regression and a search for the zeros."""
+    made = drifting()
+    found = forecast(made, (-9.0, 4.0))
+    assert found is not None
+    t, y = np.arange(5.0), np.array([p.value for p in made.series.points])
+    X = np.column_stack([np.ones(5), t])
+    C = 0.1**2 * np.linalg.inv(X.T @ X)
+    a, b = np.linalg.lstsq(X, y, rcond=None)[0]
+    k = stats.t.ppf(stats.norm.cdf(2.0), 3)
+
+    def margin(at: float) -> float:
+        return float((4.0 - a - b * at) ** 2 - k**2 * (np.array([1.0, at]) @ C @ np.array([1.0, at])))
+
+    assert made.instability == 0.0
+    for moment, expected in (
+        (found.expected, (4.0 - a) / b),
+        (found.earliest, optimize.brentq(margin, 4.0, (4.0 - a) / b)),
+        (found.latest, optimize.brentq(margin, (4.0 - a) / b, 30.0)),
+    ):
+        assert moment is not None
+        assert (moment - START) / YEAR == pytest.approx(expected, abs=1e-4)
+
+
+def test_there_is_no_forecast_without_a_drift_towards_a_limit() -> None:
+    assert forecast(drifting(u=2.0), (-9.0, 4.0)) is None  # no more than its U
+    assert forecast(drifting(), (-9.0, np.inf)) is None
+    assert forecast(drifting(), (-9.0, 1.0)) is None  # it is there already
+    assert forecast(drifting(), (-9.0, 1e4)) is None  # not in our time
+    assert forecast(trend(point(0, 1.0), point(1, 2.0)), (-9.0, 4.0)) is None  # nothing shows the instability
+
+
+@pytest.mark.parametrize("instability", [0.0, 0.3])
+def test_the_true_time_is_in_the_interval_as_often_as_stated(instability: float) -> None:
+    """N = 300, of those with a forecast: at least 95.45 % less five standard deviations of the count. The true line
+    meets 4 after 8 years."""
+    rng, inside = np.random.default_rng(3), []
+    for _ in range(300):
+        y = 0.5 * np.arange(6.0) + np.hypot(0.1, instability) * rng.standard_normal(6)
+        found = forecast(trend(*(point(t, float(v), u=0.1) for t, v in enumerate(y))), (-9.0, 4.0))
+        if found is not None:
+            latest = np.inf if found.latest is None else (found.latest - START) / YEAR
+            inside.append((found.earliest - START) / YEAR <= 8.0 <= latest)
+    assert len(inside) > 100
+    assert np.mean(inside) > 0.9545 - 5.0 * np.sqrt(0.0434 / len(inside))
+
+
 # -------------------- charts --------------------
+
+
+def heights(made: Trend, limits: tuple[float, float]) -> tuple[float, float, list[str]]:
+    """The lowest and the highest value in the picture of a parameter, and what stands above it."""
+    axes = Figure().add_subplot()
+    draw_panel(axes, made, limits, {}, (1.0, "mg"))
+    return *axes.get_ylim(), axes.get_title(loc="right").split()
+
+
+def test_the_axis_follows_the_data_and_a_far_limit_is_a_note() -> None:
+    made = trend(point(0, 1.0, u=0.1), point(1, 1.2, u=0.1), point(2, 1.1, u=0.1))
+    low, high, note = heights(made, (-500.0, 1.5))
+    assert 0.6 < low < 0.8
+    assert 1.5 < high < 1.6
+    assert note == ["limit", "−500", "↓"]
+    assert heights(made, (-500.0, 500.0))[1] < 1.6
+    assert heights(made, (-500.0, 500.0))[2] == ["limits", "−500", "↓", "500", "↑"]
+
+
+def test_a_bar_that_is_far_longer_than_the_others_does_not_decide_the_height() -> None:
+    made = trend(point(0, 1.0, u=50.0), point(1, 1.2, u=0.1), point(2, 1.1, u=0.1))
+    low, high, _ = heights(made, (-np.inf, np.inf))
+    assert low > 0.0
+    assert high < 2.0
+
+
+def test_changes_beyond_one_and_failures_are_marked() -> None:
+    made = trend(point(0, 1.0, u=0.1), point(1, 3.0, u=0.1))
+    axes = Figure().add_subplot()
+    draw_panel(axes, made, (-2.0, 2.0), {0: "pass", 1000: "fail"}, (1.0, "mg"))
+    assert [text.get_text() for text in axes.texts] == ["Eₙ +7.1"]
+    colours = [
+        to_hex(line.get_color()) for line in axes.lines if line.get_marker() == "o" and line.get_markersize() < 9
+    ]
+    assert colours == ["#1f4e79", "#a32222"]
+
 
 EVIL = "<script>alert(1)</script> $x^2$ & \"'"
 
@@ -230,6 +326,9 @@ def test_the_page_is_self_contained_and_whole(found: Monitored, tmp_path: Path) 
         assert loading not in text
     assert "default-src 'none'" in text
     assert text.count("<tr>") == 1 + 4
+    for label in ("limits", "drift/year ± U", "Eₙ", "verdict"):  # on a phone beside every cell
+        assert text.count(f'data-label="{label}"') == 4
+    assert text.count("<figure") == 4
     svg = text[text.index("<svg") : text.index("</svg>") + 6]
     assert ElementTree.fromstring(svg).tag.endswith("svg")
 

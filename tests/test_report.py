@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 import pymupdf
 import pytest
+from calibrated import HEXAD
+from calibrated import calibration as exact
 from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,9 +32,11 @@ from matplotlib.figure import Figure
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.further import predicted
 from tumble.calibration.results import coverage_factor
 from tumble.cli import main
 from tumble.errors import MissingExtraError
+from tumble.estimation.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.report.blocks import ReportTable
 from tumble.report.characters import drawable, visible
@@ -931,3 +935,21 @@ def test_a_browser_finds_no_error_and_nothing_to_load(
     for page, width in ((html, 1100), (html, 390), (hostile_html, 1000)):
         seen = visited(browser, page, tmp_path, width)
         assert seen == Visit(console=(), requests=())
+
+
+def test_a_block_of_six_is_applied_by_the_pseudo_inverse_and_has_its_own_frame() -> None:
+    made = exact(accel=HEXAD, with_gyro=False)
+    document_of = document([Source(file="c.json", sha256="0" * 64, calibration=made)], None)
+    said = repr(document_of)
+    assert "Formula(name='apply_redundant'" in said
+    assert "Formula(name='axes'" not in said
+    assert "Formula(name='apply'," not in said
+    assert "Accelerometer 0 is along its nominal axis" in said
+    assert "true = <b>matrix</b><sup>+</sup>" in to_page(document_of)
+    assert to_pdf(document_of).startswith(b"%PDF")
+
+
+def test_what_readings_are_known_to_has_two_digits_and_no_exponent() -> None:
+    assert predicted(Prediction(force_u=9.80665e-4, rate_u=1.5e-4, at_rate=1.0)).startswith(
+        "corrected specific force at 1 g: u 100 µg"
+    )

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from tumble.calibration.results import RestResult as RestResult
     from tumble.calibration.results import TurnResult as TurnResult
     from tumble.calibration.together import calibrate_together as calibrate_together
+    from tumble.calibration.type_spread import TypeSpread as TypeSpread
     from tumble.calibration.verify import Positions as Positions
     from tumble.calibration.verify import Verification as Verification
     from tumble.calibration.verify import positions_of as positions_of
@@ -101,6 +102,7 @@ if TYPE_CHECKING:
     from tumble.registry.monitor import monitored as monitored
     from tumble.registry.store import add_calibration as add_calibration
     from tumble.registry.store import records as records
+    from tumble.registry.type_launches import type_spread as type_spread
     from tumble.report.write import write_report as write_report
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
@@ -166,6 +168,8 @@ _PUBLIC = {
     "records": "registry.store",
     "due": "registry.due",
     "monitored": "registry.monitor",
+    "TypeSpread": "calibration.type_spread",
+    "type_spread": "registry.type_launches",
     "simulate_session": "simulation.session",
     "Setup": "planning.setup",
     "Budget": "planning.budget",

@@ -447,6 +447,7 @@ def result_of(
         axes=_axes(observations),
         reference_temperature=_reference(observations),
         imu=session.device.imu,
+        clock_u=observations.clock_u,
     )
 
 

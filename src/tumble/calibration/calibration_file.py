@@ -113,6 +113,8 @@ class Calibration:
     """Which "accel" and "gyro" of an autopilot were recorded, where they are of one."""
     sample_rate: float | None = None
     """Samples a second of the recording."""
+    clock_u: float = 0.0
+    """Relative standard uncertainty of the time base as it is in the scale factors of the gyros."""
     together: tuple[Member, ...] = ()
     """The sessions, where several are in one estimate."""
 
@@ -295,6 +297,7 @@ class Calibration:
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],
             "sample_rate": self.sample_rate,
+            "clock_u": self.clock_u,
             "site": None if self.site is None else asdict(self.site),
             "session": circumstances_content(self.circumstances),
             "programme": self.programme,
@@ -447,6 +450,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         measured_between=optional(_pair, content.get("temperature", {}).get("range")),
         imu=sensors_from(content["device"].get("imu", {})),
         sample_rate=optional(float, content.get("sample_rate")),
+        clock_u=float(content.get("clock_u", 0.0)),
         iterations=tuple({p["name"]: float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]),
         rests=tuple(map(rest_from, content["rests"])),
         turns=tuple(map(turn_from, content.get("turns", ()))),

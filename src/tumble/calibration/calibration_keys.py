@@ -304,6 +304,7 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     temperature: _TemperatureKeys = _TemperatureKeys()
     iterations: list[_IterationKeys]
     sample_rate: Rate | None = None
+    clock_u: Annotated[float, Field(ge=0.0), AfterValidator(_is_size)] = 0.0
     session: _CircumstancesKeys = _CircumstancesKeys()
     programme: Text | None = None
     readings: dict[Text, _ReadingsKeys] = {}

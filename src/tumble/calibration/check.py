@@ -2,11 +2,12 @@
 
 What is known of the parameters at the check is the calibration, with
 
-    P = Σ + diag((k²/4 − 1) u²) + diag(s²)                                                                      (1)
+    P = Σ + diag(s²),   D = N Σ N + diag(s²/√ν_s),   N = diag(ν^(−1/4))                                         (1)
 
-Σ its covariance, the second term what U = k u covers beyond 2 u where u was estimated with few degrees of freedom, and
-s what turning on again changes: the standard deviation from launch to launch where the calibration has several, else
-what is usual of the grade (`tumble.sensors.grades`). Groups of parameters that the calibration does not have, and
+Σ its covariance, estimated with ν degrees of freedom for each parameter, and s what turning on again changes: the
+standard deviation from launch to launch where the calibration has several, with ν_s = L − 1, else what is usual of the
+grade (`tumble.sensors.grades`), where 1/ν_s = 0. D says how well P itself is known, and with it by how much more than
+normal numbers the tests exceed a limit. Groups of parameters that the calibration does not have, and
 drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
 temperatures, parameters are taken to that of the session by their slopes and curvatures, with the usual size of those
 that are not known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite
@@ -206,16 +207,20 @@ def known_before(
     gravity = observations.site.gravity_u
     whole = np.zeros((len(values) + 1,) * 2)
     whole[0, 0], whole[1:, 1:] = gravity**2, own
+    root = np.array([0.0, *_inverse_degrees(calibration, instrument)]) ** 0.25
+    turned_on = _turned_on(calibration, instrument, grade)
     if shared_gravity(calibration.site, observations.site):
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
         whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in instrument.names])
     J = np.eye(len(whole))
     J[1:, 1:] = _to_temperature(calibration, observations, instrument)
+    known = J @ whole @ J.T
     return KnownBefore(
         instrument=instrument,
         values=J[1:, 1:] @ values,
-        covariance=J @ whole @ J.T + np.diag(np.append(0.0, _turned_on(calibration, instrument, grade) ** 2)),
+        covariance=known + np.diag(np.append(0.0, turned_on**2)),
+        doubt=root[:, None] * known * root + np.diag(np.append(0.0, turned_on**2 * _doubt_of_launches(calibration))),
         scatter=_scatter(calibration, grade),
     )
 
@@ -236,9 +241,19 @@ def _calibrated(calibration: Calibration, instrument: Instrument, usual: Mapping
     of = [found[instrument.names[i]] for i in at]
     parameters = [calibration.parameters[i] for i in of]
     values[at] = [p.value for p in parameters]
-    few = np.array([(0.25 * p.k**2 - 1.0) * (p.u or 0.0) ** 2 for p in parameters])
-    covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(of, of)] + np.diag(few)
+    covariance[np.ix_(at, at)] = calibration.covariance[np.ix_(of, of)]
     return values, covariance
+
+
+def _inverse_degrees(calibration: Calibration, instrument: Instrument) -> list[float]:
+    """1/ν of the calibrated u of an instrument's parameters; 0 where it is known."""
+    found = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
+    return [found.get(name, 0.0) for name in instrument.names]
+
+
+def _doubt_of_launches(calibration: Calibration) -> float:
+    """1/√ν of the standard deviations from launch to launch; 0 where they are usual ones."""
+    return (len(calibration.launches) - 1.0) ** -0.5 if len(calibration.launches) > 1 else 0.0
 
 
 def _drifts(parameter: Parameter) -> bool:
@@ -279,7 +294,11 @@ def _updated(check: FieldCheck) -> Calibration:
     others = [p for p in before.parameters if p.name.startswith("mag.")]
     at = [instrument.names.index(p.name) for p in kept]
     u = np.sqrt(np.diag(result.covariance))
-    parameters = tuple(_moved_to(p, float(result.values[i]), float(u[i])) for p, i in zip(kept, at, strict=True))
+    changed = {change.name for change in result.changes}
+    parameters = tuple(
+        _moved_to(p, float(result.values[i]), float(u[i]), by_check=p.name in changed)
+        for p, i in zip(kept, at, strict=True)
+    )
     rate = None if before.prediction is None else before.prediction.at_rate
     gyro = instrument.gyro
     return replace(
@@ -292,6 +311,7 @@ def _updated(check: FieldCheck) -> Calibration:
         rests=(),
         turns=(),
         launches=(),
+        clock_u=0.0,
         groups=tuple(group for group in before.groups if not group.name.endswith(".drift")),
         prediction=None
         if before.site is None
@@ -309,11 +329,13 @@ def _updated(check: FieldCheck) -> Calibration:
     )
 
 
-def _moved_to(parameter: Parameter, value: float, u: float) -> Parameter:
+def _moved_to(parameter: Parameter, value: float, u: float, *, by_check: bool) -> Parameter:
+    """A parameter after the check; what is of the check alone has no degrees of freedom of the calibration."""
     learned = parameter.learned
     if parameter.prior is not None and learned is not None:
         learned = min(max(1.0 - (u / parameter.prior) ** 2, 0.0), 1.0)
-    return replace(parameter, value=value, u=u, deviation=None, run_to_run=None, dof=None, learned=learned)
+    dof = None if by_check else parameter.dof
+    return replace(parameter, value=value, u=u, deviation=None, run_to_run=None, dof=dof, learned=learned)
 
 
 def _with_others(before: Calibration, others: list[Parameter], covariance: Array) -> Array:

@@ -2,21 +2,20 @@
 
 With d = first − second,
 
-    u(d)² = u₁² + u₂² − 2 g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
+    u(d)² = u₁² + u₂² − 2 Σ g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
 
 (ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.calibration.coverage`). g₁ and g₂
-are what one standard uncertainty of gravity changes in each; they count where both used the same stated gravity with
-the same uncertainty, whose error then is no part of a difference, and are zero otherwise. |E_n| ≤ 1 is agreement. One
-honest value in twenty-two lies beyond, so that of 21 parameters one or two may.
+are what one standard uncertainty of what both share changes in each, gravity and the time base
+(`tumble.calibration.shared_errors`): the error of these is no part of a difference. |E_n| ≤ 1 is agreement. One honest
+value in twenty-two lies beyond, so that of 21 parameters one or two may.
 
-χ² = dᵀ C⁻¹ d with C = C₁ + C₂ − g₁g₂ᵀ − g₂g₁ᵀ judges all m of them together, correlations included. Where u was
+χ² = dᵀ C⁻¹ d with C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ) judges all m of them together, correlations included. Where u was
 estimated with ν degrees of freedom, the fewest of all differences, χ²/m is F distributed with m and ν (Hotelling).
-A time base that both share is in no u, and so in no C.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
@@ -25,9 +24,10 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from tumble.calibration.calibration_file import Calibration, calibration_from, text_of
-from tumble.calibration.coverage import by_gravity, expanded_of, remarks, shared_gravity, welch_satterthwaite
+from tumble.calibration.coverage import expanded_of, remarks, welch_satterthwaite
 from tumble.calibration.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
 from tumble.calibration.results import Parameter
+from tumble.calibration.shared_errors import between, shared_errors
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.units import Array
@@ -78,8 +78,12 @@ class Comparison:
     def agree(self) -> bool:
         """Whether there are E_n numbers, none exceeds 1 in size, and χ² is not beyond chance."""
         judged = [abs(d.e_n) for d in self.differences if d.e_n is not None]
-        by_chance = self.probability is None or self.probability >= LEAST_PROBABILITY
-        return bool(judged) and max(judged) <= 1.0 and by_chance
+        return bool(judged) and max(judged) <= 1.0 and not self.contradicts
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether chance makes so large a χ² too seldom."""
+        return self.probability is not None and self.probability < LEAST_PROBABILITY
 
 
 def compare_calibrations(
@@ -111,9 +115,10 @@ def compare_calibrations(
             f"compare: expected calibrations with parameters in common, found {len(ours)} and {len(theirs)} parameters "
             "and none in both; compare devices of one kind"
         )
-    shared = _shared(a, b, common)
+    shared = _of_parameters(shared_errors(a, b), a, b, common)
     differences = tuple(
-        _difference(ours[name], theirs[name], g) for name, g in zip(common, shared.T.tolist(), strict=True)
+        _difference(ours[name], theirs[name], [(g[i], h[i]) for g, h in shared.values()])
+        for i, name in enumerate(common)
     )
     covariance = _covariance(a, b, common, shared)
     fewest = min((d.dof for d in differences if d.dof is not None), default=None)
@@ -126,7 +131,7 @@ def compare_calibrations(
         degrees=degrees,
         probability=probability,
         missing=tuple(name for name in (*ours, *theirs) if name not in common),
-        remarks=(*_remarks(first, second, frame), *(second.notes if foreign else ())),
+        remarks=(*_remarks(first, second, frame), *_common(shared), *(second.notes if foreign else ())),
     )
 
 
@@ -139,45 +144,40 @@ def _second(given: Calibration | FilePath, gyro: FilePath | None, like: Calibrat
     return calibration_from(given)
 
 
-def _difference(first: Parameter, second: Parameter, shared: Sequence[float]) -> Difference:
+def _difference(first: Parameter, second: Parameter, shared: Sequence[tuple[float, float]]) -> Difference:
     known = first.u is not None and second.u is not None
-    parts = [_apart(p, g) for p, g in zip((first, second), shared, strict=True)]
-    left = shared[0] - shared[1]
+    left = sum((g - h) ** 2 for g, h in shared)
+    parts = [(left, None), _apart(first, [g for g, _ in shared]), _apart(second, [h for _, h in shared])]
     return Difference(
         name=first.name,
         unit=first.unit,
         first=first.value,
         second=second.value,
-        u=sqrt(sum(variance for variance, _ in parts) + left**2) if known else None,
-        dof=welch_satterthwaite([*parts, (left**2, None)]) if known else None,
+        u=sqrt(sum(variance for variance, _ in parts)) if known else None,
+        dof=welch_satterthwaite(parts) if known else None,
     )
 
 
-def _apart(parameter: Parameter, shared: float) -> tuple[float, float | None]:
+def _apart(parameter: Parameter, shared: Sequence[float]) -> tuple[float, float | None]:
     """Variance of a parameter without what is shared, and its degrees of freedom."""
     whole = (parameter.u or 0.0) ** 2
-    own = max(whole - shared**2, 0.0)
+    own = max(whole - sum(g**2 for g in shared), 0.0)
     return own, None if parameter.dof is None or whole == 0.0 else parameter.dof * (own / whole) ** 2
 
 
-def _shared(first: Calibration, second: Calibration, names: Sequence[str]) -> Array:
-    """What one standard uncertainty of g changes in these parameters of both (2, m), where they share its error."""
-    if not shared_gravity(first.site, second.site):
-        return np.zeros((2, len(names)))
-    return np.array([_by_gravity(calibration, names) for calibration in (first, second)])
+def _of_parameters(
+    shared: Mapping[str, tuple[Array, Array]], first: Calibration, second: Calibration, names: Sequence[str]
+) -> dict[str, tuple[Array, Array]]:
+    """What both share in the parameters of these names alone."""
+    at = [[[p.name for p in calibration.parameters].index(name) for name in names] for calibration in (first, second)]
+    return {source: (g[at[0]], h[at[1]]) for source, (g, h) in shared.items()}
 
 
-def _by_gravity(calibration: Calibration, names: Sequence[str]) -> Array:
-    """What one standard uncertainty of g changes in these parameters (m,)."""
-    found = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
-    order = [p.name for p in calibration.parameters]
-    return np.asarray(found[[order.index(name) for name in names]])
-
-
-def _covariance(first: Calibration, second: Calibration, names: Sequence[str], shared: Array) -> Array | None:
+def _covariance(
+    first: Calibration, second: Calibration, names: Sequence[str], shared: Mapping[str, tuple[Array, Array]]
+) -> Array | None:
     """Covariance (m, m) of the differences of these parameters."""
-    both = np.outer(shared[0], shared[1])
-    total = -both - both.T
+    total = -between(shared, len(names))
     for calibration in (first, second):
         if calibration.covariance is None:
             return None
@@ -202,6 +202,11 @@ def _chi_square(
     if fewest is None:
         return chi_square, rank, float(chdtrc(rank, chi_square))
     return chi_square, rank, float(fdtrc(rank, fewest, chi_square / rank))
+
+
+def _common(shared: Mapping[str, tuple[Array, Array]]) -> list[str]:
+    """What was taken as the same in both."""
+    return [f"the same error of {' and of '.join(shared)} in both is no part of their differences"] if shared else []
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:

@@ -15,7 +15,8 @@ with s the standard deviation from launch to launch, n² the mean variance that 
 degrees of freedom, and g what is common to all of them, the uncertainty of gravity. t(L − 1) s/√L covers as stated
 whatever the instability is, and no other function of s and n does so for all (s² is complete); but two launches that
 agree by chance are known no better than each of them is. The larger of both never covers less: up to 99 % without
-instability, 96 % where it is three times n.
+instability, 96 % where it is three times n. With the launches of other devices of the type s has more degrees of
+freedom than L − 1 (`tumble.calibration.type_spread`).
 
 Where no scatter was detected, u is of the noise within rests; how much scatter could be there unseen is said.
 
@@ -100,19 +101,20 @@ def degrees_through(jacobian: Array, u: Array, degrees: Iterable[float | None]) 
 
 
 def degrees_of_mean(
-    own: Iterable[tuple[float, float | None]], run_to_run: float, common: float
+    own: Iterable[tuple[float, float | None]], run_to_run: float, common: float, *, degrees: float | None = None
 ) -> tuple[float, float | None]:
     """u and degrees of freedom of the mean of launches (module docstring), from the variances that they know of
     themselves with their degrees of freedom, what is common left out, the standard deviation from launch to launch,
-    and the standard uncertainty that is common to all."""
+    and the standard uncertainty that is common to all. `degrees` are those of the standard deviation where more than
+    these launches show it (`tumble.calibration.type_spread`), else L − 1."""
     parts = list(own)
     L = len(parts)
     between, within = run_to_run**2 / L, sum(variance for variance, _ in parts) / L**2
     of_within = welch_satterthwaite((variance / L**2, degrees) for variance, degrees in parts)
-    U = max(expanded_of(sqrt(between), L - 1.0), expanded_of(sqrt(within), of_within))
+    U = max(expanded_of(sqrt(between), L - 1.0 if degrees is None else degrees), expanded_of(sqrt(within), of_within))
     square = max(between, within)
-    degrees = _degrees_behind(U / sqrt(square)) if square > 0.0 else None
-    return sqrt(square + common**2), welch_satterthwaite([(square, degrees), (common**2, None)])
+    of_square = _degrees_behind(U / sqrt(square)) if square > 0.0 else None
+    return sqrt(square + common**2), welch_satterthwaite([(square, of_square), (common**2, None)])
 
 
 def _degrees_behind(factor: float) -> float | None:

@@ -98,12 +98,18 @@ def _line(calibration: Calibration, name: str, members: Sequence[Parameter]) -> 
 def predicted(prediction: Prediction) -> str:
     """What corrected readings are known to, in a line."""
     size, unit = engineering("m/s^2", prediction.force_u)
-    said = f"corrected specific force at 1 g: u {prediction.force_u / size:.2g} {unit}"
+    said = f"corrected specific force at 1 g: u {_two_digits(prediction.force_u / size)} {unit}"
     if prediction.rate_u is None or prediction.at_rate is None:
         return said
     size, unit = engineering("rad/s", prediction.rate_u)
     turned, per = engineering("rad/s", prediction.at_rate)
-    return f"{said}; corrected rate at {prediction.at_rate / turned:.2g} {per}: u {prediction.rate_u / size:.2g} {unit}"
+    rate, u = _two_digits(prediction.at_rate / turned), _two_digits(prediction.rate_u / size)
+    return f"{said}; corrected rate at {rate} {per}: u {u} {unit}"
+
+
+def _two_digits(value: float) -> str:
+    """A number to two significant digits, without an exponent."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def decided_by_priors(calibration: Calibration) -> str | None:

@@ -22,6 +22,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
+from tumble.calibration.type_spread import TypeSpread, pooled
 from tumble.errors import InputError
 from tumble.estimation.common_errors import by_time_base
 from tumble.estimation.ellipsoid import TRIAD
@@ -56,6 +57,7 @@ def calibrate_launches(
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     terms: Terms = "full",
+    alike: TypeSpread | None = None,
     progress: Progress = Log.chunks,
 ) -> Calibration:
     """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`.
@@ -77,7 +79,7 @@ def calibrate_launches(
         )
         for session in map(session_from, sessions)
     ]
-    return mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
+    return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
 
 
 def _outcome(runs: Sequence[Run]) -> Outcome:
@@ -95,9 +97,10 @@ def _outcome(runs: Sequence[Run]) -> Outcome:
     )
 
 
-def mean_of_launches(runs: Sequence[Run]) -> Calibration:
+def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) -> Calibration:
     """One calibration from several sessions of one device by the same method: means with uncertainties, standard
-    deviations from launch to launch, mean increments of each iteration, and every launch.
+    deviations from launch to launch, mean increments of each iteration, and every launch. With `alike`, the launches of
+    other devices of the type, uncertainties are of the instability that all these show together.
 
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
@@ -116,7 +119,8 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         [move @ [_named(run)[name].value for name in common] for run, move in zip(runs, moves, strict=True)]
     )
     spread = values.std(axis=0, ddof=1)
-    covariance, degrees = _covariance(runs, moves, common, spread)
+    instability = _instability(runs, common, spread, alike)
+    covariance, degrees = _covariance(runs, moves, common, instability)
     parameters = tuple(
         Parameter(
             name=name,
@@ -152,6 +156,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         notes=(
             *(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
             *_left_out(runs, common),
+            *_pooled_with(common, instability, alike),
         ),
         launches=tuple(
             Launch(
@@ -170,6 +175,7 @@ def mean_of_launches(runs: Sequence[Run]) -> Calibration:
         groups=_groups(runs, parameters),
         prediction=_prediction(runs, common, values.mean(axis=0), covariance),
         reference_temperature=reference,
+        clock_u=_clock_u(runs),
         provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
     )
 
@@ -222,15 +228,53 @@ def _mean_deviation(runs: Sequence[Run], name: str) -> float | None:
     return sum(deviations) / len(runs) if len(deviations) == len(runs) else None
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Instability:
+    """A standard deviation from launch to launch with its degrees of freedom, by these launches and, where the device
+    is `like` its type, those of the type."""
+
+    s: float
+    degrees: float
+    like: bool
+
+
+def _instability(
+    runs: Sequence[Run], names: list[str], spread: Array, alike: TypeSpread | None
+) -> tuple[_Instability, ...]:
+    """How much the device changes from launch to launch in each of the parameters."""
+    others = None if alike is None else alike.without({run.calibration.provenance["log_sha256"] for run in runs})
+    found = []
+    for name, own in zip(names, spread.tolist(), strict=True):
+        noise = float(np.mean([(_named(run)[name].u or 0.0) ** 2 for run in runs]))
+        of_type = (0.0, 0.0) if others is None else others.of(name, noise)
+        both = pooled(own**2, len(runs) - 1.0, of_type)
+        s2, degrees = (own**2, len(runs) - 1.0) if both is None else both
+        found.append(_Instability(s=float(np.sqrt(s2)), degrees=degrees, like=both is not None))
+    return tuple(found)
+
+
+def _pooled_with(names: list[str], found: Sequence[_Instability], alike: TypeSpread | None) -> tuple[str, ...]:
+    """With what the instability was pooled, as notes."""
+    if alike is None:
+        return ()
+    unlike = [name for name, each in zip(names, found, strict=True) if not each.like]
+    said = (
+        f"instability from launch to launch: by all launches of the type {alike.model} in the registry, "
+        f"{alike.degrees} degrees of freedom"
+    )
+    own = f"more unstable than the type, and by these launches alone: {', '.join(unlike)}"
+    return (said, own) if unlike else (said,)
+
+
 def _covariance(
-    runs: Sequence[Run], moves: Sequence[Array], names: list[str], run_to_run: Array
+    runs: Sequence[Run], moves: Sequence[Array], names: list[str], instability: Sequence[_Instability]
 ) -> tuple[Array, list[float | None]]:
     """Covariance of the mean and degrees of freedom of its diagonal (module docstring)."""
     count = len(runs)
     whole = [move @ _own(run, names) @ move.T for run, move in zip(runs, moves, strict=True)]
     gravity = _gravity_in_common(runs, names, whole)
     by_prior = [_by_prior(run, names, covariance) for run, covariance in zip(runs, whole, strict=True)]
-    clock = by_time_base(names, min(run.session.log.gyro_clock_u for run in runs))
+    clock = by_time_base(names, _clock_u(runs))
     of_site = np.outer(gravity, gravity) + np.outer(clock, clock)
     own = [c - of_site - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
     common = of_site + np.mean(by_prior, axis=0)
@@ -241,7 +285,8 @@ def _covariance(
             _own_variance(_named(run)[name], float(c[i, i]), float(each[i, i]))
             for run, c, each in zip(runs, whole, own, strict=True)
         ]
-        u, dof = degrees_of_mean(parts, float(run_to_run[i]), float(np.sqrt(common[i, i])))
+        shown = instability[i]
+        u, dof = degrees_of_mean(parts, shown.s, float(np.sqrt(common[i, i])), degrees=shown.degrees)
         covariance[i, i] = u**2
         degrees.append(dof)
     return np.asarray(covariance), degrees
@@ -260,6 +305,11 @@ def _own_variance(parameter: Parameter, whole: float, own: float) -> tuple[float
     """The part of a variance that is not common, and its degrees of freedom."""
     own = max(own, 0.0)
     return own, None if parameter.dof is None or whole == 0.0 else parameter.dof * (own / whole) ** 2
+
+
+def _clock_u(runs: Sequence[Run]) -> float:
+    """The uncertainty of the time base that all launches have at least."""
+    return min(run.session.log.gyro_clock_u for run in runs)
 
 
 def _gravity_in_common(runs: Sequence[Run], names: list[str], covariances: Sequence[Array]) -> Array:

@@ -17,6 +17,7 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.calibration.calibrate import Terms
     from tumble.calibration.new_session import Given
+    from tumble.calibration.type_spread import TypeSpread
     from tumble.sensors.frames import Frame
 
 
@@ -49,6 +50,12 @@ if TYPE_CHECKING:
 @click.option("--latitude", type=float, metavar="DEGREES", help="Of a LOG: where it was recorded, ° north.")
 @click.option("--serial", metavar="NUMBER", help="Of a LOG: serial number of the device; default: the log's name.")
 @click.option("--rate", type=float, metavar="HZ", help="Of a LOG: samples per second, instead of the times in it.")
+@click.option(
+    "--registry",
+    "place",
+    metavar="FILE|URL",
+    help="Several launches: their instability together with that of all devices of the type in this registry.",
+)
 @JSON
 @click.option("--all", "every", is_flag=True, help="Show every parameter, not a line for each further group.")
 def calibrate(
@@ -64,6 +71,7 @@ def calibrate(
     latitude: float | None,
     serial: str | None,
     rate: float | None,
+    place: str | None,
     as_json: bool,
     every: bool,
 ) -> None:
@@ -94,16 +102,27 @@ def calibrate(
         raise InputError(
             f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
+    if place is not None and (len(sessions) < 2 or together):
+        raise InputError(
+            "--registry: expected several launches, whose instability it is about, found another kind of calibration"
+        )
     true = read_truth(truth) if truth else None
     given = Given(latitude=latitude, serial=serial, rate=rate)
     with _session_of(sessions, given) if given != NOTHING_GIVEN else nullcontext(sessions) as folders:
         described = [read_session(folder) for folder in folders]
+        alike = None if place is None else _of_type(place, described[0].device.model, frame)
         result, *others = (
             [calibrate_together(described, frame=frame, progress=with_progress)]
             if together
             else [
                 calibrate_launches(
-                    described, method=method, iterations=iterations, frame=frame, terms=terms, progress=with_progress
+                    described,
+                    method=method,
+                    iterations=iterations,
+                    frame=frame,
+                    terms=terms,
+                    alike=alike,
+                    progress=with_progress,
                 )
                 for method in dict.fromkeys(methods)
             ]
@@ -122,6 +141,20 @@ def calibrate(
     for reason in result.outcome.reasons:
         warn(f"not accepted: {reason}")
     sys.exit(0 if result.outcome.accepted else 1)
+
+
+def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
+    """The launches of all devices of a type in a registry."""
+    from tumble.registry.connect import extra_named
+
+    if model is None:
+        raise InputError("--registry: expected the type of the device, `model` under [device], found none")
+    with extra_named():
+        from tumble.registry.connect import open_registry
+        from tumble.registry.type_launches import type_spread
+
+        with open_registry(place) as opened:
+            return type_spread(opened, model, frame)
 
 
 @contextmanager

@@ -177,11 +177,11 @@ def show(number: int, out: Path | None, place: str | None) -> None:
 def trend(serial: str, parameter: str | None, out: Path | None, place: str | None) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
-    Exit status 1 if the device has changed since the calibration before by more than chance makes (0.001).
+    Exit status 1 if the device has changed since the calibration before by more than chance makes (0.001), in a
+    parameter or in all together.
     """
     from tumble.registry.connect import open_registry
     from tumble.registry.monitor import monitored
-    from tumble.registry.trend import beyond_chance
     from tumble.report.control_chart import write_chart
     from tumble.terminal.registry import history_report, trend_report
     from tumble.terminal.text import print_report
@@ -192,9 +192,9 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
         write_chart(out, found)
         say(f"written to {out}")
     print_report(trend_report(found) if parameter is None else history_report(found))
-    changed = beyond_chance(found.trends)
+    changed = found.changed()
     if changed:
-        say(f"changed: {', '.join(own.series.name for own in changed)}")
+        say(f"changed: {', '.join(changed)}")
     sys.exit(1 if changed else 0)
 
 
@@ -233,7 +233,10 @@ def limits(model: str | None, file: Path | None, place: str | None) -> None:
 @click.option("--on", "day", type=_DAY, help="As on this day; default: today.")
 @_place
 def due(day: datetime | None, place: str | None) -> None:
-    """What is to be calibrated again, and when; the most urgent first. Exit status 1 if anything is overdue."""
+    """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
+
+    The most urgent first. Exit status 1 if anything is overdue.
+    """
     from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
     from tumble.terminal.registry import due_table

@@ -10,12 +10,15 @@ beyond what P allows, has the estimate, standard uncertainty and test
 
     a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u   (2)
 
-The t_j of all parameters that the session sees are normal with the correlations of the columns g_j; the largest is
-compared with what the largest of such numbers exceeds in CHANCE of all cases. Where it is larger, its parameter is set
-free, everything is solved again, and so on: that gives the changes together. What no change explains is judged by
-χ² = |z|² and the residuals, against MISFIT_CHANCE. P and the scatter are themselves estimates: tests of a session with
-turns exceed their limits up to twice as often as if these were known, so that the limits are those of 0.5 % for 1 % of
-false alarms.
+The t_j of all parameters that the session sees have the correlations of the columns g_j. They would be normal if P were
+known. As it is an estimate, they have Student's t distribution with ν_j degrees of freedom,
+
+    1/√ν_j = q_jᵀ D q_j,   q_j = Gᵀ g_j u_j   (3)
+
+with D of `tumble.calibration.check`: as a part of P is wrong, so is that part of the variance of t_j, all parts
+together. The largest |t_j| is compared with what the largest of such numbers exceeds in CHANCE of all cases. Where it
+is larger, its parameter is set free, everything is solved again, and so on: that gives the changes together. What no
+change explains is judged by χ² = |z|² and the residuals, against MISFIT_CHANCE.
 
 The prior decides nothing of a change: it is beyond it. A change smaller than what turning on again may do is none.
 """
@@ -40,7 +43,7 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import limits_of
 from tumble.units import Array, IntArray
 
-CHANCE = 0.004
+CHANCE = 0.009
 """How often the largest of the tests calls a calibration changed that is not."""
 MISFIT_CHANCE = 0.001
 """How often χ² says so."""
@@ -50,6 +53,7 @@ MOST_CHANGES = 6
 AS_LIKELY = 4.0
 """χ² by which another change may explain less and still be named beside the one that explains most."""
 DRAWS = 20_000
+_LEAST_ROOT = 1e-2  # of χ²/ν
 CONVERGED = 1e-2  # of the standard uncertainty
 MAX_ITERATIONS = 12
 
@@ -57,11 +61,13 @@ MAX_ITERATIONS = 12
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class KnownBefore:
     """What was known before: values (m,) of the parameters of an instrument, the covariance (1 + m, 1 + m) of gravity
-    and of them, SI, and the scatter from rest to rest and turn to turn."""
+    and of them, SI, in how far that is known itself, D of Eq. (3), and the scatter from rest to rest and turn to turn.
+    """
 
     instrument: Instrument
     values: Array
     covariance: Array
+    doubt: Array
     scatter: Scatter
 
 
@@ -113,7 +119,7 @@ def field_check(observations: Observations, known: KnownBefore) -> CheckResult:
     rounds: list[_Tests] = []
     while True:
         at, reduced = _iterated(at, known, _freed(known.covariance, free, limits))
-        found = _Tests.of(reduced, _freed(known.covariance, free, limits))
+        found = _Tests.of(reduced, _freed(known.covariance, free, limits), known.doubt)
         candidates = np.array([j for j in seen if j not in free and found.u[j] < limits[j] / DETERMINED], dtype=int)
         limit = found.limit(candidates)
         rounds.append(replace(found, candidates=candidates, most=limit))
@@ -213,19 +219,23 @@ def _reduced(problem: Problem, rows: tuple[Array, Array], weight: Weights) -> _R
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Tests:
-    """z (p,) and G (p, m) of Eq. (1), without the column of gravity; which parameters are candidates for a change, and
-    `most`, what the largest |t| of them may be."""
+    """z (p,) and G (p, m) of Eq. (1), without the column of gravity, and 1/ν (m,) of Eq. (3); which parameters are
+    candidates for a change, and `most`, what the largest |t| of them may be."""
 
     z: Array
     G: Array
+    inverse_degrees: Array
     candidates: IntArray
     most: float
 
     @staticmethod
-    def of(reduced: _Reduced, covariance: Array) -> _Tests:
+    def of(reduced: _Reduced, covariance: Array, doubt: Array) -> _Tests:
         S = np.eye(len(reduced.d)) + reduced.R @ covariance @ reduced.R.T
-        both = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([reduced.R[:, 1:], reduced.d]))
-        return _Tests(z=both[:, -1], G=both[:, :-1], candidates=np.zeros(0, dtype=int), most=np.inf)
+        both = np.linalg.solve(np.linalg.cholesky(S), np.column_stack([reduced.R, reduced.d]))
+        with_gravity, G = both[:, :-1], both[:, 1:-1]
+        q = with_gravity.T @ G / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
+        inverse = np.einsum("ij,ik,kj->j", q, doubt, q) ** 2
+        return _Tests(z=both[:, -1], G=G, inverse_degrees=inverse, candidates=np.zeros(0, dtype=int), most=np.inf)
 
     @property
     def u(self) -> Array:
@@ -243,7 +253,9 @@ class _Tests:
         if not len(candidates):
             return np.inf
         lower = np.linalg.qr(self.G[:, candidates] * self.u[candidates], mode="r")
-        return float(np.quantile(np.abs(_normal(len(lower)) @ lower).max(axis=1), 1.0 - CHANCE))
+        drawn = _normal(len(lower) + 1)
+        wider = _student(drawn[:, -1:], self.inverse_degrees[candidates])
+        return float(np.quantile((np.abs(drawn[:, :-1] @ lower) * wider).max(axis=1), 1.0 - CHANCE))
 
     def as_likely(self, chosen: int, candidates: IntArray, limit: float) -> dict[int, float]:
         """Changes of other parameters that explain nearly as much."""
@@ -258,6 +270,12 @@ class _Tests:
         return inverse @ along, np.sqrt((inverse**2).sum(axis=1)), float(along @ along)
 
 
+def _student(normal: Array, inverse_degrees: Array) -> Array:
+    """√(ν/χ²_ν) by which a normal number becomes one of Student's t, from another normal number (Wilson & Hilferty)."""
+    ninth = 2.0 / 9.0 * inverse_degrees
+    return np.asarray(np.maximum(1.0 - ninth + np.sqrt(ninth) * normal, _LEAST_ROOT) ** -1.5)
+
+
 @cache
 def _normal(size: int) -> Array:
     """The same normal numbers (DRAWS, size) for every check."""
@@ -269,7 +287,7 @@ def _result(
 ) -> CheckResult:
     instrument, (free, others) = known.instrument, found
     names, units = instrument.names, instrument.units
-    tests = _Tests.of(reduced, known.covariance)
+    tests = _Tests.of(reduced, known.covariance, known.doubt)
     value, u, explained = tests.together(free)
     covariance = _freed(known.covariance, free, limits_of(names))
     S = np.eye(len(reduced.d)) + reduced.R @ covariance @ reduced.R.T

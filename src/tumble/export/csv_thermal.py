@@ -15,11 +15,14 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import Curve, Range, changing, curve, model_at
 from tumble.export.exported import Exported, example, models, numbers, origin, shown
+from tumble.export.larger_model import not_held
 from tumble.export.thermal import range_of, said, warm_end
+from tumble.sensors.parameters import group_name, named_group
 from tumble.units import Array
 
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_ROWS = 25
+_VARIABLES = ("temperature", "temperature²")
 NO_COVARIANCE = "parameters that do not change with temperature, and covariances, have no place in this file"
 
 
@@ -29,7 +32,11 @@ def csv_thermal(calibration: Calibration) -> Exported:
     measured = range_of(calibration, "csv-thermal")
     at = temperatures(measured, float(calibration.reference_temperature or 0.0))
     curves = [curve(calibration, name, at) for name in changing(calibration)]
-    losses = (_between(calibration, curves, at), NO_COVARIANCE)
+    losses = (
+        _between(calibration, curves, at),
+        *not_held(calibration, {group_name(each.name) for each in curves} | _coefficients(calibration)),
+        NO_COVARIANCE,
+    )
     buffer = io.StringIO()
     head = [
         *origin(calibration),
@@ -44,6 +51,13 @@ def csv_thermal(calibration: Calibration) -> Exported:
     for i, temperature in enumerate(numbers(at)):
         writer.writerow([f"{temperature:.9g}", *(cell for each in curves for cell in _cells(each, i))])
     return Exported(content=buffer.getvalue().encode(), losses=losses)
+
+
+def _coefficients(calibration: Calibration) -> set[str]:
+    """The groups that the curves are made of."""
+    names = {group_name(p.name) for p in calibration.parameters}
+    known = {name: named_group(name) for name in names}
+    return {name for name, group in known.items() if group is not None and group.variable in _VARIABLES}
 
 
 def temperatures(measured: Range, reference: float) -> Array:

@@ -54,6 +54,7 @@ _DIMENSIONS: Mapping[str, Mapping[str, int]] = {
     "s": {"second": 1},
     "s^2/m": {"second": 2, "metre": -1},
     "s^4/m^2": {"second": 4, "metre": -2},
+    "s^2/rad^2": {"second": 2, "radian": -2},
     "rad*s/m": {"radian": 1, "second": 1, "metre": -1},
     "m/s^2/s": {"metre": 1, "second": -3},
     "rad/s/s": {"radian": 1, "second": -2},

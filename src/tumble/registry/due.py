@@ -1,25 +1,39 @@
-"""When which device is to be calibrated again."""
+"""When which device is to be calibrated again: by the calendar, or earlier where its drift may carry it to a limit."""
 
 from __future__ import annotations
 
-import calendar
 from dataclasses import dataclass
 from datetime import date
 
+from tumble.errors import InputError
 from tumble.registry.connect import Registry
-from tumble.registry.limits import parse_limits
+from tumble.registry.forecast import Forecast
+from tumble.registry.limits import Limits, parse_limits
+from tumble.registry.monitor import monitored
 from tumble.registry.records import Record
 from tumble.registry.store import limits_in_force, records
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Due:
-    """The latest record of a device in force, months between calibrations and the day the next one is due; None where
-    no interval is known."""
+    """The latest record of a device in force, months between calibrations, the day the next one is due by the calendar,
+    and the parameter that may meet its limit first; each None where it is not known."""
 
     record: Record
     months: int | None
-    day: date | None
+    by_calendar: date | None
+    by_drift: Forecast | None
+
+    @property
+    def day(self) -> date | None:
+        """The day the next calibration is due, the earlier of both; None where neither is known."""
+        known = [self.by_calendar, None if self.by_drift is None else self.by_drift.earliest.date()]
+        return min((day for day in known if day is not None), default=None)
+
+    @property
+    def drifts(self) -> bool:
+        """Whether it is due by its drift, before the calendar says so."""
+        return self.by_drift is not None and self.day != self.by_calendar
 
 
 def due(registry: Registry) -> list[Due]:
@@ -40,18 +54,22 @@ def due(registry: Registry) -> list[Due]:
     for record in latest_records(records(registry)):
         limits = None if record.model is None else parsed.get(record.model)
         months = None if limits is None else limits.interval(record.serial)
-        day = None if months is None else months_later(record.performed.date(), months)
-        found.append(Due(record=record, months=months, day=day))
+        day = None if limits is None else limits.due(record.serial, record.performed.date())
+        found.append(Due(record=record, months=months, by_calendar=day, by_drift=_by_drift(registry, record, limits)))
     return sorted(found, key=lambda item: (item.day or date.max, item.record.serial))
+
+
+def _by_drift(registry: Registry, record: Record, limits: Limits | None) -> Forecast | None:
+    """The parameter of a device that may meet its limit first."""
+    if limits is None or not limits.checks.get("periodic"):
+        return None
+    try:
+        return next(iter(monitored(registry, record.serial, None).forecasts()), None)
+    except InputError:  # a record that cannot be taken to the frame of the limits
+        return None
 
 
 def latest_records(found: list[Record]) -> list[Record]:
     """Of records in the order in which they were performed, the latest in force of each device."""
     latest = {record.serial: record for record in found if record.superseded_by is None}
     return [latest[serial] for serial in sorted(latest)]
-
-
-def months_later(day: date, months: int) -> date:
-    """The same day so many months later, or the last one of a month that is too short."""
-    year, month = divmod(day.year * 12 + day.month - 1 + months, 12)
-    return date(year, month + 1, min(day.day, calendar.monthrange(year, month + 1)[1]))

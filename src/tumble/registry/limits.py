@@ -18,9 +18,11 @@ Source: ISO 14253-1 and JCGM 106:2012, 8.3 (guard band w = U on either side of a
 
 from __future__ import annotations
 
+import calendar
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any, Literal
 
@@ -79,6 +81,11 @@ class Limits:
     def interval(self, serial: str) -> int | None:
         """Months between calibrations of a device."""
         return self.device_interval_months.get(serial, self.interval_months)
+
+    def due(self, serial: str, performed: date) -> date | None:
+        """The day the next calibration of a device is due by the calendar; None without an interval."""
+        months = self.interval(serial)
+        return None if months is None else months_later(performed, months)
 
     def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
         """The lowest and the highest value (SI) of a parameter; None where it has no limit."""
@@ -170,6 +177,12 @@ class Verdict:
             "not determined": [j for j in self.judgements if j.value is None],
         }
         return [f"{what}: {', '.join(j.named for j in found)}" for what, found in groups.items() if found]
+
+
+def months_later(day: date, months: int) -> date:
+    """The same day so many months later, or the last one of a month that is too short."""
+    year, month = divmod(day.year * 12 + day.month - 1 + months, 12)
+    return date(year, month + 1, min(day.day, calendar.monthrange(year, month + 1)[1]))
 
 
 def _is_of(name: str, key: str) -> bool:

@@ -8,35 +8,57 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 
+from tumble.calibration.compare import Comparison
 from tumble.errors import InputError
 from tumble.registry.connect import Registry
+from tumble.registry.forecast import Forecast, forecast
 from tumble.registry.limits import Limits, judge_value, parse_limits
 from tumble.registry.records import Record
-from tumble.registry.series import series_of
+from tumble.registry.series import latest_comparison, series_of
 from tumble.registry.store import latest_record, limits_in_force
-from tumble.registry.trend import Trend, trend_of
+from tumble.registry.trend import Trend, beyond_chance, trend_of
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Monitored:
-    """The latest record of a device, its trends in a `frame`, and the limits (SI) that are in force, by name."""
+    """The latest record of a device, its trends in a `frame`, and the limits (SI) that are in force, by name;
+    `comparison` is that of all parameters in the latest calibration with the one before (`latest_comparison`), None
+    for a single parameter."""
 
     latest: Record
     frame: str
     trends: Sequence[Trend]
     limits: Mapping[str, tuple[float, float]]
+    comparison: Comparison | None = None
+    by_calendar: date | None = None
+    """The day the next calibration is due by the interval of the type."""
 
     def latest_verdicts(self) -> Mapping[str, str]:
         """The verdict on the latest value of every parameter that has limits."""
         return {t.series.name: self._verdict(t, -1) for t in self.trends if t.series.name in self.limits}
 
-    def verdicts(self) -> Mapping[int, str]:
-        """The verdicts on the first parameter in every record, by number."""
-        first = self.trends[0]
-        if first.series.name not in self.limits:
+    def verdicts(self, trend: Trend | None = None) -> Mapping[int, str]:
+        """The verdicts on a parameter, the first where none is named, in every record, by number; none without
+        limits."""
+        trend = self.trends[0] if trend is None else trend
+        if trend.series.name not in self.limits:
             return {}
-        return {point.number: self._verdict(first, i) for i, point in enumerate(first.series.points)}
+        return {point.number: self._verdict(trend, i) for i, point in enumerate(trend.series.points)}
+
+    def forecasts(self) -> list[Forecast]:
+        """When parameters that are inside their limits meet them by their drift, the earliest first."""
+        passing = {name for name, verdict in self.latest_verdicts().items() if verdict == "pass"}
+        found = [forecast(t, self.limits[t.series.name]) for t in self.trends if t.series.name in passing]
+        return sorted((each for each in found if each is not None), key=lambda each: each.earliest)
+
+    def changed(self) -> list[str]:
+        """The parameters that have changed by more than chance makes since the calibration before, or where none does
+        by itself, that they have together."""
+        names = [trend.series.name for trend in beyond_chance(self.trends)]
+        together = self.comparison is not None and self.comparison.contradicts
+        return names or (["all parameters together"] if together else [])
 
     def _verdict(self, trend: Trend, i: int) -> str:
         point = trend.series.points[i]
@@ -72,6 +94,8 @@ def monitored(registry: Registry, serial: str, parameter: str | None) -> Monitor
         frame=frame,
         trends=[trend_of(own) for own in chosen],
         limits={name: own for name, own in known_limits.items() if own is not None},
+        comparison=latest_comparison(registry, serial, frame) if parameter is None else None,
+        by_calendar=None if limits is None else limits.due(serial, latest.performed.date()),
     )
 
 

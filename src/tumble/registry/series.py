@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING
 
+from tumble.calibration.compare import Comparison, compare_calibrations
 from tumble.calibration.coverage import by_gravity
 from tumble.errors import InputError
+from tumble.estimation.common_errors import by_time_base
 from tumble.recording.session import Site
 from tumble.registry.conformity import over_temperature
 from tumble.registry.connect import Registry
@@ -41,6 +43,10 @@ class SeriesPoint:
     site: Site | None = None
     by_gravity: float = 0.0
     """Change of the value with one standard uncertainty of the site's gravity."""
+    clock_u: float = 0.0
+    """Relative standard uncertainty of the time base."""
+    by_clock: float = 0.0
+    """Change of the value with it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,7 +63,7 @@ def series_of(registry: Registry, serial: str, frame: str) -> list[Series]:
 
     Raises InputError for an unknown device, and for a record that cannot be taken to the frame."""
     found = [record for record in records(registry, serial) if record.superseded_by is None]
-    alike = {record.number: _in_frame(registry, record, frame) for record in found}
+    alike = {record.number: calibration_in(registry, record, frame) for record in found}
     names = {p.name: p.unit for record in reversed(found) for p in alike[record.number].parameters}
     return [
         Series(name=name, unit=unit, points=tuple(_points(name, unit, found, alike))) for name, unit in names.items()
@@ -81,7 +87,22 @@ def _points(name: str, unit: str, found: Iterable[Record], alike: Mapping[int, C
                     dof=own.dof,
                     site=calibration.site,
                     by_gravity=float(change[i]),
+                    clock_u=calibration.clock_u,
+                    by_clock=float(by_time_base([name], calibration.clock_u)[0]),
                 )
+
+
+def latest_comparison(registry: Registry, serial: str, frame: str) -> Comparison | None:
+    """The last calibration of a device in force that is no adjustment against the one before it, in a frame; None
+    where there are no two with parameters in common."""
+    found = [record for record in records(registry, serial) if record.superseded_by is None]
+    at = next((i for i in range(len(found) - 1, 0, -1) if found[i].state != "as-left"), None)
+    if at is None:
+        return None
+    later, earlier = (calibration_in(registry, found[i], frame) for i in (at, at - 1))
+    if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
+        return None
+    return compare_calibrations(later, earlier)
 
 
 def verdict_of(
@@ -96,7 +117,7 @@ def verdict_of(
     found = judge(parsed, record.occasion, rows_in_frame(registry, record, rows, parsed.frame), unobservable)
     if found is None or parsed.temperatures is None:
         return found
-    return over_temperature(found, _in_frame(registry, record, parsed.frame), parsed)
+    return over_temperature(found, calibration_in(registry, record, parsed.frame), parsed)
 
 
 # -------------------- frames --------------------
@@ -106,14 +127,14 @@ def rows_in_frame(
     registry: Registry, record: Record, rows: Sequence[ParameterRow], frame: str
 ) -> Sequence[ParameterRow]:
     """The parameters of a record, and of its launches, in a frame, with the degrees of freedom that its file has."""
-    found = list(all_parameter_rows(_in_frame(registry, record, frame)))
+    found = list(all_parameter_rows(calibration_in(registry, record, frame)))
     if record.frame != frame:
         return found
     degrees = {(row.launch, row.name): row.dof for row in found}
     return [replace(row, dof=degrees.get((row.launch, row.name))) for row in rows]
 
 
-def _in_frame(registry: Registry, record: Record, frame: str) -> Calibration:
+def calibration_in(registry: Registry, record: Record, frame: str) -> Calibration:
     """The calibration of a record in a frame."""
     from tumble.calibration.calibration_file import calibration_of
 

@@ -15,11 +15,11 @@ are together what their degrees of freedom ν expect (p parameters a_s, b); zero
 its variance follow by weighted least squares, and U = t(ν) u(b) with Student's t for 95.45 %, the probability of ±2u of
 a normal distribution.
 
-The u_i are without the uncertainty of gravity where all calibrations used the same stated gravity: its error is the
-same every time and hence no part of a drift. It is no part of a change between two that share it either. A change has
-the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`); it is `beyond
-chance` where chance alone makes one of all parameters of the device change so much less often than in CHANCE of all
-cases.
+The u_i are without the uncertainty of gravity where all calibrations used the same stated gravity, and without that of
+the time base where all state the same: their error is the same every time and hence no part of a drift. It is no part
+of a change between two that share it either (`tumble.calibration.shared_errors`). A change has the expanded uncertainty
+U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`); it is `beyond chance` where chance alone
+makes one of all parameters of the device change so much less often than in CHANCE of all cases.
 
 Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
 """
@@ -36,6 +36,7 @@ import numpy as np
 from scipy import special
 
 from tumble.calibration.coverage import expanded_of, shared_gravity, welch_satterthwaite
+from tumble.calibration.shared_errors import shared_time_base
 from tumble.estimation.estimate import scatter_of
 from tumble.registry.series import Series, SeriesPoint
 from tumble.units import Array
@@ -51,13 +52,16 @@ CHANCE = 1e-3
 class Drift:
     """A drift in SI a year with its standard and its expanded uncertainty; without degrees of freedom nothing says how
     unstable the device is from run to run, and there is no expanded one. The line: `level` (SI) at `since` (years
-    since the first calibration) in the last stretch."""
+    since the first calibration) in the last stretch, with its standard uncertainty and its covariance with the
+    drift."""
 
     per_year: float
     u: float
     degrees: int
     expanded: float | None
     level: float
+    level_u: float
+    level_with_drift: float
     since: float
 
 
@@ -150,9 +154,8 @@ def beyond_chance(trends: Sequence[Trend]) -> list[Trend]:
 def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
     for earlier, later in pairwise(points):
         known = earlier.u is not None and later.u is not None
-        shared = shared_gravity(earlier.site, later.site)
-        parts = [_apart(p, shared=shared) for p in (earlier, later)]
-        parts.append(((later.by_gravity - earlier.by_gravity) ** 2 if shared else 0.0, None))
+        before, after = _shared([earlier, later])
+        parts = [_apart(earlier, before), _apart(later, after), ((after - before) ** 2, None)]
         yield Change(
             earlier=earlier.number,
             later=later.number,
@@ -163,10 +166,18 @@ def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
         )
 
 
-def _apart(point: SeriesPoint, *, shared: bool) -> tuple[float, float | None]:
-    """Variance of a point, without the uncertainty of gravity where that is shared, and its degrees of freedom."""
+def _shared(points: Sequence[SeriesPoint]) -> list[float]:
+    """Change of each point with one standard uncertainty of gravity or of the time base, where all share it; a
+    parameter changes with one of them at most."""
+    gravity = all(shared_gravity(points[0].site, p.site) for p in points)
+    clock = all(shared_time_base(points[0].clock_u, p.clock_u) for p in points)
+    return [(p.by_gravity if gravity else 0.0) + (p.by_clock if clock else 0.0) for p in points]
+
+
+def _apart(point: SeriesPoint, shared: float) -> tuple[float, float | None]:
+    """Variance of a point without what is shared, and its degrees of freedom."""
     whole = (point.u or 0.0) ** 2
-    own = max(whole - point.by_gravity**2, 0.0) if shared else whole
+    own = max(whole - shared**2, 0.0)
     return own, None if point.dof is None or whole == 0.0 else point.dof * (own / whole) ** 2
 
 
@@ -186,8 +197,7 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
     """τ and the drift, as far as the points say anything about them (module docstring)."""
     if not points or not all(_certain(p) for p in points):
         return None, None
-    if all(shared_gravity(points[0].site, p.site) for p in points):
-        points = [_without_gravity(p) for p in points]
+    points = [_without(p, abs(g)) for p, g in zip(points, _shared(points), strict=True)]
     X = _design(points)
     y = np.array([p.value for p in points])
     degrees = len(points) - X.shape[1] + sum(max(len(p.launches) - 1, 0) for p in points)
@@ -206,13 +216,14 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
         degrees=degrees,
         expanded=float(special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
         level=float(line.values[stretches - 1]),
+        level_u=math.sqrt(float(line.covariance[stretches - 1, stretches - 1])),
+        level_with_drift=float(line.covariance[stretches - 1, -1]),
         since=float(years(points).mean()),
     )
 
 
-def _without_gravity(point: SeriesPoint) -> SeriesPoint:
-    """A point with uncertainties without that of gravity, where they have it."""
-    g = abs(point.by_gravity)
+def _without(point: SeriesPoint, g: float) -> SeriesPoint:
+    """A point with uncertainties without what is shared, where they have it."""
 
     def without(u: float | None) -> float | None:
         return math.sqrt(u**2 - g**2) if u is not None and u > g else u

@@ -15,10 +15,10 @@ Tone = Literal["good", "doubt", "bad"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Text:
-    """A paragraph; `tone` says whether it is good news, good with reservations, or bad."""
+    """A paragraph; `tone` says whether it is good news, good with reservations, or bad; a label is of what follows."""
 
     text: str
-    tone: Literal["plain", "small"] | Tone = "plain"
+    tone: Literal["plain", "small", "label"] | Tone = "plain"
     kind: Literal["text"] = "text"
 
 
@@ -82,9 +82,10 @@ class Matrices:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Formula:
-    """One of the formulas that the templates know by name: the sensor model, the axes matrix, how to apply."""
+    """One of the formulas that the templates know by name: the sensor model, the axes matrix of a triad, how to apply
+    it, and with more than three sensors."""
 
-    name: Literal["model", "axes", "apply"]
+    name: Literal["model", "axes", "apply", "apply_redundant"]
     kind: Literal["formula"] = "formula"
 
 

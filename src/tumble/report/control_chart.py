@@ -7,64 +7,74 @@ from __future__ import annotations
 
 import io
 import math
-import re
-from collections.abc import Iterable
-from datetime import datetime, timedelta
-from html import escape
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
-import numpy.typing as npt
 
 from tumble.errors import InputError, needs_extra
 from tumble.files import whole_file
 from tumble.registry.limits import RULE
 from tumble.registry.monitor import Monitored
-from tumble.registry.records import STATES
-from tumble.registry.trend import YEAR, Trend
+from tumble.registry.trend import Trend
+from tumble.report.numbers import minus
+from tumble.sensors.parameters import group_name, group_of
+from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.registry import (
     change_cells,
     drift_cells,
     expanded_of,
+    forecast_lines,
     limit_cell,
     significant,
+    units_of,
     with_expanded,
 )
-from tumble.units import engineering
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FORMATS = (".html", ".svg")
 COLUMNS = 3
-_MARKERS = dict(zip(STATES, ("v", "^", "o"), strict=True))
-_LIMIT_COLOUR = "#b3261e"
+_SIZE = 2.9, 1.95
+"""Width and height of a picture, inches."""
 
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'">
-<title>{title}</title>
-<style>
-body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 76em; padding: 0 1em; color: #1b1b1b }}
-svg {{ width: 100%; height: auto }}
-table {{ border-collapse: collapse; font-variant-numeric: tabular-nums }}
-th, td {{ padding: .15em .8em; text-align: right; border-bottom: 1px solid #ddd }}
-th:first-child, td:first-child {{ text-align: left }}
-</style></head><body>
-<h1>{title}</h1>
-<p>{about}</p>
-{chart}
-<table><tr><th>parameter</th><th>latest</th><th>U</th><th>lowest</th><th>highest</th><th>run to run</th>
-<th>drift a year</th><th>U (95 %)</th><th>change</th><th>E<sub>n</sub></th><th>unit</th></tr>
-{rows}
-</table>
-<p>Points: value with U (95.45 %); ▼ as found, ▲ as left after an adjustment, ● without one. Dashed: drift, by weighted
-least squares with the instability from run to run, since the last adjustment. Red: limits of the periodic check; grey:
-their guard band of the latest U. {rule}. Change: the latest as found against the last as left; |E<sub>n</sub>| above 1
-is a change of the device.</p>
-</body></html>
-"""
+_TONES = {"pass": "good", "undecided": "doubt", "fail": "bad"}
+_WORST = ("fail", "undecided", "pass")
+
+_COLUMNS = ("parameter", "latest ± U", "limits", "run to run", "drift/year ± U", "change", "Eₙ", "unit", "verdict")
+
+_NOTES = (
+    "Points: value with U (95.45 %), ▼ as found, ▲ as left after an adjustment (dotted line), ● without one; blue: "
+    "inside the limits of the periodic check or without any, brown: within the guard band, red: outside. Dashes beside "
+    "a point: its launches. A bar of U that would make the rest too small to see runs out of the picture.",
+    "Red line: a limit, with the guard band of the latest U; a limit far from the values stands as a note in the "
+    "margin. Dashed line: the drift since the last adjustment, by weighted least squares with the instability from run "
+    "to run.",
+    "Change: the latest as found against the last as left, without what both share. A ring: Eₙ beyond 1 in size, the "
+    "two contradict each other by more than 95.45 % allow; of 21 parameters that do not change one does so by chance.",
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Cell:
+    text: str
+    tone: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Panel:
+    name: str
+    verdict: str
+    tone: str
+    svg: str
+    caption: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Group:
+    title: str
+    panels: tuple[_Panel, ...]
 
 
 def write_chart(path: Path, found: Monitored) -> None:
@@ -74,98 +84,206 @@ def write_chart(path: Path, found: Monitored) -> None:
     ending = path.suffix.lower()
     if ending not in FORMATS:
         raise InputError(f"{path}: expected a file that ends in {' or '.join(FORMATS)}, found {path.suffix!r}")
-    svg = _svg(found)
-    text = svg if ending == ".svg" else _page(svg, found)
+    with needs_extra("a control chart", "report", "matplotlib"):
+        text = _svg(found) if ending == ".svg" else _page(found)
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _page(svg: str, found: Monitored) -> str:
-    record = found.latest
-    return _PAGE.format(
-        title=f"Device {escape(record.serial)}",
-        about=escape(f"Type {record.model or 'not stated'}, frame {found.frame}, latest record {record.number}."),
-        chart=re.sub(r"\A.*?(?=<svg)", "", svg, flags=re.S),
-        rows="\n".join(_row(trend, found.limits.get(trend.series.name)) for trend in found.trends),
-        rule=escape(RULE[0].upper() + RULE[1:]),
+# -------------------- the page --------------------
+
+
+def _page(found: Monitored) -> str:
+    from tumble.report.page import rendered
+
+    record, units = found.latest, units_of(found)
+    verdict, tone = _badge(found)
+    numbers = {p.number: p.performed for t in found.trends for p in t.series.points}
+    facts = [
+        ("device", record.serial),
+        ("type", record.model or "not stated"),
+        ("calibrations", f"{len(numbers)}, {min(numbers.values()):%Y-%m-%d} to {max(numbers.values()):%Y-%m-%d}"),
+        ("latest record", str(record.number)),
+        ("frame", found.frame),
+        ("due", _due(found)),
+    ]
+    chart = {
+        "title": "Control chart",
+        "device": record.serial,
+        "verdict": verdict,
+        "tone": tone,
+        "facts": facts,
+        "findings": _findings(found),
+        "columns": _COLUMNS,
+        "words": (0, 7, 8),
+        "rows": [_row(found, trend, *units[trend.series.name]) for trend in found.trends],
+        "groups": _groups(found, units),
+        "notes": (*_NOTES, f"{RULE[0].upper()}{RULE[1:]}."),
+        "closing": "End of the control chart",
+    }
+    return rendered("chart.html", chart=chart)
+
+
+def _badge(found: Monitored) -> tuple[str, str]:
+    """One verdict: the worst on the latest values, or that the device has changed; and its colour."""
+    verdicts = set(found.latest_verdicts().values())
+    worst = next((each for each in _WORST if each in verdicts), None)
+    if worst == "fail":
+        return "fail", "bad"
+    if found.changed():
+        return "changed", "bad"
+    return (worst, _TONES[worst]) if worst is not None else ("no change found", "good")
+
+
+def _due(found: Monitored) -> str:
+    """When the next calibration is due, and why."""
+    drifting = next(iter(found.forecasts()), None)
+    by_calendar = found.by_calendar
+    if drifting is not None and (by_calendar is None or drifting.earliest.date() < by_calendar):
+        return f"{drifting.earliest:%Y-%m-%d}, by the drift of {drifting.name}"
+    return "no interval is known" if by_calendar is None else f"{by_calendar}, by the calendar"
+
+
+def _findings(found: Monitored) -> list[_Cell]:
+    """What is to be said before all numbers."""
+    said = []
+    changed = found.changed()
+    if changed:
+        which = ", ".join(changed)
+        said.append(_Cell(text=f"changed since the calibration before, by more than chance: {which}", tone="bad"))
+    elif len(found.trends[0].series.points) > 1:
+        seldom = "that chance would not make in 1 of 1000 devices"
+        said.append(_Cell(text=f"no change since the calibration before {seldom}"))
+    if found.comparison is not None and found.comparison.chi_square is not None:
+        said.append(_Cell(text=f"the latest against the one before, all together: {chi_square_of(found.comparison)}"))
+    verdicts = found.latest_verdicts()
+    for result, words in (("fail", "outside the limits"), ("undecided", "within the guard band")):
+        names = [name for name, verdict in verdicts.items() if verdict == result]
+        if names:
+            said.append(_Cell(text=f"{words}: {', '.join(names)}", tone=_TONES[result]))
+    forecasts = forecast_lines(found)
+    said += [_Cell(text=line) for line in forecasts]
+    if verdicts and not forecasts:
+        said.append(_Cell(text="forecast: no parameter drifts towards a limit by more than the U of its drift"))
+    return said or [_Cell(text="one calibration: nothing to compare with yet")]
+
+
+def _row(found: Monitored, trend: Trend, size: float, unit: str) -> list[_Cell]:
+    latest = trend.series.points[-1]
+    limits = found.limits.get(trend.series.name)
+    verdict = found.latest_verdicts().get(trend.series.name, "")
+    change, e_n = change_cells(trend.last_change, size)
+    beyond = trend.last_change is not None and abs(trend.last_change.e_n or 0.0) > 1.0
+    return [
+        _Cell(text=trend.series.name),
+        _Cell(text=_with(with_expanded(latest.value, expanded_of(latest), size))),
+        _Cell(text="" if limits is None else _between(limits, size)),
+        _Cell(text=significant(trend.run_to_run, size)),
+        _Cell(text=_with(drift_cells(trend, size))),
+        _Cell(text=minus(change), tone="bad" if beyond else ""),
+        _Cell(text=minus(e_n), tone="bad" if beyond else ""),
+        _Cell(text=unit),
+        _Cell(text=verdict, tone=_TONES.get(verdict, "")),
+    ]
+
+
+def _with(cells: list[str]) -> str:
+    """A value with its U."""
+    value, expanded = cells
+    return minus(f"{value} ± {expanded}" if expanded else value)
+
+
+def _between(limits: tuple[float, float], size: float) -> str:
+    low, high = (minus(limit_cell(limit, size)) for limit in limits)
+    return f"{low or '−∞'} … {high or '∞'}"
+
+
+def _groups(found: Monitored, units: Mapping[str, tuple[float, str]]) -> list[_Group]:
+    """The pictures by group of parameters."""
+    names = dict.fromkeys(group_name(trend.series.name) for trend in found.trends)
+    panels = {name: list[_Panel]() for name in names}
+    for i, trend in enumerate(found.trends):
+        panels[group_name(trend.series.name)].append(_panel(f"t{i}", found, trend, units[trend.series.name]))
+    return [_Group(title=_title(name), panels=tuple(own)) for name, own in panels.items()]
+
+
+def _title(group: str) -> str:
+    try:
+        words = group_of(group).words
+    except KeyError:  # a name of another program
+        words = group
+    return words[:1].upper() + words[1:]
+
+
+def _panel(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -> _Panel:
+    verdict = found.latest_verdicts().get(trend.series.name, "")
+    return _Panel(
+        name=trend.series.name,
+        verdict=verdict,
+        tone=_TONES.get(verdict, ""),
+        svg=_picture(name, found, trend, unit),
+        caption=_caption(trend, *unit),
     )
 
 
-def _row(trend: Trend, limits: tuple[float, float] | None) -> str:
-    series, latest = trend.series, trend.series.points[-1]
-    size, unit = _unit(trend)
-    cells = [
-        series.name,
-        *with_expanded(latest.value, expanded_of(latest), size),
-        *(limit_cell(limit, size) for limit in limits or (math.nan, math.nan)),
-        significant(trend.run_to_run, size),
-        *drift_cells(trend, size),
-        *change_cells(trend.last_change, size),
-        unit,
-    ]
-    return "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+def _caption(trend: Trend, size: float, unit: str) -> str:
+    said = []
+    if trend.drift is not None and trend.drift.expanded is not None:
+        said.append(f"drift {_with(drift_cells(trend, size))} {unit} a year")
+    if trend.run_to_run is not None:
+        said.append(f"run to run {significant(trend.run_to_run, size)} {unit}")
+    return "; ".join(said) or "drift not known yet"
 
 
-def _unit(trend: Trend) -> tuple[float, str]:
-    return engineering(trend.series.unit, max(abs(p.value) for p in trend.series.points))
+# -------------------- pictures --------------------
 
 
-# -------------------- drawing --------------------
+def _style() -> Any:
+    """The style of a report, with letters as text."""
+    from tumble.report.figures import STYLE
+
+    return STYLE | {"svg.fonttype": "none", "font.family": "sans-serif", "date.converter": "concise"}
+
+
+def _picture(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -> str:
+    """The picture of a parameter for the page."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    from tumble.report.chart_panel import draw_panel
+    from tumble.report.figures import for_a_page
+
+    with rc_context(_style()):
+        figure = Figure(figsize=_SIZE, layout="constrained")
+        limits = found.limits.get(trend.series.name)
+        draw_panel(figure.add_subplot(), trend, limits, found.verdicts(trend), unit)
+        return for_a_page(_saved(figure), name)
 
 
 def _svg(found: Monitored) -> str:
-    with needs_extra("a control chart", "report", "matplotlib"):
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure
-    rows = math.ceil(len(found.trends) / COLUMNS)
-    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tumble", "font.size": 8.0, "date.converter": "concise"}):
-        figure = Figure(figsize=(4.2 * COLUMNS, 0.4 + 2.5 * rows), layout="constrained")
+    """All pictures in one."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    from tumble.report.characters import drawable
+    from tumble.report.chart_panel import draw_panel
+
+    rows, units = math.ceil(len(found.trends) / COLUMNS), units_of(found)
+    with rc_context(_style()):
+        figure = Figure(figsize=(_SIZE[0] * COLUMNS, 0.4 + 1.15 * _SIZE[1] * rows), layout="constrained")
         device = found.latest
-        figure.suptitle(f"{device.serial} · {device.model or ''} · frame {found.frame}", parse_math=False)
+        figure.suptitle(drawable(f"{device.serial} · {device.model or ''} · frame {found.frame}"), parse_math=False)
         panels = list(figure.subplots(rows, COLUMNS, squeeze=False).flat)
         for axes, trend in zip(panels, found.trends, strict=False):
-            _draw(axes, trend, found.limits.get(trend.series.name))
+            name = trend.series.name
+            draw_panel(axes, trend, found.limits.get(name), found.verdicts(trend), units[name])
+            axes.set_title(drawable(name), parse_math=False)
         for axes in panels[len(found.trends) :]:
             axes.remove()
-        out = io.StringIO()
-        figure.savefig(out, format="svg", metadata={"Date": None})
+        return _saved(figure)
+
+
+def _saved(figure: Figure) -> str:
+    out = io.StringIO()
+    figure.savefig(out, format="svg", metadata={"Date": None})
     return out.getvalue()
-
-
-def _draw(axes: Axes, trend: Trend, limits: tuple[float, float] | None) -> None:
-    """One parameter: points with U, limits with guard band, the line of the drift."""
-    size, unit = _unit(trend)
-    points = trend.series.points
-    for state, marker in _MARKERS.items():
-        own = [p for p in points if p.state == state]
-        bars = [(expanded_of(p) or 0.0) / size for p in own]
-        style: dict[str, Any] = {"fmt": marker, "markersize": 3.5, "color": "C0", "capsize": 2.0, "linewidth": 0.9}
-        axes.errorbar(_times(p.performed for p in own), [p.value / size for p in own], yerr=bars, **style)
-    _draw_drift(axes, trend, size)
-    if limits is not None:
-        guard = (expanded_of(points[-1]) or 0.0) / size
-        for limit in (v / size for v in limits if math.isfinite(v)):
-            axes.axhline(limit, color=_LIMIT_COLOUR, linewidth=1.0)
-            axes.axhspan(limit - guard, limit + guard, color="0.85", linewidth=0.0, zorder=0.5)
-    axes.set_title(trend.series.name, parse_math=False)
-    axes.set_ylabel(unit, parse_math=False)
-    axes.grid(visible=True, alpha=0.4, linewidth=0.5)
-
-
-def _times(moments: Iterable[datetime]) -> npt.NDArray[np.datetime64]:
-    return np.array([moment.replace(tzinfo=None) for moment in moments], dtype="datetime64[s]")
-
-
-def _draw_drift(axes: Axes, trend: Trend, size: float) -> None:
-    """The line of the last stretch."""
-    points, drift = trend.series.points, trend.drift
-    if drift is None:
-        return
-    adjusted = [i for i, p in enumerate(points) if i > 0 and p.state == "as-left"]
-    stretch = points[adjusted[-1] if adjusted else 0 :]
-    if len(stretch) < 2:
-        return
-    middle: timedelta = drift.since * YEAR
-    ends = stretch[0].performed, stretch[-1].performed
-    values = [drift.level + drift.per_year * ((t - points[0].performed - middle) / YEAR) for t in ends]
-    axes.plot(_times(ends), [v / size for v in values], color="0.35", linewidth=0.9, linestyle="--")

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+SPHERE, FRAME = 0.66, 0.5
+"""Widths of the drawings as parts of the page."""
+
 _SAME = 8.0 * DEGREE
 """Directions so near to each other are labelled together."""
 
@@ -65,7 +68,7 @@ def sphere(name: str, directions: Directions) -> str:
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=2)
 
-    return drawn(name, PAGE, 0.56 * PAGE, draw)
+    return drawn(name, SPHERE * PAGE, 0.62 * SPHERE * PAGE, draw)
 
 
 def _globe(axes: Axes, view: Array) -> None:
@@ -163,7 +166,7 @@ def frame(name: str, accel: SensorModel, gyro: SensorModel | None) -> str:
         for axes in figure.axes:
             axes.set_axis_off()
 
-    return drawn(name, PAGE, 0.43 * PAGE, draw)
+    return drawn(name, FRAME * PAGE, 0.46 * FRAME * PAGE, draw)
 
 
 def _frame_panel(axes: Axes, model: SensorModel, colour: str, factor: float) -> None:

@@ -31,8 +31,12 @@ INK, GREY, FAINT = "#1c2733", "#6b7785", "#d5dae0"
 COLOURS = ("#1f4e79", "#c0561a", "#3d7d52", "#7d4f93", "#a08020", "#58728c")
 """For accelerometers, gyros, or the sensors of a block in turn."""
 
-MOST_WITH_NUMBERS, MOST_WITH_LABELS = 30, 45
-"""How many parameters a map of correlations shows with numbers, and with labels as large as others."""
+MOST_WITH_NUMBERS = 30
+"""How many parameters a map of correlations shows with numbers."""
+MAP = 0.7
+"""Its width as a part of the page."""
+LABELS = 200.0
+"""What its labels have to share, points."""
 
 PAGE = 6.7
 """Width of a figure as wide as the page, inches."""
@@ -74,10 +78,10 @@ def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]
         draw(figure)
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata=_DATA_OF_THE_FILE, transparent=True)
-    return _for_a_page(out.getvalue(), name)
+    return for_a_page(out.getvalue(), name)
 
 
-def _for_a_page(svg: str, name: str) -> str:
+def for_a_page(svg: str, name: str) -> str:
     """The svg element alone, its identifiers made this figure's own, without comments."""
     svg = re.sub(r"<!--.*?-->", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
@@ -144,21 +148,21 @@ def correlations(name: str, names: Sequence[str], correlation: Array) -> str:
         labels = [drawable(label) for label in names]
         axes.set_xticks(range(count), labels, rotation=90)
         axes.set_yticks(range(count), labels)
-        axes.tick_params(length=0.0, labelsize=min(6.5, 6.5 * MOST_WITH_LABELS / count))
+        axes.tick_params(length=0.0, labelsize=min(6.0, LABELS / count))
         axes.spines[:].set_visible(False)
         bar = figure.colorbar(mesh, ax=axes, shrink=0.5, pad=0.01, label="correlation coefficient")
         bar.outline.set_visible(False)
         if bar.solids is not None:  # a picture of pixels else
             bar.solids.set(rasterized=False, edgecolor="face")
 
-    return drawn(name, PAGE, 0.86 * PAGE, draw)
+    return drawn(name, MAP * PAGE, 0.86 * MAP * PAGE, draw)
 
 
 def _coefficient(axes: Axes, row: int, column: int, hundredths: int) -> None:
     if hundredths:
         colour = "white" if abs(hundredths) > 60 else INK
         text = f"{hundredths}".replace("-", "−")
-        axes.text(column, row, text, ha="center", va="center", fontsize=5.0, color=colour, in_layout=False)
+        axes.text(column, row, text, ha="center", va="center", fontsize=4.5, color=colour, in_layout=False)
 
 
 def convergence(name: str, steps: Sequence[Mapping[str, float]], parameters: Sequence[Parameter]) -> str:

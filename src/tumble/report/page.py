@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict
+from dataclasses import asdict, is_dataclass
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -14,6 +15,26 @@ from tumble.report.characters import everywhere, visible
 
 def page(document: Document) -> str:
     """The HTML of a report. All text is escaped; only the figures, which hold no text, are markup."""
+    content = everywhere(asdict(document), visible, except_key="svg")
+    return _environment().get_template("page.html").render(document=content) + "\n"
+
+
+def rendered(template: str, **content: Any) -> str:
+    """A page by a template of this folder; all text is escaped."""
+    visible_content = everywhere({key: _plain(value) for key, value in content.items()}, visible, except_key="svg")
+    return _environment().get_template(template).render(**visible_content) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses in mappings and lists as mappings."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("tumble.report"),
         autoescape=True,
@@ -23,8 +44,7 @@ def page(document: Document) -> str:
     )
     environment.filters["inline"] = _inline
     environment.filters["css"] = _css
-    content = everywhere(asdict(document), visible, except_key="svg")
-    return environment.get_template("page.html").render(document=content) + "\n"
+    return environment
 
 
 def _css(text: str) -> Markup:
@@ -34,4 +54,4 @@ def _css(text: str) -> Markup:
 
 def _inline(svg: str) -> Markup:
     """A figure as part of a page, where SVG needs no name spaces."""
-    return Markup(re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg))
+    return Markup(re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace(" xlink:href=", " href="))

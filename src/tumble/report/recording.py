@@ -118,7 +118,7 @@ def found(recording: RecordedSession, name: str) -> Section | None:
                 svg=drawings.sphere(name, drawings.Directions(found=verticals, nominal=nominal)),
                 caption="Orientation coverage: where the vertical was in the body at each rest, on both sides of the "
                 f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
-                width=0.6,
+                width=drawings.SPHERE,
             )
         )
     if recording.turns:

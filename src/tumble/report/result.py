@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -62,6 +62,11 @@ _FRAMES = {
     "three.",
     "case": "X, Y and Z are normal to the mounting faces of the case.",
 }
+_NUMBERED_FRAME = (
+    "Accelerometer 0 is along its nominal axis, and accelerometer 1 in the nominal plane of both. An angle p.1 turns "
+    "the axis of sensor p about the perpendicular to the nominal axes of sensors 0 and p, p.2 about the perpendicular "
+    "to that and to its own."
+)
 
 
 def described(name: str) -> str:
@@ -190,18 +195,12 @@ def _digest(launch: Launch) -> str:
 
 def application(calibration: Calibration) -> Section:
     """The model, what a reading is, the matrices and a test vector for each block."""
+    models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
+    known = {kind: model for kind, model in models.items() if model is not None}
     blocks: list[Block] = [
         Text(text="The sensors follow the model"),
         Formula(name="model"),
-        Text(
-            text="with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame "
-            f"as the true value. {_own_form(calibration)}The rows of the matrix are the sensitivities of the sensors "
-            "times their axes: for three sensors along the body axes, k being the scale-factor errors and γ the axis "
-            "angles,"
-        ),
-        Formula(name="axes"),
-        Text(text="A reading is corrected by"),
-        Formula(name="apply"),
+        *_axes_in_words(calibration, [len(model.matrix) for model in known.values()]),
         *_what_a_reading_is(calibration),
     ]
     if further_parameters(calibration.parameters):
@@ -211,13 +210,33 @@ def application(calibration: Calibration) -> Section:
                 "before, as “tumble apply” does; the test vectors are without them."
             )
         )
-    models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
-    if not any(models.values()):
+    if not known:
         blocks.append(Text(text="No matrix can be given: a parameter it needs was not determined."))
-    for kind, model in models.items():
-        if model is not None:
-            blocks += _applied(kind, model, _unit(calibration, kind))
+    for kind, model in known.items():
+        blocks += _applied(kind, model, _unit(calibration, kind))
     return Section(title="How to apply it", blocks=tuple(blocks))
+
+
+def _axes_in_words(calibration: Calibration, sizes: Sequence[int]) -> Iterator[Block]:
+    """What the matrix is of blocks with so many sensors, and how a reading is corrected with it."""
+    said = (
+        "with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame as the "
+        f"true value. {_own_form(calibration)}The rows of the matrix are the sensitivities of the sensors times their "
+        "axes"
+    )
+    triads, more = any(size <= 3 for size in sizes) or not sizes, any(size > 3 for size in sizes)
+    if triads:
+        yield Text(
+            text=f"{said}: for three sensors along the body axes, k being the scale-factor errors and γ the axis "
+            "angles,"
+        )
+        yield Formula(name="axes")
+        yield Text(text="A reading is corrected by")
+        yield Formula(name="apply")
+    if more:
+        least = "by least squares, matrix⁺ being the pseudo-inverse:"
+        yield Text(text=f"One of more sensors {least}" if triads else f"{said}. A reading is corrected {least}")
+        yield Formula(name="apply_redundant")
 
 
 def _own_form(calibration: Calibration) -> str:
@@ -258,7 +277,7 @@ def _applied(kind: str, model: SensorModel, unit: str) -> list[Block]:
     true = model.apply(reading)
     symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
     return [
-        Text(text=_HEADINGS[kind], tone="small"),
+        Text(text=_HEADINGS[kind], tone="label"),
         Matrices(
             matrices=(
                 Matrix(symbol="matrix", rows=_numbers(model.matrix)),
@@ -288,6 +307,8 @@ def _numbers(matrix: Array) -> tuple[tuple[str, ...], ...]:
 def frame(calibration: Calibration, name: str) -> Section:
     """The body frame in words and as a picture."""
     said = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
+    if calibration.frame == "accelerometer" and any(p.name == "accel.bias.0" for p in calibration.parameters):
+        said = _NUMBERED_FRAME
     blocks: list[Block] = [Text(text=f"Body frame “{calibration.frame}”, right-handed. {said}")]
     if calibration.accel is not None:
         models = [m for m in (calibration.accel, calibration.gyro) if m is not None]
@@ -296,7 +317,7 @@ def frame(calibration: Calibration, name: str) -> Section:
         if factor > 1.0:
             caption = f"{caption[:-1]}, their deviations from the body axes drawn {factor:.0f} times larger."
         svg = drawings.frame(name, calibration.accel, calibration.gyro)
-        blocks.append(Figure(svg=svg, caption=caption, width=0.42))
+        blocks.append(Figure(svg=svg, caption=caption, width=drawings.FRAME))
     return Section(title="The frame", blocks=tuple(blocks))
 
 
@@ -320,12 +341,6 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
             "noise at rest and in turns, the scatter between rests that the residuals show, and the stated uncertainty "
             "of gravity; of several launches also their instability. " + _not_contained(calibration)
         ),
-        Figure(
-            svg=figures.correlations(name, names, r),
-            caption="Correlation coefficients of the parameters"
-            + (", in hundredths." if len(names) <= figures.MOST_WITH_NUMBERS else "."),
-            width=0.6,
-        ),
     ]
     if rows:
         said = (
@@ -333,6 +348,14 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
             "the calibration file. The strongest:"
         )
         blocks += [Text(text=said), ReportTable(columns=("parameter", "with", "coefficient"), rows=rows, text=(0, 1))]
+    blocks.append(
+        Figure(
+            svg=figures.correlations(name, names, r),
+            caption="Correlation coefficients of the parameters"
+            + (", in hundredths." if len(names) <= figures.MOST_WITH_NUMBERS else "."),
+            width=figures.MAP,
+        )
+    )
     return Section(title="Covariance and correlations", blocks=tuple(blocks))
 
 

@@ -19,13 +19,16 @@ def comparison_report(comparison: Comparison) -> RenderableType:
     judged = sum(d.e_n is not None for d in comparison.differences)
     parts.append(Text(f"{len(beyond)} of {judged} |E_n| beyond 1"))
     if comparison.chi_square is not None:
-        parts.append(
-            Text(
-                f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with "
-                f"probability {comparison.probability:.2g}"
-            )
-        )
+        parts.append(Text(f"all together: {chi_square_of(comparison)}"))
     return Group(*parts)
+
+
+def chi_square_of(comparison: Comparison) -> str:
+    """χ² of all differences together, and how likely it is."""
+    return (
+        f"χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with probability "
+        f"{comparison.probability:.2g}"
+    )
 
 
 def _table(comparison: Comparison) -> Table:

@@ -13,12 +13,14 @@ from rich.text import Text
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
 from tumble.registry.due import Due
+from tumble.registry.forecast import Forecast
 from tumble.registry.limits import RULE, LimitJudgement, Verdict
 from tumble.registry.monitor import Monitored
 from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
+from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
 from tumble.units import rounded
@@ -143,6 +145,7 @@ def due_table(found: Iterable[Due], today: date) -> Table:
     for item in found:
         left = None if item.day is None else (item.day - today).days
         said = "no interval" if left is None else f"in {left} d" if left >= 0 else f"overdue by {-left} d"
+        said += f", by the drift of {item.by_drift.name}" if item.drifts and item.by_drift is not None else ""
         table.add_row(
             Text(item.record.serial),
             Text(item.record.model or ""),
@@ -150,7 +153,7 @@ def due_table(found: Iterable[Due], today: date) -> Table:
             str(item.record.number),
             "" if item.months is None else f"{item.months} months",
             str(item.day or ""),
-            said,
+            Text(said),
         )
     return table
 
@@ -168,7 +171,7 @@ def trend_report(found: Monitored) -> RenderableType:
         table.add_column(heading, justify="right", no_wrap=True)
     for heading in ("unit", *(["verdict"] if limits else [])):
         table.add_column(heading)
-    units = _units((t.series.name, t.series.unit, p.value) for t in trends for p in t.series.points)
+    units = units_of(found)
     for trend in trends:
         name = trend.series.name
         size, unit = units[name]
@@ -183,12 +186,39 @@ def trend_report(found: Monitored) -> RenderableType:
             unit,
             *([verdicts.get(name, "")] if limits else []),
         )
-    return Group(Text(_trend_line(found)), Text(""), table)
+    forecasts = [Text(line) for line in forecast_lines(found)]
+    return Group(Text(_trend_line(found)), Text(""), table, *_together(found), *forecasts)
+
+
+def forecast_lines(found: Monitored) -> list[str]:
+    """When parameters meet their limits by their drift, in sentences."""
+    units = units_of(found)
+    return [_forecast_line(each, *units[each.name]) for each in found.forecasts()]
+
+
+def units_of(found: Monitored) -> Mapping[str, tuple[float, str]]:
+    """Size and name of the unit in which each parameter is shown."""
+    return _units((t.series.name, t.series.unit, p.value) for t in found.trends for p in t.series.points)
+
+
+def _forecast_line(each: Forecast, size: float, unit: str) -> str:
+    latest = "more than 50 years on" if each.latest is None else _day(each.latest)
+    return (
+        f"forecast: {each.name} meets its limit of {limit_cell(each.limit, size)} {unit} on {_day(each.expected)} "
+        f"(95 %: {_day(each.earliest)} to {latest})"
+    )
+
+
+def _together(found: Monitored) -> list[RenderableType]:
+    """What all parameters together say of a change."""
+    if found.comparison is None or found.comparison.chi_square is None:
+        return []
+    return [Text(""), Text(f"the latest against the one before, all together: {chi_square_of(found.comparison)}")]
 
 
 def history_report(found: Monitored) -> RenderableType:
     """The one parameter of `found` in every calibration, with verdicts by the limits that are in force."""
-    trend, verdicts = found.trends[0], found.verdicts()
+    trend, verdicts = found.trends[0], found.verdicts(found.trends[0])
     name, points = trend.series.name, trend.series.points
     limits = found.limits.get(name)
     size, unit = _units((name, trend.series.unit, p.value) for p in points)[name]
@@ -213,7 +243,8 @@ def history_report(found: Monitored) -> RenderableType:
         )
     history = sparkline([p.value for p in points])
     said = f"{name} of device {_device(found.latest)} · frame {found.frame} · {history}"
-    return Group(Text(said), Text(""), table, Text(""), Text("\n".join(_conclusions(trend, limits, size, unit))))
+    lines = [*_conclusions(trend, limits, size, unit), *forecast_lines(found)]
+    return Group(Text(said), Text(""), table, Text(""), Text("\n".join(lines)))
 
 
 def _conclusions(trend: Trend, limits: tuple[float, float] | None, size: float, unit: str) -> list[str]:
