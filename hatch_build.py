@@ -214,4 +214,4 @@ class Loops(BuildHookInterface):  # type: ignore[type-arg]
 
 
 if __name__ == "__main__":
-    print(build())
+    print(build())  # noqa: T201

@@ -22,7 +22,7 @@ from tumble.units import Array
 try:
     import cython
 except ImportError:
-    from tumble import uncompiled as cython  # type: ignore[no-redef]
+    from tumble import uncompiled as cython
 
 STEPS = 5
 """Gauss–Newton steps: from zero, sensors that are off by 5 % are known to rounding after five."""

@@ -31,7 +31,7 @@ from tumble.units import Array, BoolArray, IntArray
 try:
     import cython
 except ImportError:
-    from tumble import uncompiled as cython  # type: ignore[no-redef]
+    from tumble import uncompiled as cython
 
 if not cython.compiled:
     from numpy import cos, fabs, sin, sqrt
@@ -117,7 +117,7 @@ def _gather(work: Array, carried: Array, rest: Array, i: int, counts: bool, turn
             for column in range(columns):
                 work[column, rows] = turn[k, row, column]
             rows += 1
-    return rows
+    return rows  # type: ignore[no-any-return]
 
 
 def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> bool:
@@ -346,9 +346,7 @@ def _join(i: int, linked: bool, own: Array, shared: Array, joint: Array) -> None
             joint[d + a, 2 * d + q] = joint[2 * d + q, d + a] = shared[i + 1, a, q] if linked else 0.0
 
 
-def _leave(
-    rows: Array, joint: Array, unknown: Array, product: Array, residual: Array, covariance: Array
-) -> None:
+def _leave(rows: Array, joint: Array, unknown: Array, product: Array, residual: Array, covariance: Array) -> None:
     """Residuals (n,) of rows (m + 1, n), column by column, for unknowns (m,), and 1 − rowsᵀ joint rows (n, n)."""
     m, n = unknown.shape[0], residual.shape[0]
     for i in range(n):

@@ -15,7 +15,7 @@ from tumble.units import Array, IntArray
 try:
     import cython
 except ImportError:
-    from tumble import uncompiled as cython  # type: ignore[no-redef]
+    from tumble import uncompiled as cython
 
 if not cython.compiled:  # where it is, this is a number of kernels.pxd
     LANES = 16
@@ -73,7 +73,7 @@ def levinson(autocovariance: Array, filters: Array, powers: Array) -> int:
         for k in range(order + 1):
             filters[order, k] = filters[order - 1, k] + reflection * filters[order - 1, order - k]
         powers[order] = powers[order - 1] * (1.0 - reflection * reflection)
-    return autocovariance.shape[0]
+    return len(autocovariance)
 
 
 def continue_autocovariance(autocovariance: Array, prediction_filter: Array, negligible: float) -> None:

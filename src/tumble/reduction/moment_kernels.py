@@ -31,7 +31,7 @@ from tumble.units import Array, IntArray
 try:
     import cython
 except ImportError:
-    from tumble import uncompiled as cython  # type: ignore[no-redef]
+    from tumble import uncompiled as cython
 
 STRETCH = 500
 SHORTEST = 64
