@@ -99,7 +99,9 @@ def test_sums_over_samples_are_those_of_python() -> None:
         orders = module.levinson(further[:4].copy(), filters, powers)
         module.continue_autocovariance(further, np.array([1.0, -0.5, 0.0, 0.1]), 1e-9)
         found.append([np.array([blocks, orders]), module.allan_sums(phase, sizes), state, out, sums, filled, filters])
-        found[-1] += [powers, further]
+        lagging = values[:, 0].copy()
+        module.follow(lagging, 0.3)
+        found[-1] += [powers, further, lagging]
     for ours, theirs in zip(*found, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 

@@ -15,6 +15,8 @@ cpdef Py_ssize_t levinson(const double[:] autocovariance, double[:, :] filters, 
 @cython.locals(total=double, largest=double)
 cpdef continue_autocovariance(double[::1] autocovariance, const double[::1] prediction_filter, double negligible)
 
+cpdef follow(double[::1] values, double kept)
+
 @cython.locals(total=double, row=double, last=double, repeats=int64_t, count=int64_t, blocks=Py_ssize_t)
 cpdef Py_ssize_t block_sums(
     const double[:, :] values, const double[:] time, const double[:] weight, int64_t size, double[:] sums,

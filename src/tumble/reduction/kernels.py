@@ -91,6 +91,15 @@ def continue_autocovariance(autocovariance: Array, prediction_filter: Array, neg
                 break
 
 
+# A lag of first order ----------------------------------------------------------------------------------------
+
+
+def follow(values: Array, kept: float) -> None:
+    """Add to each of the values (n,) what is kept of the one before it, in place: y[k] = x[k] + a y[k−1]."""
+    for k in range(1, values.shape[0]):
+        values[k] += kept * values[k - 1]
+
+
 # Means of blocks and the state of channels --------------------------------------------------------------------
 
 CHANNEL_STATE = 14

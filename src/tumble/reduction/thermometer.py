@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
+from tumble.reduction import kernels as _kernels
 from tumble.units import Array, IntArray
 
 STEP = 1.0
@@ -65,7 +65,8 @@ def followed(kelvin: Array, step: float, lag: float, first: float | None = None)
     driven = np.empty(len(kelvin))
     driven[0] = kelvin[0] if first is None else first
     driven[1:] = kelvin[1:] - a * kelvin[:-1] - np.diff(kelvin) / step * lag * (1.0 - a)
-    return np.asarray(lfilter([1.0], [1.0, -a], driven))
+    _kernels.follow(driven, a)
+    return driven
 
 
 def _every_step(time: Array, kelvin: Array) -> tuple[float, Array]:
