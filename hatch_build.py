@@ -46,8 +46,9 @@ DIRECTIVES = {
 FLAGS = ("-O3", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden", "-w")
 GCC_FLAGS = ("--param=vect-max-version-for-alias-checks=1000",)
 FUSED = {"reduction/moment_kernels", "campaigns/triads"}
-"""Modules whose products and sums may be rounded once, and which are compiled for each generation of processors: the
-others give the same bits on all of them."""
+"""Modules whose products and sums may be rounded once; the others give the same bits on all processors."""
+PLAIN = {"reduction/kernels"}
+"""Modules that newer processors do not run faster."""
 AVX2 = ("-mavx2", "-mfma", "-mbmi2")
 AVX512 = (*AVX2, "-mavx512f", "-mavx512vl", "-mavx512dq", "-mavx512bw", "-mprefer-vector-width=512")
 GENERATIONS = {"_avx512": AVX512, "_avx2": AVX2, "": ()}
@@ -155,7 +156,7 @@ def _make(compiler: Compiler, loops: str, folder: Path) -> None:
     source, name = _c_of(loops, folder), Path(loops).name
     target = SOURCE / f"tumble/{loops}{ENDING}"
     fused = f"-ffp-contract={'fast' if loops in FUSED else 'off'}"
-    if loops not in FUSED or platform.machine().lower() not in ("x86_64", "amd64"):
+    if loops in PLAIN or platform.machine().lower() not in ("x86_64", "amd64"):
         compiler.link([compiler.compile(source, folder / f"{name}.o", fused)], target)
         return
     objects = []

@@ -6,18 +6,20 @@ from libc.stdint cimport int64_t
 cdef void _eliminate(
     const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link, const unsigned char[:] counts,
     double[:, :, :] factor, double[:, ::1] triangle, double rounding,
-    double[:, ::1] work, double[:, ::1] carried, double[:, ::1] kept, double[::1] length,
+    double[:, ::1] work, double[:, ::1] carried, double[:, ::1] kept, double[::1] length, double[::1] product,
 )
 cdef Py_ssize_t _gather(
     double[:, ::1] work, double[:, ::1] carried, const double[:, :, :] rest, Py_ssize_t i, bint counts,
     const double[:, :, :] turn, int64_t k,
 ) noexcept nogil
-@cython.locals(square=double, product=double)
+@cython.locals(square=double)
 cdef bint _reflect(
-    double[:, ::1] work, Py_ssize_t top, Py_ssize_t column, Py_ssize_t rows, double least
+    double[:, ::1] work, double[::1] product, Py_ssize_t top, Py_ssize_t column, Py_ssize_t rows, double least
 ) noexcept nogil
-@cython.locals(square=double, product=double)
-cdef void _fold(double[:, ::1] kept, Py_ssize_t count, double[:, ::1] triangle) noexcept nogil
+@cython.locals(square=double)
+cdef void _fold(
+    double[:, ::1] kept, double[::1] product, Py_ssize_t count, double[:, ::1] triangle
+) noexcept nogil
 
 cdef void _put_back(
     const double[:, :, ::1] factor, const int64_t[:] link, const double[::1] parameters,
@@ -27,6 +29,7 @@ cdef void _put_back(
 cdef void _solve_for(
     double[:, ::1] inverse, const double[:, ::1] factor, double[:, ::1] by_next, double[:, ::1] by, double[:] value
 ) noexcept nogil
+cdef void _add_symmetric(const double[:, ::1] a, const double[:, ::1] b, double[:, ::1] out) noexcept nogil
 @cython.locals(total=double)
 cdef void _add_product(const double[:, ::1] a, const double[:, ::1] b, double[:, ::1] out) noexcept nogil
 @cython.locals(total=double)

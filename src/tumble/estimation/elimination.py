@@ -13,8 +13,8 @@ the rest before it, with which they may be correlated: `counts` (N,) says whethe
 elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
 rows that give δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one
 triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
-is left is no information: its unknown, a heading that nothing shows, stays where it is. Rows stand in memory column
-by column, so that the loops over them are vector instructions.
+is left is no information: its unknown, a heading that nothing shows, stays where it is. Sums over rows are taken for
+all columns side by side, so that the loops over columns are vector instructions.
 
 Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
 compilation to the next, and rows of a campaign would differ in the last digit from process to process.
@@ -48,8 +48,9 @@ def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, facto
     the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
     r, t, d, p = rest.shape[1], turn.shape[1], factor.shape[1], len(triangle) - 1
     columns, most = 2 * d + p + 1, d + r + t
-    work, carried, kept = np.zeros((columns, most)), np.zeros((columns, d)), np.zeros((p + 1, BUFFER + most))
-    _eliminate(rest, turn, link, counts, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, np.zeros(2 * d))
+    work, carried, kept = np.zeros((most, columns)), np.zeros((d, columns)), np.zeros((BUFFER + most, p + 1))
+    length, product = np.zeros(2 * d), np.zeros(columns)
+    _eliminate(rest, turn, link, counts, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product)
 
 
 def _eliminate(
@@ -64,99 +65,103 @@ def _eliminate(
     carried: Array,
     kept: Array,
     length: Array,
+    product: Array,
 ) -> None:
     """One rest after the other. `length`: squares of the columns before anything was taken off them."""
-    d, p, columns = factor.shape[1], triangle.shape[0] - 1, work.shape[0]
-    buffer, count = kept.shape[1] - work.shape[1], 0
+    d, p, columns = factor.shape[1], triangle.shape[0] - 1, work.shape[1]
+    buffer, count = kept.shape[0] - work.shape[0], 0
     with cython.nogil:
         for i in range(rest.shape[0]):
             rows = _gather(work, carried, rest, i, counts[i], turn, link[i])
             for c in range(2 * d):
                 length[c] = length[c + d] if c < d else 0.0
                 for row in range(d, rows):
-                    length[c] += work[c, row] * work[c, row]
+                    length[c] += work[row, c] * work[row, c]
             top = 0
             for c in range(d):
-                seen = _reflect(work, top, c, rows, rounding * length[c])
+                seen = _reflect(work, product, top, c, rows, rounding * length[c])
                 for column in range(columns):
-                    factor[i, c, column] = work[column, top] if seen else 0.0
+                    factor[i, c, column] = work[top, column] if seen else 0.0
                 top += seen
             carried[:, :] = 0.0
             for c in range(d, 2 * d):
-                if _reflect(work, top, c, rows, rounding * length[c]):
+                if _reflect(work, product, top, c, rows, rounding * length[c]):
                     for column in range(d, columns):
-                        carried[column - d if column < 2 * d else column, c - d] = work[column, top]
+                        carried[c - d, column - d if column < 2 * d else column] = work[top, column]
                     top += 1
-            for column in range(p + 1):
-                for row in range(top, rows):
-                    kept[column, count + row - top] = work[2 * d + column, row]
+            for row in range(top, rows):
+                for column in range(p + 1):
+                    kept[count + row - top, column] = work[row, 2 * d + column]
             count += rows - top
             if count > buffer:
-                _fold(kept, count, triangle)
+                _fold(kept, product, count, triangle)
                 count = 0
-        _fold(kept, count, triangle)
+        _fold(kept, product, count, triangle)
 
 
 def _gather(work: Array, carried: Array, rest: Array, i: int, counts: bool, turn: Array, k: int) -> int:
     """Put what involves the unknowns of rest i together: carried rows, its own where they count, and those of turn k;
     how many."""
-    columns, d = carried.shape[0], carried.shape[1]
+    d, columns = carried.shape[0], carried.shape[1]
     rows = d
-    for column in range(columns):
-        for row in range(d):
-            work[column, row] = carried[column, row]
+    for row in range(d):
+        for column in range(columns):
+            work[row, column] = carried[row, column]
     if counts:
         for row in range(rest.shape[1]):
             for column in range(d):
-                work[column, rows], work[d + column, rows] = rest[i, row, column], 0.0
+                work[rows, column], work[rows, d + column] = rest[i, row, column], 0.0
             for column in range(2 * d, columns):
-                work[column, rows] = rest[i, row, column - d]
+                work[rows, column] = rest[i, row, column - d]
             rows += 1
     if k >= 0:
         for row in range(turn.shape[1]):
             for column in range(columns):
-                work[column, rows] = turn[k, row, column]
+                work[rows, column] = turn[k, row, column]
             rows += 1
     return rows  # type: ignore[no-any-return]
 
 
-def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> bool:
+def _reflect(work: Array, product: Array, top: int, column: int, rows: int, least: float) -> bool:
     """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
     has nothing in it."""
-    square = 0.0
+    columns, square = work.shape[1], 0.0
     for row in range(top, rows):
-        square += work[column, row] * work[column, row]
+        square += work[row, column] * work[row, column]
     if square <= least:
         for row in range(top, rows):
-            work[column, row] = 0.0
+            work[row, column] = 0.0
         return False
-    head = work[column, top]
+    head = work[top, column]
     diagonal = -sqrt(square) if head > 0.0 else sqrt(square)
-    work[column, top] = head - diagonal
+    work[top, column] = head - diagonal
     scale = 1.0 / (diagonal * (diagonal - head))
-    for other in range(column + 1, work.shape[0]):
-        product = 0.0
-        for row in range(top, rows):
-            product += work[column, row] * work[other, row]
-        if product == 0.0:
-            continue
-        product *= scale
-        for row in range(top, rows):
-            work[other, row] -= product * work[column, row]
-    work[column, top] = diagonal
+    for other in range(column + 1, columns):
+        product[other] = 0.0
+    for row in range(top, rows):
+        part = work[row, column]
+        for other in range(column + 1, columns):
+            product[other] += part * work[row, other]
+    for other in range(column + 1, columns):
+        product[other] *= scale
+    for row in range(top, rows):
+        part = work[row, column]
+        for other in range(column + 1, columns):
+            work[row, other] -= product[other] * part
+    work[top, column] = diagonal
     for row in range(top + 1, rows):
-        work[column, row] = 0.0
+        work[row, column] = 0.0
     return True
 
 
-def _fold(kept: Array, count: int, triangle: Array) -> None:
-    """Fold rows (p + 1, count), column by column in memory and overwritten, into an upper triangle (p + 1, p + 1):
-    Householder reflections of the rows together with one row of the triangle at a time."""
+def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
+    """Fold rows (count, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections
+    of the rows together with one row of the triangle at a time."""
     size = triangle.shape[0]
     for c in range(size):
         square = 0.0
         for row in range(count):
-            square += kept[c, row] * kept[c, row]
+            square += kept[row, c] * kept[row, c]
         if square == 0.0:
             continue
         head = triangle[c, c]
@@ -166,13 +171,18 @@ def _fold(kept: Array, count: int, triangle: Array) -> None:
         scale = 1.0 / (diagonal * (diagonal - head))
         triangle[c, c] = diagonal
         for other in range(c + 1, size):
-            product = top * triangle[c, other]
-            for row in range(count):
-                product += kept[c, row] * kept[other, row]
-            product *= scale
-            triangle[c, other] -= product * top
-            for row in range(count):
-                kept[other, row] -= product * kept[c, row]
+            product[other] = top * triangle[c, other]
+        for row in range(count):
+            part = kept[row, c]
+            for other in range(c + 1, size):
+                product[other] += part * kept[row, other]
+        for other in range(c + 1, size):
+            product[other] *= scale
+            triangle[c, other] -= product[other] * top
+        for row in range(count):
+            part = kept[row, c]
+            for other in range(c + 1, size):
+                kept[row, other] -= product[other] * part
 
 
 def put_back(
@@ -209,7 +219,7 @@ def _put_back(
             for a in range(d):
                 for b in range(p):
                     unknowns[i, a] += by[a, b] * parameters[b]
-            _add_product(by, covariance, shared[i])
+            _add_symmetric(by, covariance, shared[i])
             _add_product(inverse, inverse, own[0, i])
             if link[i] >= 0:
                 for a in range(d):
@@ -235,6 +245,15 @@ def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: 
             for column in range(p):
                 by[a, column] -= inverse[a, b] * factor[b, 2 * d + column]
             value[a] += inverse[a, b] * factor[b, 2 * d + p]
+
+
+def _add_symmetric(a: Array, b: Array, out: Array) -> None:
+    """Add a b, b symmetric."""
+    for i in range(a.shape[0]):
+        for c in range(a.shape[1]):
+            part = a[i, c]
+            for j in range(b.shape[1]):
+                out[i, j] += part * b[c, j]
 
 
 def _add_product(a: Array, b: Array, out: Array) -> None:
