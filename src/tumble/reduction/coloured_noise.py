@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tumble.reduction import kernels as _kernels
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 BATCHES = 120
 MAX_ORDER = 32
