@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib.util
 from dataclasses import fields
 from types import ModuleType
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from click.testing import CliRunner
 
@@ -31,7 +33,7 @@ def as_python(loops: str) -> ModuleType:
     return module
 
 
-def rows(rests: int, angles: int, parameters: int, seed: int) -> tuple[tuple[Array, ...], Array, Array]:
+def rows(rests: int, angles: int, parameters: int, seed: int) -> tuple[tuple[npt.NDArray[Any], ...], Array, Array]:
     """Rows of rests and turns of a chain that is interrupted once, and memory for factors and triangle."""
     rng = np.random.default_rng(seed)
     link = np.append(np.arange(rests - 1), -1)
