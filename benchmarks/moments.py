@@ -1,8 +1,8 @@
 """How fast are the moments of turns, compensation included?
 
 `tumble.reduction.moments.moments_of` on one core: all that a turn needs, with own-axis sums of a triad, and with
-nonlinear terms too. All alternate so that they see the same machine. A figure is processor time, the least of several runs, since
-whatever else runs on the machine only ever adds. The answer is printed last.
+nonlinear terms too. All alternate so that they see the same machine. A figure is processor time, the least of several
+runs, since whatever else runs on the machine only ever adds. The answer is printed last.
 """
 
 from __future__ import annotations
