@@ -199,7 +199,7 @@ class Estimate:
     prediction: Prediction | None = None
     """What corrected readings are known to."""
     linearised: Linearised | None = None
-    """The likelihood about the estimate of one session, where the method has one."""
+    """The likelihood about the estimate, where the method has one."""
     own: OwnEstimate | None = None
     """Of several sessions, what each has of its own."""
 
