@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN = .venv/bin
 INSTALL = $(shell command -v uv >/dev/null 2>&1 && echo "uv pip install -q --python $(BIN)/python" || echo "$(BIN)/python -m pip install -q --disable-pip-version-check")
 
-.PHONY: demo bench-demo test lint bench docs clean
+.PHONY: demo bench-demo test lint bench docs kernels clean
 
 demo: .venv/demo
 	rm -rf demo
@@ -15,7 +15,7 @@ bench-demo: .venv/bench
 	$(BIN)/tumble simulate demo/recorded --grade mems --rest 20 --rate 30 --format csv --seed 3
 	$(BIN)/tumble bench demo/bench --listen replay:demo/recorded@10x --browser
 
-test: .venv/test lint
+test: .venv/test kernels lint
 	$(BIN)/python -m pytest -n auto
 
 lint: .venv/test
@@ -28,23 +28,27 @@ docs: .venv/test
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 	@echo "site/index.html"
 
-bench: .venv/test
+kernels: .venv/test
+	$(BIN)/python hatch_build.py
+
+bench: .venv/test kernels
 	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-.venv/demo: pyproject.toml | .venv/bin/python
+.venv/demo: pyproject.toml hatch_build.py | .venv/bin/python
 	$(INSTALL) -e .
 	touch $@
 
-.venv/bench: pyproject.toml | .venv/bin/python
+.venv/bench: pyproject.toml hatch_build.py | .venv/bin/python
 	$(INSTALL) -e '.[bench,report]'
 	touch $@
 
-.venv/test: pyproject.toml | .venv/bin/python
+.venv/test: pyproject.toml hatch_build.py | .venv/bin/python
 	$(INSTALL) -e '.[dev]'
 	touch $@ .venv/demo
 
 clean:
-	rm -rf .venv demo site
+	rm -rf .venv demo site src/tumble/compiled.json
+	find src -name '*.so' -delete

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import resource
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -153,8 +152,6 @@ def main() -> int:
     parser.add_argument("--hours", type=float, default=8.0)
     given = parser.parse_args()
     seconds = 90.0 if given.short else 3600.0 * given.hours
-    compiled = "from tumble.bench.warm_up import warm_up; warm_up()"
-    subprocess.run([sys.executable, "-c", compiled], check=True)  # what the compiler takes is not what a day takes
     folder = Path(tempfile.mkdtemp())
     log = in_si() | {"magnetometer": {"columns": list(COLUMNS[7:]), "unit": "uT"}}
     begin(folder / "launch", log=log, serial="endurance", site={"latitude_deg": LATITUDE_DEG}, programme=None)

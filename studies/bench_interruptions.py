@@ -173,7 +173,7 @@ def main() -> int:
     parser.add_argument("--short", action="store_true", help="one session and six kills")
     given = parser.parse_args()
     sessions, kills, per_session = (1, 6, 6) if given.short else (20, 200, 40)
-    multiprocessing.set_forkserver_preload(["tumble.bench.station", "tumble.bench.warm_up", __name__])
+    multiprocessing.set_forkserver_preload(["tumble.bench.station", __name__])
     rng, sound, same, count, halves, used = np.random.default_rng(1), True, 0, 0, 0, 0
     with tempfile.TemporaryDirectory() as made:
         for k in range(sessions):

@@ -218,7 +218,7 @@ def compare(noise: NoiseModel, sessions: int) -> Compared:
         one = run(scenario, recording, rests, np.zeros(21))
         clock.append(time.perf_counter())
         two = run(scenario, recording, rests, one.values)
-        if seed:  # the first session loads the compiled loops
+        if seed:  # the first session loads the libraries
             for name, passed in zip(seconds, np.diff(clock), strict=True):
                 seconds[name] += passed
         for name, values, uncertainty in (

@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tumble.reduction import moment_kernels as _kernels
 from tumble.reduction.moment_kernels import GROUP, LANES, STRETCH, TILE
 from tumble.reduction.moments import (
     NO_OWN_AXES,
@@ -196,17 +195,6 @@ def test_a_number_that_is_not_one_spoils_its_own_turn_only() -> None:
     for f in fields(Moments):
         ours, theirs = (np.delete(getattr(x, f.name), 7, axis=0) for x in (found, clean))
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_every_loop_is_compiled_once() -> None:
-    rng = np.random.default_rng(6)
-    for axes in ARRAYS.values():
-        for plain in (True, False):
-            pieces = pieces_of(wandering(rng, 300), np.array([5, 100]), np.array([90, 300]))
-            for own in (NO_OWN_AXES, OwnAxes(gyro=axes, accel=axes)):
-                moments_of(pieces, some_compensation(rng, axes, plain=plain), own)
-    loops = {name: value.signatures for name, value in vars(_kernels).items() if hasattr(value, "signatures")}
-    assert {name: len(signatures) for name, signatures in loops.items() if len(signatures) > 1} == {}
 
 
 # A simulated turn --------------------------------------------------------------------------------------------------

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
 from multiprocessing import get_context
 from typing import Any
 
 import naive
-import numba
 import numpy as np
 import numpy.typing as npt
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from preintegrated import preintegrate
 from scipy.spatial.transform import Rotation
 
-from tumble.reduction import kernels as _kernels
 from tumble.reduction.moment_kernels import LANES, STRETCH, TILE
 from tumble.rotation import rotation_matrix, skew
 from tumble.units import Array
@@ -263,19 +258,6 @@ def test_a_number_that_is_not_one_spoils_its_own_turn_only() -> None:
         np.testing.assert_array_equal(np.delete(found, 7, axis=0), np.delete(expected, 7, axis=0))
 
 
-@pytest.mark.parametrize(
-    "module", ["reduction.kernels", "reduction.moment_kernels", "estimation.elimination", "campaigns.triads"]
-)
-def test_importing_compiles_nothing(module: str) -> None:
-    code = f"""
-import tumble.{module} as kernels
-compiled = [name for name, value in vars(kernels).items() if getattr(value, "signatures", None)]
-loops = [name for name, value in vars(kernels).items() if hasattr(value, "signatures")]
-assert loops and not compiled, compiled
-"""
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
-
-
 def test_spawned_workers_get_the_same_numbers() -> None:
     increment, dt, transform, offset = motion(np.random.default_rng(9), 400)
     here = preintegrate(increment, dt, *whole(400), transform, offset)
@@ -284,19 +266,3 @@ def test_spawned_workers_get_the_same_numbers() -> None:
         for job in jobs:
             for found, expected in zip(job.result(timeout=100), here, strict=True):
                 np.testing.assert_array_equal(found, expected)
-
-
-def test_loops_compile_where_no_cache_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    njit = numba.njit
-
-    def without_folder(cache: bool = False, **flags: Any) -> Any:
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available")
-        return njit(**flags)
-
-    monkeypatch.setattr(numba, "njit", without_folder)
-
-    def twice(x: float) -> float:
-        return 2.0 * x
-
-    assert _kernels._compiled(error_model="numpy")(twice)(1.5) == 3.0

@@ -15,7 +15,7 @@ METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
 
 
 def sources() -> set[str]:
-    """The files of the package, as they lie in the wheel."""
+    """The files of the package, compiled ones with them, as they lie in the wheel."""
     files = (path.relative_to(ROOT / "src") for path in (ROOT / "src/tumble").rglob("*") if path.is_file())
     return {path.as_posix() for path in files if "__pycache__" not in path.parts}
 
@@ -26,9 +26,12 @@ def test_the_wheel_holds_the_package_its_pages_its_types_and_its_command(tmp_pat
     names = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert names == sources()
     assert {"tumble/py.typed", "tumble/bench/page/index.html", "tumble/bench/page/vendor/uPlot.LICENSE"} <= names
-    described = {name.partition(".dist-info/")[2]: wheel.read(name).decode() for name in wheel.namelist()}
+    metadata = (name for name in wheel.namelist() if ".dist-info/" in name)
+    described = {name.partition(".dist-info/")[2]: wheel.read(name).decode() for name in metadata}
     assert "tumble = tumble.cli:main" in described["entry_points.txt"]
-    assert "Root-Is-Purelib: true" in described["WHEEL"]  # no compiler is needed to install it
+    compiled = "tumble/compiled.json" in names
+    assert f"Root-Is-Purelib: {str(not compiled).lower()}" in described["WHEEL"]
+    assert ("Tag: cp311-abi3-" if compiled else "Tag: py3-none-any") in described["WHEEL"]  # any Python from 3.11
     assert described["licenses/LICENSE"] == (ROOT / "LICENSE").read_text(encoding="utf-8")
     assert f"Requires-Python: {METADATA['requires-python']}" in described["METADATA"]
 
@@ -41,7 +44,8 @@ def test_the_sdist_holds_what_its_tests_need(tmp_path: Path) -> None:
         here = {path.relative_to(ROOT).as_posix() for path in (ROOT / folder).rglob("*.py")}
         assert here <= names, f"{folder}: {sorted(here - names)}"
     assert {"pyproject.toml", "mkdocs.yml", "README.md", "CHANGELOG.md", "LICENSE", "CITATION.cff", "Makefile"} <= names
-    assert not [name for name in names if "__pycache__" in name or name.startswith("dist/")]
+    assert {"hatch_build.py", "src/tumble/reduction/kernels.pxd"} <= names
+    assert not [name for name in names if "__pycache__" in name or name.startswith("dist/") or name.endswith(".so")]
 
 
 def test_the_version_is_the_same_wherever_it_stands() -> None:

@@ -21,11 +21,13 @@ def test_the_reference_cases_pass_and_are_recorded_with_machine_versions_and_has
     assert record["by"] == "A. Metrologist"
     assert record["passed"] is True
     assert all(case["passed"] and case["low"] <= case["figure"] <= case["high"] for case in record["cases"])
-    assert {"numpy", "scipy", "numba", "polars"} <= set(record["versions"])
+    assert {"numpy", "scipy", "polars"} <= set(record["versions"])
     source = Path(module.__file__)
     assert record["source_sha256"]["selftest.py"] == hashlib.sha256(source.read_bytes()).hexdigest()
     assert record["source_sha256"].keys() == {
-        path.relative_to(source.parent).as_posix() for path in source.parent.rglob("*.py")
+        path.relative_to(source.parent).as_posix()
+        for path in source.parent.rglob("*")
+        if path.suffix in {".py", ".pxd", ".so", ".pyd"}
     }
     again = CliRunner().invoke(main, ["selftest", "-o", str(tmp_path / "record.json")])
     assert (again.exit_code, again.stderr.count("\n")) == (2, 1)

@@ -18,6 +18,7 @@ from typing import Any
 import click
 
 from tumble import __version__, commands
+from tumble.compiled import record
 from tumble.documents import one_line
 from tumble.errors import TumbleError
 
@@ -129,15 +130,17 @@ class _Commands(click.Group):
 @click.option("-v", "--verbose", is_flag=True, help="At the end, the versions, the time and the memory it took.")
 @click.version_option(__version__, prog_name="tumble")
 @click.pass_context
-def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: ARG001 — `say` looks whether it is quiet
+def main(context: click.Context, quiet: bool, verbose: bool) -> None:
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
+    if not record() and not quiet:
+        click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)
     if verbose:
         started = time.monotonic()
         context.call_on_close(lambda: _say_what_it_took(time.monotonic() - started))
 
 
 def _say_what_it_took(seconds: float) -> None:
-    versions = [f"{name} {version(name)}" for name in ("numpy", "numba", "polars")]
+    versions = [f"{name} {version(name)}" for name in ("numpy", "polars")]
     said = [f"tumble {__version__}", f"Python {platform.python_version()}", *versions, f"{seconds:.2f} s"]
     with suppress(ImportError):  # not on Windows
         import resource

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble import __version__
+from tumble import __version__, compiled
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.earth import normal_gravity
@@ -36,7 +36,7 @@ from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.units import DEGREE, G_STANDARD
 
-LIBRARIES = ("numpy", "scipy", "numba", "polars", "pydantic")
+LIBRARIES = ("numpy", "scipy", "polars", "pydantic")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -113,6 +113,7 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
             "processor": platform.processor() or platform.machine(),
             "python": f"{platform.python_implementation()} {platform.python_version()}",
             "byte_order": sys.byteorder,
+            "loops": compiled.words(),
         },
         versions={name: version(name) for name in LIBRARIES},
         source_sha256=dict(_sources()),
@@ -121,9 +122,9 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
 
 
 def _sources() -> Iterator[tuple[str, str]]:
-    """Every source file of the program with its SHA-256."""
+    """Every source file of the program with its SHA-256, and what is compiled of them."""
     package = Path(__file__).parent
-    for path in sorted(package.rglob("*.py")):
+    for path in sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pxd", ".so", ".pyd")):
         yield path.relative_to(package).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -44,7 +44,6 @@ from tumble.bench.course import (
 from tumble.bench.follow import BRIDGED, Clock, Follower
 from tumble.bench.intake import Intake
 from tumble.bench.sources import LineSource
-from tumble.bench.warm_up import warm_up
 from tumble.bench.watch import Watch
 from tumble.bench.wishes import DIRECTIONS, better_by, gains, reached, rest_wishes, temperature_limit, wishes
 from tumble.errors import TumbleError
@@ -151,7 +150,6 @@ class Station:
 
     def start(self) -> None:
         """Begin to record and to follow."""
-        self._worker.submit(warm_up)
         self._record()
         self._thread.start()
 

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tumble.calibration.calibration_keys import check_keys
 from tumble.calibration.correction import true_force, true_rate
 from tumble.calibration.coverage import with_degrees
 from tumble.calibration.reframed import reframed
@@ -414,6 +413,8 @@ def calibration_of(text: str, name: str) -> Calibration:
         raise _no_calibration(name, error) from error
     if isinstance(content, dict) and content.get("format", FORMAT) != FORMAT:
         raise CalibrationError(f"{name}: expected format {FORMAT}, found {shown(content['format'])}")
+    from tumble.calibration.calibration_keys import check_keys  # slow to import, and needed to read alone
+
     check_keys(content, name)
     return _from_content(content)
 

@@ -1,7 +1,7 @@
 """Chunks of tasks on a cluster of processes: one of this machine, or one that is there already.
 
 The processes are those of dask.distributed, which gives the work of a process that dies to another. They are spawned,
-never forked: a copy of a process that has threads of polars or numba hangs. Everything listens on the loopback alone.
+never forked: a copy of a process that has threads of polars hangs. Everything listens on the loopback alone.
 
 A chunk whose process died comes back as KilledWorker. Most are innocent: someone ended the process, or its memory ran
 out. So its tasks are set aside, and tried one by one at the end, when nothing else runs: what then ends its process

@@ -17,18 +17,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.reduction.kernels import _compiled, _part_of_compiled
 from tumble.units import Array
 
-PARAMETERS = 9
+try:
+    import cython
+except ImportError:
+    from tumble import uncompiled as cython
+
 STEPS = 5
 """Gauss–Newton steps: from zero, sensors that are off by 5 % are known to rounding after five."""
 
-LANES = 16
-_ROWS = 10
-_MODEL = 14
-_TOGETHER = 4
-_SUMS = _ROWS * (_ROWS + 1) // 2
+if not cython.compiled:  # where it is, these are numbers of triads.pxd
+    from numpy import cos, sin, sqrt
+
+    PARAMETERS = 9
+    LANES = 16
+    _ROWS = 10
+    _MODEL = 14
+    _TOGETHER = 4
+    _SUMS = _ROWS * (_ROWS + 1) // 2
 
 
 def fit_statics(readings: Array, gravity: float, start: Array | None = None) -> tuple[Array, Array, Array]:
@@ -41,85 +48,99 @@ def fit_statics(readings: Array, gravity: float, start: Array | None = None) -> 
     n = len(readings)
     values = np.zeros((n, PARAMETERS)) if start is None else np.array(start, dtype=np.float64)
     variance, step = np.empty((n, PARAMETERS)), np.empty((n, PARAMETERS))
-    _fit(readings, float(gravity), values, variance, step)
+    tile = np.empty((readings.shape[1] * 3, LANES))
+    rows = (PARAMETERS, _MODEL, _SUMS, PARAMETERS, PARAMETERS, _TOGETHER * _ROWS)
+    theta, model, sums, spread, column, h = (np.zeros((count, LANES)) for count in rows)
+    _fit(readings, float(gravity), STEPS, values, variance, step, tile, theta, model, sums, spread, column, h)
     return values, variance, step
 
 
-@_compiled(error_model="numpy", fastmath={"contract"})
-def _fit(readings: Array, gravity: float, values: Array, variance: Array, step: Array) -> None:
+def _fit(
+    readings: Array,
+    gravity: float,
+    steps: int,
+    values: Array,
+    variance: Array,
+    step: Array,
+    tile: Array,
+    theta: Array,
+    model: Array,
+    sums: Array,
+    spread: Array,
+    column: Array,
+    h: Array,
+) -> None:
     """LANES triads at a time; the last group is filled up with copies of the last triad."""
     n, rests = readings.shape[0], readings.shape[1]
-    tile = np.empty((rests * 3, LANES))
-    theta, model, sums = np.empty((PARAMETERS, LANES)), np.empty((_MODEL, LANES)), np.empty((_SUMS, LANES))
-    spread = np.empty((PARAMETERS, LANES))
-    for first in range(0, n, LANES):
-        for lane in range(LANES):
-            triad = min(first + lane, n - 1)
-            for j in range(rests):
-                for p in range(3):
-                    tile[3 * j + p, lane] = readings[triad, j, p]
-            for m in range(PARAMETERS):
-                theta[m, lane] = values[triad, m]
-        for _ in range(STEPS):
-            _model(theta, model)
-            _accumulate(tile, gravity, theta, model, sums)
-            _factorise(sums)
-            _solve(sums, theta)
-        _variances(sums, spread)
-        for lane in range(min(LANES, n - first)):
-            for m in range(PARAMETERS):
-                values[first + lane, m] = theta[m, lane]
-                step[first + lane, m] = sums[_at(PARAMETERS, m), lane]
-                variance[first + lane, m] = spread[m, lane]
+    with cython.nogil:
+        for group in range((n + LANES - 1) // LANES):
+            first = group * LANES
+            for lane in range(LANES):
+                triad = min(first + lane, n - 1)
+                for j in range(rests):
+                    for p in range(3):
+                        tile[3 * j + p, lane] = readings[triad, j, p]
+                for m in range(PARAMETERS):
+                    theta[m, lane] = values[triad, m]
+            for _ in range(steps):
+                _model(theta, model)
+                _accumulate(tile, gravity, theta, model, h, sums)
+                _factorise(sums)
+                _solve(sums, theta)
+            _variances(sums, column, spread)
+            for lane in range(min(LANES, n - first)):
+                for m in range(PARAMETERS):
+                    values[first + lane, m] = theta[m, lane]
+                    step[first + lane, m] = sums[_at(PARAMETERS, m), lane]
+                    variance[first + lane, m] = spread[m, lane]
 
 
-@_part_of_compiled(error_model="numpy")
 def _at(row: int, column: int) -> int:
     """Where an element of a lower triangle is."""
     return row * (row + 1) // 2 + column
 
 
-@_part_of_compiled(error_model="numpy")
 def _model(theta: Array, model: Array) -> None:
     """What the parameters (9, lanes) mean: per lane sin and cos of γ_yx, γ_zx, γ_zy; 1 + k and its inverse; the
     inverses of the diagonal of A in rows y and z."""
     for lane in range(LANES):
         for i in range(3):
-            model[2 * i, lane] = np.sin(theta[6 + i, lane])
-            model[2 * i + 1, lane] = np.cos(theta[6 + i, lane])
+            model[2 * i, lane] = sin(theta[6 + i, lane])
+            model[2 * i + 1, lane] = cos(theta[6 + i, lane])
             model[6 + i, lane] = 1.0 + theta[3 + i, lane]
             model[9 + i, lane] = 1.0 / model[6 + i, lane]
         model[12, lane] = 1.0 / model[1, lane]
         model[13, lane] = 1.0 / (model[3, lane] * model[5, lane])
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _accumulate(tile: Array, gravity: float, theta: Array, model: Array, sums: Array) -> None:
-    """Lower triangle of Σ (h, r)ᵀ(h, r) over the rests, h = −dr/dθ; _TOGETHER rests at a time."""
-    h = np.zeros((_TOGETHER, _ROWS, LANES))
+def _accumulate(tile: Array, gravity: float, theta: Array, model: Array, h: Array, sums: Array) -> None:
+    """Lower triangle of Σ (h, r)ᵀ(h, r) over the rests, h = −dr/dθ; _TOGETHER rests at a time, of which h has a row
+    for each number."""
     rests = tile.shape[0] // 3
-    sums[:] = 0.0
-    for first in range(0, rests, _TOGETHER):
+    sums[:, :] = 0.0
+    for group in range((rests + _TOGETHER - 1) // _TOGETHER):
+        first = group * _TOGETHER
         for j in range(_TOGETHER):
             if first + j < rests:
-                _row(tile, 3 * (first + j), gravity, theta, model, h[j])
+                _row(tile, 3 * (first + j), gravity, theta, model, h, j * _ROWS)
             else:
-                h[j] = 0.0
+                for row in range(_ROWS):
+                    for lane in range(LANES):
+                        h[j * _ROWS + row, lane] = 0.0
         for row in range(_ROWS):
             for column in range(row + 1):
                 at = row * (row + 1) // 2 + column
                 for lane in range(LANES):
                     sums[at, lane] += (
-                        h[0, row, lane] * h[0, column, lane]
-                        + h[1, row, lane] * h[1, column, lane]
-                        + h[2, row, lane] * h[2, column, lane]
-                        + h[3, row, lane] * h[3, column, lane]
+                        h[row, lane] * h[column, lane]
+                        + h[_ROWS + row, lane] * h[_ROWS + column, lane]
+                        + h[2 * _ROWS + row, lane] * h[2 * _ROWS + column, lane]
+                        + h[3 * _ROWS + row, lane] * h[3 * _ROWS + column, lane]
                     )
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _row(tile: Array, at: int, gravity: float, theta: Array, model: Array, h: Array) -> None:
-    """h and r (10, lanes) of a rest whose readings are three rows of `tile`."""
+def _row(tile: Array, at: int, gravity: float, theta: Array, model: Array, h: Array, to: int) -> None:
+    """h and r (10, lanes) of a rest whose readings are three rows of `tile`, to the rows of `h` from `to`."""
     for lane in range(LANES):
         s_yx, c_yx, s_zx, c_zx = model[0, lane], model[1, lane], model[2, lane], model[3, lane]
         s_zy, c_zy, fy, fz = model[4, lane], model[5, lane], model[7, lane], model[8, lane]
@@ -128,22 +149,21 @@ def _row(tile: Array, at: int, gravity: float, theta: Array, model: Array, h: Ar
         ax = (tile[at, lane] - theta[0, lane]) * model[9, lane]
         ay = (along_y - s_yx * ax) * model[12, lane]
         az = (along_z - s_zx * ax - c_zx * s_zy * ay) * model[13, lane]
-        size = np.sqrt(ax * ax + ay * ay + az * az)
+        size = sqrt(ax * ax + ay * ay + az * az)
         vz = az * model[13, lane]
         vy = (ay - c_zx * s_zy * vz) * model[12, lane]
         vx = (ax - s_yx * vy - s_zx * vz) * model[9, lane]
         vy, vz = vy * model[10, lane], vz * model[11, lane]
-        shrink = 1.0 / np.sqrt(vx * vx + vy * vy + vz * vz)
+        shrink = 1.0 / sqrt(vx * vx + vy * vy + vz * vz)
         nx, ny, nz = vx * shrink, vy * shrink, vz * shrink
-        h[0, lane], h[1, lane], h[2, lane] = nx, ny, nz
-        h[3, lane], h[4, lane], h[5, lane] = nx * ax, ny * along_y, nz * along_z
-        h[6, lane] = ny * fy * (c_yx * ax - s_yx * ay)
-        h[7, lane] = nz * fz * (c_zx * ax - s_zx * (s_zy * ay + c_zy * az))
-        h[8, lane] = nz * fz * c_zx * (c_zy * ay - s_zy * az)
-        h[9, lane] = (size - gravity) * size * shrink
+        h[to, lane], h[to + 1, lane], h[to + 2, lane] = nx, ny, nz
+        h[to + 3, lane], h[to + 4, lane], h[to + 5, lane] = nx * ax, ny * along_y, nz * along_z
+        h[to + 6, lane] = ny * fy * (c_yx * ax - s_yx * ay)
+        h[to + 7, lane] = nz * fz * (c_zx * ax - s_zx * (s_zy * ay + c_zy * az))
+        h[to + 8, lane] = nz * fz * c_zx * (c_zy * ay - s_zy * az)
+        h[to + 9, lane] = (size - gravity) * size * shrink
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _factorise(sums: Array) -> None:
     """Cholesky factor L of the first nine rows in place; the tenth becomes L⁻¹ Σ hᵀ r."""
     for row in range(_ROWS):
@@ -155,17 +175,17 @@ def _factorise(sums: Array) -> None:
                     sums[at, lane] -= sums[left, lane] * sums[right, lane]
             if row == column:
                 for lane in range(LANES):
-                    sums[at, lane] = np.sqrt(sums[at, lane])
+                    sums[at, lane] = sqrt(sums[at, lane])
             else:
                 diagonal = column * (column + 1) // 2 + column
                 for lane in range(LANES):
                     sums[at, lane] /= sums[diagonal, lane]
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _solve(sums: Array, theta: Array) -> None:
     """The step L⁻ᵀ (L⁻¹ Σ hᵀ r), in the tenth row, added to the parameters."""
-    for row in range(PARAMETERS - 1, -1, -1):
+    for back in range(PARAMETERS):
+        row = PARAMETERS - 1 - back
         at = _at(PARAMETERS, row)
         for i in range(row + 1, PARAMETERS):
             for lane in range(LANES):
@@ -175,10 +195,8 @@ def _solve(sums: Array, theta: Array) -> None:
             theta[row, lane] += sums[at, lane]
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _variances(sums: Array, spread: Array) -> None:
+def _variances(sums: Array, column: Array, spread: Array) -> None:
     """Diagonal (9, lanes) of (L Lᵀ)⁻¹: squares of the columns of L⁻¹."""
-    column = np.empty((PARAMETERS, LANES))
     for m in range(PARAMETERS):
         for row in range(m, PARAMETERS):
             for lane in range(LANES):
@@ -191,7 +209,7 @@ def _variances(sums: Array, spread: Array) -> None:
             for lane in range(LANES):
                 column[row, lane] /= sums[at, lane]
         for lane in range(LANES):
-            spread[m, lane] = column[m, lane] ** 2
+            spread[m, lane] = column[m, lane] * column[m, lane]
         for row in range(m + 1, PARAMETERS):
             for lane in range(LANES):
-                spread[m, lane] += column[row, lane] ** 2
+                spread[m, lane] += column[row, lane] * column[row, lane]

@@ -25,6 +25,7 @@ def selftest(out: Path | None, by: str | None) -> None:
     record = run_selftest(by=by, progress=lambda name: say(f"running: {name}"))
     print_report(record_table(record))
     click.echo(f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}")
+    click.echo(f"loops over samples: {record.machine['loops']}")
     click.echo("passed" if record.passed else "FAILED")
     if out is not None:
         record.write(out)

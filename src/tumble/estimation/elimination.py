@@ -13,21 +13,28 @@ the rest before it, with which they may be correlated: `counts` (N,) says whethe
 elimination is orthogonal (a square-root information filter): Householder reflections of what involves δᵢ leave d
 rows that give δᵢ once the rest is known, rows on δᵢ₊₁, carried on, and rows on the parameters alone, folded into one
 triangle. Nothing is squared, and the cost is linear in the number of rests. A column of which nothing but rounding
-is left is no information: its unknown, a heading that nothing shows, stays where it is. Rows stand in memory column
-by column, so that the loops over them are vector instructions.
+is left is no information: its unknown, a heading that nothing shows, stays where it is. Sums over rows are taken for
+all columns side by side, so that the loops over columns are vector instructions.
 
 Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
 compilation to the next, and rows of a campaign would differ in the last digit from process to process.
 
-Nothing is compiled when this module is imported; see `tumble.reduction.kernels`, whose rules hold here.
+`elimination.pxd` says what of this is compiled, and how; the rules of `tumble.reduction.kernels` hold.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from tumble.reduction.kernels import IntArray, _compiled, _part_of_compiled
-from tumble.units import Array, BoolArray
+from tumble.units import Array, BoolArray, IntArray
+
+try:
+    import cython
+except ImportError:
+    from tumble import uncompiled as cython
+
+if not cython.compiled:
+    from numpy import cos, fabs, sin, sqrt
 
 ROUNDING = 1e-10
 """A column that an elimination leaves with less than this part of its length has nothing left in it."""
@@ -36,167 +43,202 @@ BUFFER = 96
 """Rows on the parameters that are folded into the triangle together."""
 
 
-@_compiled(error_model="numpy")
 def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
     the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
-    N, r = rest.shape[:2]
-    t, d, p = turn.shape[1], factor.shape[1], len(triangle) - 1
-    rows_most, columns = d + r + t, 2 * d + p + 1
-    work = np.zeros((columns, rows_most))
-    carried = np.zeros((columns, d))
-    kept = np.zeros((p + 1, BUFFER + rows_most))
-    zero = int(np.int64(0))  # as literals they would have the loops that follow compiled a second time
-    count = zero
-    length = np.zeros(2 * d)  # squares of the columns before anything was taken off them
-    for i in range(N):
-        k = link[i]
-        rows = _gather(work, carried, rest[i], counts[i], turn, k)
-        for c in range(2 * d):
-            length[c] = length[c + d] if c < d else 0.0
-            for row in range(d, rows):
-                length[c] += work[c, row] ** 2
-        top = zero
-        for c in range(d):
-            seen = _reflect(work, top, c, rows, ROUNDING**2 * length[c])
-            for column in range(columns):
-                factor[i, c, column] = work[column, top] if seen else 0.0
-            top += seen
-        carried[:] = 0.0
-        for c in range(d, 2 * d):
-            if _reflect(work, top, c, rows, ROUNDING**2 * length[c]):
-                for column in range(d, columns):
-                    carried[column - d if column < 2 * d else column, c - d] = work[column, top]
-                top += 1
-        for column in range(p + 1):
+    r, t, d, p = rest.shape[1], turn.shape[1], factor.shape[1], len(triangle) - 1
+    columns, most = 2 * d + p + 1, d + r + t
+    work, carried, kept = np.zeros((most, columns)), np.zeros((d, columns)), np.zeros((BUFFER + most, p + 1))
+    length, product = np.zeros(2 * d), np.zeros(columns)
+    _eliminate(rest, turn, link, counts, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product)
+
+
+def _eliminate(
+    rest: Array,
+    turn: Array,
+    link: IntArray,
+    counts: BoolArray,
+    factor: Array,
+    triangle: Array,
+    rounding: float,
+    work: Array,
+    carried: Array,
+    kept: Array,
+    length: Array,
+    product: Array,
+) -> None:
+    """One rest after the other. `length`: squares of the columns before anything was taken off them."""
+    d, p, columns = factor.shape[1], triangle.shape[0] - 1, work.shape[1]
+    buffer, count = kept.shape[0] - work.shape[0], 0
+    with cython.nogil:
+        for i in range(rest.shape[0]):
+            rows = _gather(work, carried, rest, i, counts[i], turn, link[i])
+            for c in range(2 * d):
+                length[c] = length[c + d] if c < d else 0.0
+                for row in range(d, rows):
+                    length[c] += work[row, c] * work[row, c]
+            top = 0
+            for c in range(d):
+                seen = _reflect(work, product, top, c, rows, rounding * length[c])
+                for column in range(columns):
+                    factor[i, c, column] = work[top, column] if seen else 0.0
+                top += seen
+            carried[:, :] = 0.0
+            for c in range(d, 2 * d):
+                if _reflect(work, product, top, c, rows, rounding * length[c]):
+                    for column in range(d, columns):
+                        carried[c - d, column - d if column < 2 * d else column] = work[top, column]
+                    top += 1
             for row in range(top, rows):
-                kept[column, count + row - top] = work[2 * d + column, row]
-        count += rows - top
-        if count > BUFFER:
-            _fold(kept, count, triangle)
-            count = zero
-    _fold(kept, count, triangle)
+                for column in range(p + 1):
+                    kept[count + row - top, column] = work[row, 2 * d + column]
+            count += rows - top
+            if count > buffer:
+                _fold(kept, product, count, triangle)
+                count = 0
+        _fold(kept, product, count, triangle)
 
 
-@_part_of_compiled(error_model="numpy")
-def _gather(work: Array, carried: Array, rest: Array, counts: bool, turn: Array, k: int) -> int:
-    """Put what involves the unknowns of a rest together: carried rows, its own where they count, and those of turn k;
+def _gather(work: Array, carried: Array, rest: Array, i: int, counts: bool, turn: Array, k: int) -> int:
+    """Put what involves the unknowns of rest i together: carried rows, its own where they count, and those of turn k;
     how many."""
-    columns, d = carried.shape
+    d, columns = carried.shape[0], carried.shape[1]
     rows = d
-    for column in range(columns):
-        for row in range(d):
-            work[column, row] = carried[column, row]
+    for row in range(d):
+        for column in range(columns):
+            work[row, column] = carried[row, column]
     if counts:
-        for row in range(len(rest)):
+        for row in range(rest.shape[1]):
             for column in range(d):
-                work[column, rows], work[d + column, rows] = rest[row, column], 0.0
+                work[rows, column], work[rows, d + column] = rest[i, row, column], 0.0
             for column in range(2 * d, columns):
-                work[column, rows] = rest[row, column - d]
+                work[rows, column] = rest[i, row, column - d]
             rows += 1
     if k >= 0:
         for row in range(turn.shape[1]):
             for column in range(columns):
-                work[column, rows] = turn[k, row, column]
+                work[rows, column] = turn[k, row, column]
             rows += 1
     return rows  # type: ignore[no-any-return]
 
 
-@_part_of_compiled(error_model="numpy")
-def _reflect(work: Array, top: int, column: int, rows: int, least: float) -> bool:
+def _reflect(work: Array, product: Array, top: int, column: int, rows: int, least: float) -> bool:
     """Reflect rows top … rows − 1 so that below row `top` the column is zero. False, and the column cleared, where it
     has nothing in it."""
-    square = 0.0
+    columns, square = work.shape[1], 0.0
     for row in range(top, rows):
-        square += work[column, row] ** 2
+        square += work[row, column] * work[row, column]
     if square <= least:
         for row in range(top, rows):
-            work[column, row] = 0.0
+            work[row, column] = 0.0
         return False
-    head = work[column, top]
-    diagonal = -np.sqrt(square) if head > 0.0 else np.sqrt(square)
-    work[column, top] = head - diagonal
+    head = work[top, column]
+    diagonal = -sqrt(square) if head > 0.0 else sqrt(square)
+    work[top, column] = head - diagonal
     scale = 1.0 / (diagonal * (diagonal - head))
-    for other in range(column + 1, work.shape[0]):
-        product = 0.0
-        for row in range(top, rows):
-            product += work[column, row] * work[other, row]
-        if product == 0.0:
-            continue
-        product *= scale
-        for row in range(top, rows):
-            work[other, row] -= product * work[column, row]
-    work[column, top] = diagonal
+    for other in range(column + 1, columns):
+        product[other] = 0.0
+    for row in range(top, rows):
+        part = work[row, column]
+        for other in range(column + 1, columns):
+            product[other] += part * work[row, other]
+    for other in range(column + 1, columns):
+        product[other] *= scale
+    for row in range(top, rows):
+        part = work[row, column]
+        for other in range(column + 1, columns):
+            work[row, other] -= product[other] * part
+    work[top, column] = diagonal
     for row in range(top + 1, rows):
-        work[column, row] = 0.0
+        work[row, column] = 0.0
     return True
 
 
-@_part_of_compiled(error_model="numpy")
-def _fold(kept: Array, count: int, triangle: Array) -> None:
-    """Fold rows (p + 1, count), column by column in memory and overwritten, into an upper triangle (p + 1, p + 1):
-    Householder reflections of the rows together with one row of the triangle at a time."""
-    size = len(triangle)
+def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
+    """Fold rows (count, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections
+    of the rows together with one row of the triangle at a time."""
+    size = triangle.shape[0]
     for c in range(size):
         square = 0.0
         for row in range(count):
-            square += kept[c, row] ** 2
+            square += kept[row, c] * kept[row, c]
         if square == 0.0:
             continue
         head = triangle[c, c]
-        root = np.sqrt(square + head * head)
+        root = sqrt(square + head * head)
         diagonal = -root if head > 0.0 else root
         top = head - diagonal
         scale = 1.0 / (diagonal * (diagonal - head))
         triangle[c, c] = diagonal
         for other in range(c + 1, size):
-            product = top * triangle[c, other]
-            for row in range(count):
-                product += kept[c, row] * kept[other, row]
-            product *= scale
-            triangle[c, other] -= product * top
-            for row in range(count):
-                kept[other, row] -= product * kept[c, row]
+            product[other] = top * triangle[c, other]
+        for row in range(count):
+            part = kept[row, c]
+            for other in range(c + 1, size):
+                product[other] += part * kept[row, other]
+        for other in range(c + 1, size):
+            product[other] *= scale
+            triangle[c, other] -= product[other] * top
+        for row in range(count):
+            part = kept[row, c]
+            for other in range(c + 1, size):
+                kept[row, other] -= product[other] * part
 
 
-@_compiled(error_model="numpy")
 def put_back(
     factor: Array, link: IntArray, parameters: Array, covariance: Array, unknowns: Array
 ) -> tuple[Array, Array]:
     """The unknowns (N, d) of the rests for parameters (p,), written to `unknowns`, and their covariances from the
     covariance (p, p) of the parameters: with themselves and those of the next rest (2, N, d, d), and with the
     parameters (N, d, p). An unknown that nothing shows is zero, and without variance."""
-    N, d, p = factor.shape[0], factor.shape[1], len(parameters)
+    N, d, p = len(factor), factor.shape[1], len(parameters)
     own, shared = np.zeros((2, N, d, d)), np.zeros((N, d, p))
     inverse, by_next, by = np.zeros((d, d)), np.zeros((d, d)), np.zeros((d, p))
-    for i in range(N - 1, -1, -1):
-        _inverse(factor[i], inverse)
-        _solve_for(inverse, factor[i], by_next, by, unknowns[i])
-        for a in range(d):
-            for b in range(p):
-                unknowns[i, a] += by[a, b] * parameters[b]
-        _add_product(by, covariance, shared[i])
-        _add_product(inverse, inverse, own[0, i])
-        if link[i] >= 0:
-            for a in range(d):
-                for b in range(d):
-                    unknowns[i, a] += by_next[a, b] * unknowns[i + 1, b]
-                    for q in range(p):
-                        shared[i, a, q] += by_next[a, b] * shared[i + 1, b, q]
-            _add_product(by, shared[i + 1], own[1, i])
-            _add_product(by_next, own[0, i + 1], own[1, i])
-            _add_product(own[1, i], by_next, own[0, i])
-        _add_product(shared[i], by, own[0, i])
+    _put_back(factor, link, parameters, covariance, unknowns, own, shared, inverse, by_next, by)
     return own, shared
 
 
-@_part_of_compiled(error_model="numpy")
+def _put_back(
+    factor: Array,
+    link: IntArray,
+    parameters: Array,
+    covariance: Array,
+    unknowns: Array,
+    own: Array,
+    shared: Array,
+    inverse: Array,
+    by_next: Array,
+    by: Array,
+) -> None:
+    """One rest after the other, from the last."""
+    N, d, p = factor.shape[0], factor.shape[1], parameters.shape[0]
+    with cython.nogil:
+        for i in range(N - 1, -1, -1):
+            _inverse(factor[i], inverse)
+            _solve_for(inverse, factor[i], by_next, by, unknowns[i])
+            for a in range(d):
+                for b in range(p):
+                    unknowns[i, a] += by[a, b] * parameters[b]
+            _add_symmetric(by, covariance, shared[i])
+            _add_product(inverse, inverse, own[0, i])
+            if link[i] >= 0:
+                for a in range(d):
+                    for b in range(d):
+                        unknowns[i, a] += by_next[a, b] * unknowns[i + 1, b]
+                        for q in range(p):
+                            shared[i, a, q] += by_next[a, b] * shared[i + 1, b, q]
+                _add_product(by, shared[i + 1], own[1, i])
+                _add_product(by_next, own[0, i + 1], own[1, i])
+                _add_product(own[1, i], by_next, own[0, i])
+            _add_product(shared[i], by, own[0, i])
+
+
 def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:
     """What the rows of a rest, solved for its unknowns, say of them: by how much they change with those of the next
     rest (d, d) and with the parameters (d, p), and their value (d,) where these are zero."""
-    d, p = by.shape
+    d, p = by.shape[0], by.shape[1]
     for a in range(d):
-        by_next[a], by[a], value[a] = 0.0, 0.0, 0.0
+        by_next[a, :], by[a, :], value[a] = 0.0, 0.0, 0.0
         for b in range(a, d):
             for column in range(d):
                 by_next[a, column] -= inverse[a, b] * factor[b, d + column]
@@ -205,23 +247,30 @@ def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: 
             value[a] += inverse[a, b] * factor[b, 2 * d + p]
 
 
-@_part_of_compiled(error_model="numpy")
+def _add_symmetric(a: Array, b: Array, out: Array) -> None:
+    """Add a b, b symmetric."""
+    for i in range(a.shape[0]):
+        for c in range(a.shape[1]):
+            part = a[i, c]
+            for j in range(b.shape[1]):
+                out[i, j] += part * b[c, j]
+
+
 def _add_product(a: Array, b: Array, out: Array) -> None:
     """Add a bᵀ; a covariance stands for its own transpose."""
-    for i in range(len(a)):
-        for j in range(len(b)):
+    for i in range(a.shape[0]):
+        for j in range(b.shape[0]):
             total = 0.0
             for c in range(a.shape[1]):
                 total += a[i, c] * b[j, c]
             out[i, j] += total
 
 
-@_part_of_compiled(error_model="numpy")
 def _inverse(factor: Array, inverse: Array) -> None:
     """Inverse of the triangle in the first columns of a rest's factor; rows and columns of unknowns that nothing shows
     are zero."""
-    d = len(factor)
-    inverse[:] = 0.0
+    d = factor.shape[0]
+    inverse[:, :] = 0.0
     for a in range(d - 1, -1, -1):
         if factor[a, a] == 0.0:
             continue
@@ -233,7 +282,6 @@ def _inverse(factor: Array, inverse: Array) -> None:
             inverse[a, b] = total / factor[a, a]
 
 
-@_compiled(error_model="numpy")
 def left_over(
     rest: Array,
     turn: Array,
@@ -246,45 +294,67 @@ def left_over(
     """Residuals that the rows leave, and their covariances where the noise of the rows is 1: (N, r) and (N, r, r) of
     the rests, zero where they do not count, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and
     what `put_back` returns."""
-    N, r = rest.shape[:2]
-    K, t = turn.shape[:2]
+    (N, r), (K, t), d = rest.shape[:2], turn.shape[:2], unknowns.shape[1]
     covariance, own, shared = covariances
-    p, d = len(covariance), unknowns.shape[1]
+    m = 2 * d + len(parameters)
+    joint, unknown = np.zeros((m, m)), np.zeros(m)
+    joint[2 * d :, 2 * d :], unknown[2 * d :] = covariance, parameters
     rest_left, rest_covariance = np.zeros((N, r)), np.zeros((N, r, r))
     turn_left, turn_covariance = np.zeros((K, t)), np.zeros((K, t, t))
-    m = 2 * d + p
-    joint, unknown = np.zeros((m, m)), np.zeros(m)
-    of_rest, of_turn = np.zeros((m + 1, r)), np.zeros((m + 1, t))
-    for b in range(p):
-        unknown[2 * d + b] = parameters[b]
-        for c in range(p):
-            joint[2 * d + b, 2 * d + c] = covariance[b, c]
-    for i in range(N):
-        k = link[i]
-        _join(i, k >= 0, own, shared, joint)
-        for a in range(d):
-            unknown[a] = unknowns[i, a]
-            unknown[d + a] = unknowns[i + 1, a] if k >= 0 else 0.0
-        if counts[i]:
-            for row in range(r):
-                for a in range(d):
-                    of_rest[a, row] = rest[i, row, a]
-                for column in range(2 * d, m + 1):
-                    of_rest[column, row] = rest[i, row, column - d]
-            _leave(of_rest, joint, unknown, rest_left[i], rest_covariance[i])
-        if k >= 0:
-            for row in range(t):
-                for column in range(m + 1):
-                    of_turn[column, row] = turn[k, row, column]
-            _leave(of_turn, joint, unknown, turn_left[k], turn_covariance[k])
+    product, of_rest, of_turn = np.zeros(m), np.zeros((m + 1, r)), np.zeros((m + 1, t))
+    _left_over(
+        rest, turn, link, counts, unknowns, own, shared,
+        rest_left, rest_covariance, turn_left, turn_covariance,
+        joint, unknown, product, of_rest, of_turn,
+    )  # fmt: skip
     return rest_left, rest_covariance, turn_left, turn_covariance
 
 
-@_part_of_compiled(error_model="numpy")
+def _left_over(
+    rest: Array,
+    turn: Array,
+    link: IntArray,
+    counts: BoolArray,
+    unknowns: Array,
+    own: Array,
+    shared: Array,
+    rest_left: Array,
+    rest_covariance: Array,
+    turn_left: Array,
+    turn_covariance: Array,
+    joint: Array,
+    unknown: Array,
+    product: Array,
+    of_rest: Array,
+    of_turn: Array,
+) -> None:
+    """One rest after the other."""
+    r, t, d, m = rest.shape[1], turn.shape[1], unknowns.shape[1], unknown.shape[0]
+    with cython.nogil:
+        for i in range(rest.shape[0]):
+            k = link[i]
+            _join(i, k >= 0, own, shared, joint)
+            for a in range(d):
+                unknown[a] = unknowns[i, a]
+                unknown[d + a] = unknowns[i + 1, a] if k >= 0 else 0.0
+            if counts[i]:
+                for row in range(r):
+                    for a in range(d):
+                        of_rest[a, row] = rest[i, row, a]
+                    for column in range(2 * d, m + 1):
+                        of_rest[column, row] = rest[i, row, column - d]
+                _leave(of_rest, joint, unknown, product, rest_left[i], rest_covariance[i])
+            if k >= 0:
+                for row in range(t):
+                    for column in range(m + 1):
+                        of_turn[column, row] = turn[k, row, column]
+                _leave(of_turn, joint, unknown, product, turn_left[k], turn_covariance[k])
+
+
 def _join(i: int, linked: bool, own: Array, shared: Array, joint: Array) -> None:
     """Write the covariances of the unknowns of a rest, and of the next where they are linked, to those of the
     parameters."""
-    d, p = shared.shape[1:]
+    d, p = shared.shape[1], shared.shape[2]
     for a in range(d):
         for b in range(d):
             joint[a, b] = own[0, i, a, b]
@@ -295,11 +365,9 @@ def _join(i: int, linked: bool, own: Array, shared: Array, joint: Array) -> None
             joint[d + a, 2 * d + q] = joint[2 * d + q, d + a] = shared[i + 1, a, q] if linked else 0.0
 
 
-@_part_of_compiled(error_model="numpy")
-def _leave(rows: Array, joint: Array, unknown: Array, residual: Array, covariance: Array) -> None:
+def _leave(rows: Array, joint: Array, unknown: Array, product: Array, residual: Array, covariance: Array) -> None:
     """Residuals (n,) of rows (m + 1, n), column by column, for unknowns (m,), and 1 − rowsᵀ joint rows (n, n)."""
-    m, n = len(unknown), len(residual)
-    product = np.zeros(m)
+    m, n = unknown.shape[0], residual.shape[0]
     for i in range(n):
         product[:] = 0.0
         residual[i] = rows[m, i]
@@ -313,39 +381,48 @@ def _leave(rows: Array, joint: Array, unknown: Array, residual: Array, covarianc
                 covariance[i, j] -= product[c] * rows[c, j]
 
 
-@_compiled(error_model="numpy")
 def carry(vertical: Array, C: Array, link: IntArray, turned: Array, attitudes: Array) -> None:
     """Attitudes (N, 3, 3) with the verticals (N, 3), and with the heading that the turns C (K, 3, 3) carry along each
     chain, whose first heading is any; in turn k the Earth turns by `turned[k]` about the vertical."""
-    for i in range(len(vertical)):
-        u, L = vertical[i], attitudes[i]
-        L[0] = 0.0
-        if i > 0 and link[i - 1] >= 0:
-            before, k = attitudes[i - 1], link[i - 1]
-            cosine, sine = np.cos(turned[k]), np.sin(turned[k])
-            for a in range(3):
-                for b in range(3):
-                    L[0, a] += (cosine * before[0, b] - sine * before[2, b]) * C[k, b, a]
-        if np.abs(_dot(L[0], L[0]) - _dot(L[0], u) ** 2) < 1e-2:  # nothing before, or north has become the vertical
-            L[0] = 0.0
-            least = 0
-            for a in range(1, 3):
-                if np.abs(u[a]) < np.abs(u[least]):
-                    least = a
-            L[0, least] = 1.0
-        along = _dot(L[0], u)
-        for a in range(3):
-            L[0, a] -= along * u[a]
-        size = np.sqrt(_dot(L[0], L[0]))
-        for a in range(3):
-            L[0, a] /= size
-            L[1, a] = u[a]
-        L[2, 0] = L[0, 1] * u[2] - L[0, 2] * u[1]
-        L[2, 1] = L[0, 2] * u[0] - L[0, 0] * u[2]
-        L[2, 2] = L[0, 0] * u[1] - L[0, 1] * u[0]
+    with cython.nogil:
+        for i in range(vertical.shape[0]):
+            north = attitudes[i, 0]
+            north[:] = 0.0
+            if i > 0 and link[i - 1] >= 0:
+                _turn_north(attitudes[i - 1], C[link[i - 1]], turned[link[i - 1]], north)
+            _complete(vertical[i], attitudes[i], north)
 
 
-@_part_of_compiled(error_model="numpy")
+def _turn_north(before: Array, C: Array, turned: float, north: Array) -> None:
+    """North of the attitude before, less by how far the Earth turns, after the turn C."""
+    cosine, sine = cos(turned), sin(turned)
+    for a in range(3):
+        for b in range(3):
+            north[a] += (cosine * before[0, b] - sine * before[2, b]) * C[b, a]
+
+
+def _complete(u: Array, L: Array, north: Array) -> None:
+    """An attitude with the vertical u and a north that is near to north, or any where it is none."""
+    along = _dot(north, u)
+    if fabs(_dot(north, north) - along * along) < 1e-2:  # nothing before, or north has become the vertical
+        least = 0
+        for a in range(1, 3):
+            if fabs(u[a]) < fabs(u[least]):
+                least = a
+        north[:] = 0.0
+        north[least] = 1.0
+        along = u[least]
+    for a in range(3):
+        north[a] -= along * u[a]
+    size = sqrt(_dot(north, north))
+    for a in range(3):
+        north[a] /= size
+        L[1, a] = u[a]
+    L[2, 0] = north[1] * u[2] - north[2] * u[1]
+    L[2, 1] = north[2] * u[0] - north[0] * u[2]
+    L[2, 2] = north[0] * u[1] - north[1] * u[0]
+
+
 def _dot(a: Array, b: Array) -> float:
     """Scalar product of vectors of three."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]

@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tumble.reduction import kernels as _kernels
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 BATCHES = 120
 MAX_ORDER = 32
@@ -128,6 +128,14 @@ def _variance_of_mean(autocovariance: Array, batches: float) -> Array:
     return np.asarray(np.maximum(variance, LEAST * autocovariance[..., 0] / batches))
 
 
+def _variances_of_mean(autocovariance: Array, batches: IntArray) -> Array:
+    """The same (k,) for one channel and several K, by partial sums of r_j and of j r_j."""
+    last = np.minimum(batches, len(autocovariance)) - 1
+    sums, moments = np.cumsum(autocovariance), np.cumsum(np.arange(len(autocovariance)) * autocovariance)
+    variance = (2.0 * (sums[last] - moments[last] / batches) - autocovariance[0]) / batches
+    return np.asarray(np.maximum(variance, LEAST * autocovariance[0] / batches))
+
+
 def _slope(n: int) -> Array:
     """The linear function over n samples, of mean 0 and length 1."""
     x = np.arange(n) - 0.5 * (n - 1)
@@ -168,16 +176,15 @@ def _slope_lost(autocovariance: Array, n: int, lags: int) -> Array:
 def _fit_channel(series: list[Array], longest: int, sloping: bool) -> tuple[Array, Array]:
     """Prediction-error filter (1, −a₁, … −a_p) and autocovariance (longest,) of one channel; `sloping`: the slope was
     taken off the series, as the mean always is."""
-    lengths = [len(x) for x in series]
-    order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), sum(lengths)
-    raw = np.zeros(order_limit + 1)
-    for lag in range(order_limit + 1):
-        long = [x for x in series if len(x) > lag]
-        raw[lag] = sum(x[: len(x) - lag] @ x[lag:] for x in long)
-        raw[lag] /= sum(len(x) - lag for x in long)  # pairs: another divisor would shorten the memory
+    lengths = np.array([len(x) for x in series])
+    order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), int(lengths.sum())
+    apart = np.concatenate([part for x in series for part in (x, np.zeros(order_limit))])
+    pairs = [np.maximum(lengths - lag, 0).sum() for lag in range(order_limit + 1)]
+    products = [apart[: len(apart) - lag] @ apart[lag:] for lag in range(order_limit + 1)]
+    raw = np.array(products) / pairs  # another divisor would shorten the memory
     if raw[0] <= 0.0:
         return np.array([1.0]), np.zeros(longest)
-    different, often = np.unique([n for n in lengths if n], return_counts=True)
+    different, often = np.unique(lengths[lengths > 0], return_counts=True)
     shares = different * often / total
     lost, bent = 0.0, np.zeros(order_limit + 1)
     for _ in range(50):
@@ -186,7 +193,7 @@ def _fit_channel(series: list[Array], longest: int, sloping: bool) -> tuple[Arra
         best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
         prediction_filter = filters[best, : best + 1]
         autocovariance = _continued(corrected, prediction_filter, longest)
-        now = float(shares @ [_variance_of_mean(autocovariance, float(n)) for n in different])
+        now = float(shares @ _variances_of_mean(autocovariance, different))
         if abs(now - lost) <= 1e-4 * now:
             break
         lost = now
@@ -222,7 +229,7 @@ def _levels(series: list[Array], autocovariance: Array) -> Array:
         return level
     lengths = np.array([len(series[i]) for i in long])
     different, which = np.unique(lengths, return_inverse=True)
-    expected = autocovariance[0] - np.array([_variance_of_mean(autocovariance, float(n)) for n in different])[which]
+    expected = autocovariance[0] - _variances_of_mean(autocovariance, different)[which]
     power = np.array([series[i] @ series[i] for i in long]) / lengths / np.maximum(expected, 1e-12 * autocovariance[0])
     if np.median(power) == 0.0:
         return level

@@ -26,30 +26,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.reduction.kernels import _compiled, _part_of_compiled
 from tumble.units import Array, IntArray
+
+try:
+    import cython
+except ImportError:
+    from tumble import uncompiled as cython
 
 STRETCH = 500
 SHORTEST = 64
-LANES = 16
-TILE = 24
-GROUP = 8
-ROW = TILE * LANES
-COMMON = 19
-"""Regressors that do not depend on the axes of the sensors: 1, ω (3), f (3), f f (6), ω ω (6)."""
-LINEAR = 7
 
-# Rows of `state`: attitude quaternion (4, scalar first), V (3), and of the sample before: Δθ (3), Δv (3), the rate
-# that moved the force (3), dt, f (3); then the sum of Δt² |f − f'|².
-_V, _BEFORE, _RATE, _FORCE, _JUMPS, _STATE_ROWS = 4, 7, 13, 17, 20, 21
+if not cython.compiled:  # where it is, these are numbers of moment_kernels.pxd
+    from numpy import sqrt
+
+    LANES = 16
+    TILE = 24
+    GROUP = 8
+    ROW = TILE * LANES
+    COMMON = 19  # regressors that do not depend on the axes of the sensors: 1, ω (3), f (3), f f (6), ω ω (6)
+    LINEAR = 7
+
+    # Rows of `state`: attitude quaternion (4, scalar first), V (3), and of the sample before: Δθ (3), Δv (3), the rate
+    # that moved the force (3), dt, f (3); then the sum of Δt² |f − f'|².
+    _V, _BEFORE, _RATE, _FORCE, _JUMPS, _STATE_ROWS = 4, 7, 13, 17, 20, 21
 
 Samples = tuple[Array, Array, Array]
 """Rates (S, 3) rad/s, forces (S, 3) m/s², intervals (S,) s."""
 Stretches = tuple[IntArray, IntArray, IntArray]
 """Piece, first sample and end."""
-Terms = tuple[Array, Array, Array, Array, Array]
-"""Matrix (3, 3) and offset (3,) of y, and of the sensors with nonlinear terms axes (n, 3), coefficients (n, 3) of u²,
-u³ and |u|, and effect (n, 3) on the vector."""
+Terms = tuple[Array, Array]
+"""Matrix and offset (3, 4) of y, and a row (n, 9) for each sensor with nonlinear terms: axis, coefficients of u², u³
+and |u|, and effect on the vector."""
 Model = tuple[Terms, Terms, Array, float]
 """Gyros, accelerometers, what the body's rate reads of its force (3, 3), or (0, 3) where it reads none, delay (s)."""
 Work = tuple[Array, Array, Array, Array, Array, Array]
@@ -90,7 +97,6 @@ def _aligned(size: int) -> Array:
     return memory[begin : begin + size]
 
 
-@_compiled(error_model="numpy")
 def integrate_stretches(
     samples: Samples,
     stretches: Stretches,
@@ -104,43 +110,91 @@ def integrate_stretches(
     """Integrate stretches group by group and join them in order to `sums`, which begin at rest: attitude 1 and zeros;
     `own_axes` are those of the gyros (n, 3) and accelerometers (m, 3) whose own-axis regressors are wanted. `lanes` is
     LANES, which the compiler must not know: it would unroll the loops over lanes before it turned them into vectors."""
+    rates, forces, intervals = samples
     piece, first, stop = stretches
+    (gyro, gyro_terms), (accel, accel_terms), G, delay = model
+    gyros, accels = own_axes
+    attitude, V, products, moved, swept_sums, regressors, jumps = sums
+    head_stop, tail_start, head, tail = ends
     tile, left, right, swept, state, total = work
-    rows, linear = sums[2].shape[1], sums[3].shape[1]
-    for group in range(0, len(piece), LANES):
-        used = slice(group, min(group + LANES, len(piece)))
-        longest = _begin(samples, first[used], stop[used], model, lanes, tile, state, total)
-        for done in range(0, longest, TILE):
-            steps = min(TILE, (longest - done + GROUP - 1) // GROUP * GROUP)
-            _fill(samples, first[used], stop[used], done, steps, tile)
-            _compensate(tile, steps, model, lanes, state)
-            _add_ends(tile, steps, piece[used], first[used], stop[used], done, ends)
-            _regress(tile, steps, lanes, right, state)
-            _regress_own(tile, steps, own_axes, right)
-            _turn(right, steps, lanes, state, left)
-            _turn_about(left, right, steps, swept)
-            _add_all(left, right, swept, tile, steps, lanes, rows, linear, total)
-        _join(state, total, piece[used], sums)
+    _integrate(
+        rates, forces, intervals,
+        piece, first, stop,
+        gyro, gyro_terms, accel, accel_terms, G, delay,
+        gyros, accels,
+        attitude, V, products, moved, swept_sums, regressors, jumps,
+        head_stop, tail_start, head, tail,
+        tile, left, right, swept, state, total, np.empty((3, 3)), lanes,
+    )  # fmt: skip
 
 
-@_part_of_compiled(error_model="numpy")
-def _begin(
-    samples: Samples,
+def _integrate(
+    rates: Array,
+    forces: Array,
+    intervals: Array,
+    piece: IntArray,
     first: IntArray,
     stop: IntArray,
-    model: Model,
-    lanes: int,
+    gyro: Array,
+    gyro_terms: Array,
+    accel: Array,
+    accel_terms: Array,
+    G: Array,
+    delay: float,
+    gyros: Array,
+    accels: Array,
+    attitude: Array,
+    V: Array,
+    products: Array,
+    moved: Array,
+    swept_sums: Array,
+    regressors: Array,
+    jumps: Array,
+    head_stop: IntArray,
+    tail_start: IntArray,
+    head: Array,
+    tail: Array,
     tile: Array,
+    left: Array,
+    right: Array,
+    swept: Array,
     state: Array,
     total: Array,
-) -> int:
-    """State at the start of every lane: attitude 1, what is remembered of the sample before it, over no time where
-    there is none, and zero sums. Returns the length of the longest lane."""
-    state[:] = 0.0
-    total[:] = 0.0
-    before = int(np.int64(2))  # as a literal it would have both loops compiled a second time
-    _fill(samples, first, stop, -before, before, tile)
-    _compensate(tile, before, model, lanes, state)
+    C: Array,
+    lanes: int,
+) -> None:
+    """The same without tuples."""
+    rows, linear = products.shape[1], moved.shape[1]
+    with cython.nogil:
+        for number in range((piece.shape[0] + LANES - 1) // LANES):
+            group = number * LANES
+            state[:] = 0.0
+            total[:] = 0.0
+            _fill(rates, forces, intervals, first, stop, group, -2, 2, tile)
+            _compensate(tile, 2, gyro, gyro_terms, accel, accel_terms, G, delay, lanes, state)
+            _begin(tile, state)
+            longest = 0
+            for lane in range(group, min(group + LANES, piece.shape[0])):
+                longest = max(longest, stop[lane] - first[lane])
+            for part in range((longest + TILE - 1) // TILE):
+                done = part * TILE
+                steps = min(TILE, (longest - done + GROUP - 1) // GROUP * GROUP)
+                _fill(rates, forces, intervals, first, stop, group, done, steps, tile)
+                _compensate(tile, steps, gyro, gyro_terms, accel, accel_terms, G, delay, lanes, state)
+                _add_ends(tile, steps, piece, first, stop, group, done, head_stop, tail_start, head, tail)
+                _regress(tile, steps, lanes, right, state)
+                _regress_own(tile, steps, gyros, accels, right)
+                _turn(right, steps, lanes, state, left)
+                _turn_about(left, right, steps, swept)
+                _add_all(left, right, swept, tile, steps, lanes, rows, linear, total)
+            for lane in range(min(LANES, piece.shape[0] - group)):
+                k = piece[group + lane]
+                _join(k, lane, state, total, C, attitude, V, products, moved, swept_sums, regressors, jumps)
+
+
+def _begin(tile: Array, state: Array) -> None:
+    """State at the start of every lane: attitude 1, and of the second sample in the tile what is remembered of the
+    sample before."""
     for lane in range(LANES):
         now = LANES + lane
         dt = tile[6 * ROW + now]
@@ -149,22 +203,26 @@ def _begin(
             state[(_BEFORE + k) * LANES + lane] = tile[k * ROW + now] * dt
             state[(_BEFORE + 3 + k) * LANES + lane] = tile[(3 + k) * ROW + now] * dt
             state[(_FORCE + k) * LANES + lane] = tile[(3 + k) * ROW + now]
-    longest = 0
-    for lane in range(len(first)):
-        longest = max(longest, stop[lane] - first[lane])
-    return longest
 
 
-@_part_of_compiled(error_model="numpy")
-def _fill(samples: Samples, first: IntArray, stop: IntArray, done: int, steps: int, tile: Array) -> None:
+def _fill(
+    rates: Array,
+    forces: Array,
+    intervals: Array,
+    first: IntArray,
+    stop: IntArray,
+    group: int,
+    done: int,
+    steps: int,
+    tile: Array,
+) -> None:
     """Copy `steps` samples of each lane after the first `done` to `tile`, with zeros behind the end of a lane and in
     lanes that are not used. A sample before the first of all is the first, over no time."""
-    rates, forces, intervals = samples
     for lane in range(LANES):
         length = 0
-        if lane < len(first):
-            begin = first[lane] + done
-            length = max(0, min(steps, stop[lane] - begin))
+        if group + lane < first.shape[0]:
+            begin = first[group + lane] + done
+            length = max(0, min(steps, stop[group + lane] - begin))
             for step in range(length):
                 sample, cell = max(begin + step, 0), LANES * step + lane
                 for k in range(3):
@@ -179,38 +237,44 @@ def _fill(samples: Samples, first: IntArray, stop: IntArray, done: int, steps: i
 # Compensation ------------------------------------------------------------------------------------------------
 
 
-@_part_of_compiled(error_model="numpy")
-def _compensate(tile: Array, steps: int, model: Model, lanes: int, state: Array) -> None:
+def _compensate(
+    tile: Array,
+    steps: int,
+    gyro: Array,
+    gyro_terms: Array,
+    accel: Array,
+    accel_terms: Array,
+    G: Array,
+    delay: float,
+    lanes: int,
+    state: Array,
+) -> None:
     """Rates and specific forces of the body in place of the readings, in the order of Part II, A1: force; rate with
     g-sensitivity to the late force; force moved by the delay with that rate; rate with g-sensitivity to the moved one.
 
     A1 moves the force with a rate from which no G f was taken: at 0.01 °/s/(m/s²) and 4 ms that left 2·10⁻⁴ m/s in the
     velocity of a turn of 6 s, this 10⁻⁵."""
-    gyro, accel, g_sensitivity, delay = model
-    many, linear, scratch = steps * LANES, tile[7 * ROW :], tile[10 * ROW :]
-    _transform(tile, many, gyro[0], gyro[1], accel[0], accel[1])
-    _subtract_terms(tile[3 * ROW :], many, accel, scratch)
+    many, linear, scratch = steps * LANES, 7 * ROW, 10 * ROW
+    _transform(tile, many, gyro, accel)
+    _subtract_terms(tile, 3 * ROW, many, accel_terms, scratch)
     if delay != 0.0:
-        _copy(tile, linear, many)
-        _subtract_force(tile, many, g_sensitivity)
-        _subtract_terms(tile, many, gyro, scratch)
+        _copy(tile, 0, linear, many)
+        _subtract_force(tile, many, G)
+        _subtract_terms(tile, 0, many, gyro_terms, scratch)
         _move(tile, steps, lanes, delay, state)
-        _copy(linear, tile, many)
-    _subtract_force(tile, many, g_sensitivity)
-    _subtract_terms(tile, many, gyro, scratch)
+        _copy(tile, linear, 0, many)
+    _subtract_force(tile, many, G)
+    _subtract_terms(tile, 0, many, gyro_terms, scratch)
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _transform(tile: Array, many: int, A: Array, a: Array, B: Array, b: Array) -> None:
-    """ω = A y_g + a and f = B y_a + b, in place."""
-    a00, a01, a02 = A[0]
-    a10, a11, a12 = A[1]
-    a20, a21, a22 = A[2]
-    b00, b01, b02 = B[0]
-    b10, b11, b12 = B[1]
-    b20, b21, b22 = B[2]
-    a0, a1, a2 = a
-    b0, b1, b2 = b
+def _transform(tile: Array, many: int, A: Array, B: Array) -> None:
+    """ω = A y_g + a and f = B y_a + b, in place; a and b are the fourth columns."""
+    a00, a01, a02, a0 = A[0, 0], A[0, 1], A[0, 2], A[0, 3]
+    a10, a11, a12, a1 = A[1, 0], A[1, 1], A[1, 2], A[1, 3]
+    a20, a21, a22, a2 = A[2, 0], A[2, 1], A[2, 2], A[2, 3]
+    b00, b01, b02, b0 = B[0, 0], B[0, 1], B[0, 2], B[0, 3]
+    b10, b11, b12, b1 = B[1, 0], B[1, 1], B[1, 2], B[1, 3]
+    b20, b21, b22, b2 = B[2, 0], B[2, 1], B[2, 2], B[2, 3]
     for i in range(many):
         x, y, z = tile[i], tile[ROW + i], tile[2 * ROW + i]
         u, v, w = tile[3 * ROW + i], tile[4 * ROW + i], tile[5 * ROW + i]
@@ -222,46 +286,40 @@ def _transform(tile: Array, many: int, A: Array, a: Array, B: Array, b: Array) -
         tile[5 * ROW + i] = b2 + b20 * u + b21 * v + b22 * w
 
 
-@_part_of_compiled(error_model="numpy")
-def _subtract_terms(vector: Array, many: int, terms: Terms, scratch: Array) -> None:
-    """Solve x + Σ_p effect_p (K₂ u² + K₃ u³ + κ |u|) = linear, u = a_p·x, by two fixed-point steps in place; at once
-    where no sensor has such a term."""
-    _, _, axes, coefficients, effect = terms
-    if len(axes) == 0:
+def _subtract_terms(tile: Array, vector: int, many: int, terms: Array, scratch: int) -> None:
+    """Solve x + Σ_p effect_p (K₂ u² + K₃ u³ + κ |u|) = linear, u = a_p·x, by two fixed-point steps in place, for the
+    vector that begins at `vector`; at once where no sensor has such a term."""
+    if terms.shape[0] == 0:
         return
-    before = scratch[3 * ROW :]
-    _copy(vector, scratch, many)
+    before = scratch + 3 * ROW
+    _copy(tile, vector, scratch, many)
     for _ in range(2):
-        _copy(vector, before, many)
-        _copy(scratch, vector, many)
-        for p in range(len(axes)):
-            _subtract_term(vector, before, many, axes[p], coefficients[p], effect[p])
+        _copy(tile, vector, before, many)
+        _copy(tile, scratch, vector, many)
+        for p in range(terms.shape[0]):
+            _subtract_term(tile, vector, before, many, terms, p)
 
 
-@_part_of_compiled(error_model="numpy")
-def _copy(source: Array, target: Array, many: int) -> None:
+def _copy(tile: Array, source: int, target: int, many: int) -> None:
     """Copy a vector."""
-    for i in range(many):
-        target[i] = source[i]
-        target[ROW + i] = source[ROW + i]
-        target[2 * ROW + i] = source[2 * ROW + i]
+    for row in range(3):
+        for i in range(many):
+            tile[target + row * ROW + i] = tile[source + row * ROW + i]
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _subtract_term(vector: Array, before: Array, many: int, axis: Array, coefficients: Array, effect: Array) -> None:
-    """Take off the nonlinear term of one sensor, at the vector `before`."""
-    a0, a1, a2 = axis
-    square, cube, asymmetry = coefficients
-    e0, e1, e2 = effect
+def _subtract_term(tile: Array, vector: int, before: int, many: int, terms: Array, p: int) -> None:
+    """Take off the nonlinear term of one sensor, at the vector that begins at `before`."""
+    a0, a1, a2 = terms[p, 0], terms[p, 1], terms[p, 2]
+    square, cube, asymmetry = terms[p, 3], terms[p, 4], terms[p, 5]
+    e0, e1, e2 = terms[p, 6], terms[p, 7], terms[p, 8]
     for i in range(many):
-        u = a0 * before[i] + a1 * before[ROW + i] + a2 * before[2 * ROW + i]
+        u = a0 * tile[before + i] + a1 * tile[before + ROW + i] + a2 * tile[before + 2 * ROW + i]
         term = u * u * (square + cube * u) + asymmetry * abs(u)
-        vector[i] -= e0 * term
-        vector[ROW + i] -= e1 * term
-        vector[2 * ROW + i] -= e2 * term
+        tile[vector + i] -= e0 * term
+        tile[vector + ROW + i] -= e1 * term
+        tile[vector + 2 * ROW + i] -= e2 * term
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _move(tile: Array, steps: int, lanes: int, delay: float, state: Array) -> None:
     """f ← f − τ ω̄×f + ½τ² ω̄×(ω̄×f), with ω̄ = ω − ½τ ω̇ the rate in the middle of the delay and ω̇ from the sample
     before. The number added to the time keeps 0/0 out of samples that take no time."""
@@ -283,14 +341,13 @@ def _move(tile: Array, steps: int, lanes: int, delay: float, state: Array) -> No
             state[(_RATE + 2) * LANES + i], state[(_RATE + 3) * LANES + i] = z, dt
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _subtract_force(tile: Array, many: int, G: Array) -> None:
     """ω ← ω − G f; at once where there is no G."""
-    if len(G) == 0:
+    if G.shape[0] == 0:
         return
-    g00, g01, g02 = G[0]
-    g10, g11, g12 = G[1]
-    g20, g21, g22 = G[2]
+    g00, g01, g02 = G[0, 0], G[0, 1], G[0, 2]
+    g10, g11, g12 = G[1, 0], G[1, 1], G[1, 2]
+    g20, g21, g22 = G[2, 0], G[2, 1], G[2, 2]
     for i in range(many):
         u, v, w = tile[3 * ROW + i], tile[4 * ROW + i], tile[5 * ROW + i]
         tile[i] -= g00 * u + g01 * v + g02 * w
@@ -298,12 +355,19 @@ def _subtract_force(tile: Array, many: int, G: Array) -> None:
         tile[2 * ROW + i] -= g20 * u + g21 * v + g22 * w
 
 
-@_compiled(error_model="numpy")
 def ends_of(intervals: Array, starts: IntArray, stops: IntArray, seconds: float) -> tuple[IntArray, IntArray]:
     """End of the head and start of the tail (K,) of pieces: as many samples as take `seconds`, all where there are
     fewer."""
     head_stop, tail_start = starts.copy(), stops.copy()
-    for k in range(len(starts)):
+    _find_ends(intervals, starts, stops, seconds, head_stop, tail_start)
+    return head_stop, tail_start
+
+
+def _find_ends(
+    intervals: Array, starts: IntArray, stops: IntArray, seconds: float, head_stop: IntArray, tail_start: IntArray
+) -> None:
+    """The same, written to the last two."""
+    for k in range(starts.shape[0]):
         left = seconds
         while left > 0.0 and head_stop[k] < stops[k]:
             left -= intervals[head_stop[k]]
@@ -312,35 +376,42 @@ def ends_of(intervals: Array, starts: IntArray, stops: IntArray, seconds: float)
         while left > 0.0 and tail_start[k] > starts[k]:
             tail_start[k] -= 1
             left -= intervals[tail_start[k]]
-    return head_stop, tail_start
 
 
-@_part_of_compiled(error_model="numpy")
-def _add_ends(tile: Array, steps: int, piece: IntArray, first: IntArray, stop: IntArray, done: int, ends: Ends) -> None:
+def _add_ends(
+    tile: Array,
+    steps: int,
+    piece: IntArray,
+    first: IntArray,
+    stop: IntArray,
+    group: int,
+    done: int,
+    head_stop: IntArray,
+    tail_start: IntArray,
+    head: Array,
+    tail: Array,
+) -> None:
     """Add f dt and dt of the samples in the head and in the tail of their piece."""
-    head_stop, tail_start, head, tail = ends
-    for lane in range(len(piece)):
-        k, begin = piece[lane], first[lane] + done
-        last = min(stop[lane] - begin, steps)
+    for lane in range(min(LANES, piece.shape[0] - group)):
+        k, begin = piece[group + lane], first[group + lane] + done
+        last = min(stop[group + lane] - begin, steps)
         for step in range(min(head_stop[k] - begin, last)):
-            _add_end(tile, LANES * step + lane, head[k])
+            _add_end(tile, LANES * step + lane, head, k)
         for step in range(max(tail_start[k] - begin, 0), last):
-            _add_end(tile, LANES * step + lane, tail[k])
+            _add_end(tile, LANES * step + lane, tail, k)
 
 
-@_part_of_compiled(error_model="numpy")
-def _add_end(tile: Array, cell: int, end: Array) -> None:
+def _add_end(tile: Array, cell: int, end: Array, k: int) -> None:
     """Add (f dt, dt) of one sample."""
     dt = tile[6 * ROW + cell]
-    for k in range(3):
-        end[k] += tile[(3 + k) * ROW + cell] * dt
-    end[3] += dt
+    for i in range(3):
+        end[k, i] += tile[(3 + i) * ROW + cell] * dt
+    end[k, 3] += dt
 
 
 # Regressors --------------------------------------------------------------------------------------------------
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _regress(tile: Array, steps: int, lanes: int, right: Array, state: Array) -> None:
     """1, ω, f, f_k f_l, ω_k ω_l (k ≤ l) times dt; and dt² |f − f'|² with f' of the sample before."""
     for step in range(steps):
@@ -374,40 +445,31 @@ def _regress(tile: Array, steps: int, lanes: int, right: Array, state: Array) ->
             right[18 * ROW + o] = z * zt
 
 
-@_part_of_compiled(error_model="numpy")
-def _regress_own(tile: Array, steps: int, own_axes: tuple[Array, Array], right: Array) -> None:
+def _regress_own(tile: Array, steps: int, gyros: Array, accels: Array, right: Array) -> None:
     """|a_p·ω| and then (a_p·ω)³ of the gyros, then |a_p·f| and then (a_p·f)³ of the accelerometers, times dt."""
-    gyros, accels = own_axes
-    n, m = len(gyros), len(accels)
+    n, m = gyros.shape[0], accels.shape[0]
     for p in range(n):
-        _magnitude(tile, tile[6 * ROW :], steps * LANES, gyros[p], right[(COMMON + p) * ROW :])
-        _cube(tile, tile[6 * ROW :], steps * LANES, gyros[p], right[(COMMON + n + p) * ROW :])
+        _regress_axis(tile, 0, steps * LANES, gyros, p, right, (COMMON + p) * ROW, (COMMON + n + p) * ROW)
     for p in range(m):
-        _magnitude(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + 2 * n + p) * ROW :])
-        _cube(tile[3 * ROW :], tile[6 * ROW :], steps * LANES, accels[p], right[(COMMON + 2 * n + m + p) * ROW :])
+        to = COMMON + 2 * n + p
+        _regress_axis(tile, 3 * ROW, steps * LANES, accels, p, right, to * ROW, (to + m) * ROW)
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _magnitude(vector: Array, dt: Array, many: int, axis: Array, out: Array) -> None:
-    """|a·x| dt."""
-    a0, a1, a2 = axis
+def _regress_axis(
+    tile: Array, vector: int, many: int, axes: Array, p: int, right: Array, magnitude: int, cube: int
+) -> None:
+    """|a·x| dt and (a·x)³ dt, of the vector that begins at `vector`."""
+    a0, a1, a2 = axes[p, 0], axes[p, 1], axes[p, 2]
     for i in range(many):
-        out[i] = abs(a0 * vector[i] + a1 * vector[ROW + i] + a2 * vector[2 * ROW + i]) * dt[i]
-
-
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _cube(vector: Array, dt: Array, many: int, axis: Array, out: Array) -> None:
-    """(a·x)³ dt."""
-    a0, a1, a2 = axis
-    for i in range(many):
-        u = a0 * vector[i] + a1 * vector[ROW + i] + a2 * vector[2 * ROW + i]
-        out[i] = u * u * u * dt[i]
+        u = a0 * tile[vector + i] + a1 * tile[vector + ROW + i] + a2 * tile[vector + 2 * ROW + i]
+        dt = tile[6 * ROW + i]
+        right[magnitude + i] = abs(u) * dt
+        right[cube + i] = u * u * u * dt
 
 
 # The step ----------------------------------------------------------------------------------------------------
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
 def _turn(right: Array, steps: int, lanes: int, state: Array, left: Array) -> None:
     """Carry attitude and velocity of the lanes through the tile, with primes for the sample before (A1):
 
@@ -436,8 +498,8 @@ def _turn(right: Array, steps: int, lanes: int, state: Array, left: Array) -> No
             dw = w + (fx * by - fy * bx) * (1.0 / 24.0) + (px * v - py * u + pu * y - pv * x) * (1.0 / 12.0)
 
             h = (fx * fx + fy * fy + fz * fz) * (1.0 / 16.0)
-            e0 = 1.0 - h * (1 / 2 - h * (1 / 24 - h * (1 / 720 - h * (1 / 40320))))
-            s = 0.25 - h * (1 / 24 - h * (1 / 480 - h * (1 / 20160 - h * (1 / 1451520))))
+            e0 = 1.0 - h * (1.0 / 2.0 - h * (1.0 / 24.0 - h * (1.0 / 720.0 - h * (1.0 / 40320.0))))
+            s = 0.25 - h * (1.0 / 24.0 - h * (1.0 / 480.0 - h * (1.0 / 20160.0 - h * (1.0 / 1451520.0))))
             e1, e2, e3 = s * fx, s * fy, s * fz
             q0, q1, q2, q3 = state[i], state[LANES + i], state[2 * LANES + i], state[3 * LANES + i]
             m0 = q0 * e0 - q1 * e1 - q2 * e2 - q3 * e3
@@ -480,28 +542,21 @@ def _turn(right: Array, steps: int, lanes: int, state: Array, left: Array) -> No
             left[17 * ROW + o] = c02 * gy - c12 * gx
 
 
-@_part_of_compiled(error_model="numpy")
 def _turn_about(left: Array, right: Array, steps: int, swept: Array) -> None:
     """C_m [ω×] dt, row by row."""
-    for i in range(3):
-        _turn_row(left[3 * i * ROW :], right, steps * LANES, swept[3 * i * ROW :])
-
-
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _turn_row(row: Array, right: Array, many: int, out: Array) -> None:
-    """One row of C_m times [ω×] dt."""
-    for i in range(many):
-        x, y, z = right[ROW + i], right[2 * ROW + i], right[3 * ROW + i]
-        a, b, c = row[i], row[ROW + i], row[2 * ROW + i]
-        out[i] = b * z - c * y
-        out[ROW + i] = c * x - a * z
-        out[2 * ROW + i] = a * y - b * x
+    for axis in range(3):
+        row = 3 * axis * ROW
+        for i in range(steps * LANES):
+            x, y, z = right[ROW + i], right[2 * ROW + i], right[3 * ROW + i]
+            a, b, c = left[row + i], left[row + ROW + i], left[row + 2 * ROW + i]
+            swept[row + i] = b * z - c * y
+            swept[row + ROW + i] = c * x - a * z
+            swept[row + 2 * ROW + i] = a * y - b * x
 
 
 # Sums --------------------------------------------------------------------------------------------------------
 
 
-@_part_of_compiled(error_model="numpy")
 def _add_all(
     left: Array, right: Array, swept: Array, tile: Array, steps: int, lanes: int, rows: int, linear: int, total: Array
 ) -> None:
@@ -509,129 +564,150 @@ def _add_all(
     rate nine with C_m × V, per component of f nine with C_m [ω×] dt, and the regressors themselves."""
     groups = steps // GROUP
     for r in range(rows):
-        _add_products(left, right[r * ROW :], groups, lanes, total[9 * r * LANES :])
+        _add_products(left, 0, right, r * ROW, groups, lanes, total, 9 * r * LANES)
     for r in range(linear):
         row = r if r < LINEAR else COMMON + r - LINEAR
-        _add_products(left[9 * ROW :], right[row * ROW :], groups, lanes, total[9 * (rows + r) * LANES :])
+        _add_products(left, 9 * ROW, right, row * ROW, groups, lanes, total, 9 * (rows + r) * LANES)
     for k in range(3):
-        _add_products(swept, tile[(3 + k) * ROW :], groups, lanes, total[9 * (rows + linear + k) * LANES :])
+        _add_products(swept, 0, tile, (3 + k) * ROW, groups, lanes, total, 9 * (rows + linear + k) * LANES)
     for r in range(rows):
-        _add_row(right[r * ROW :], groups, lanes, total[(9 * (rows + linear + 3) + r) * LANES :])
+        _add_row(right, r * ROW, groups, lanes, total, (9 * (rows + linear + 3) + r) * LANES)
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _add_products(left: Array, right: Array, groups: int, lanes: int, total: Array) -> None:
-    """Products of nine rows with one; GROUP samples of every lane before a sum is written back."""
+def _add_products(
+    left: Array, first: int, right: Array, factor: int, groups: int, lanes: int, total: Array, to: int
+) -> None:
+    """Products of nine rows, which begin at `first`, with the one that begins at `factor`; three rows together, and
+    GROUP samples of every lane before a sum is written back."""
     for group in range(groups):
         sample = GROUP * LANES * group
-        for i in range(lanes):
-            o = sample + i
-            a, b, c, d = right[o], right[LANES + o], right[2 * LANES + o], right[3 * LANES + o]
-            e, f, g, h = right[4 * LANES + o], right[5 * LANES + o], right[6 * LANES + o], right[7 * LANES + o]
-            for row in range(9):
-                p = row * ROW + o
-                s = total[row * LANES + i] + a * left[p]
+        for three in range(3):
+            for i in range(lanes):
+                o = factor + sample + i
+                a, b, c, d = right[o], right[LANES + o], right[2 * LANES + o], right[3 * LANES + o]
+                e, f, g, h = right[4 * LANES + o], right[5 * LANES + o], right[6 * LANES + o], right[7 * LANES + o]
+                p, at = first + 3 * three * ROW + sample + i, to + 3 * three * LANES + i
+                q, r = p + ROW, p + 2 * ROW
+                s = total[at] + a * left[p]
                 s = ((s + b * left[LANES + p]) + c * left[2 * LANES + p]) + d * left[3 * LANES + p]
                 s = ((s + e * left[4 * LANES + p]) + f * left[5 * LANES + p]) + g * left[6 * LANES + p]
-                total[row * LANES + i] = s + h * left[7 * LANES + p]
+                t = total[LANES + at] + a * left[q]
+                t = ((t + b * left[LANES + q]) + c * left[2 * LANES + q]) + d * left[3 * LANES + q]
+                t = ((t + e * left[4 * LANES + q]) + f * left[5 * LANES + q]) + g * left[6 * LANES + q]
+                u = total[2 * LANES + at] + a * left[r]
+                u = ((u + b * left[LANES + r]) + c * left[2 * LANES + r]) + d * left[3 * LANES + r]
+                u = ((u + e * left[4 * LANES + r]) + f * left[5 * LANES + r]) + g * left[6 * LANES + r]
+                total[at] = s + h * left[7 * LANES + p]
+                total[LANES + at] = t + h * left[7 * LANES + q]
+                total[2 * LANES + at] = u + h * left[7 * LANES + r]
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _add_row(right: Array, groups: int, lanes: int, total: Array) -> None:
+def _add_row(right: Array, row: int, groups: int, lanes: int, total: Array, to: int) -> None:
     """Sums of one row, GROUP samples of every lane before a sum is written back."""
     for group in range(groups):
-        sample = GROUP * LANES * group
+        sample = row + GROUP * LANES * group
         for i in range(lanes):
             o = sample + i
             first = (right[o] + right[LANES + o]) + (right[2 * LANES + o] + right[3 * LANES + o])
             last = (right[4 * LANES + o] + right[5 * LANES + o]) + (right[6 * LANES + o] + right[7 * LANES + o])
-            total[i] += first + last
+            total[to + i] += first + last
 
 
-@_part_of_compiled(error_model="numpy")
-def _join(state: Array, total: Array, piece: IntArray, sums: Sums) -> None:
-    """Append the stretches of a group to their pieces. With C and V of the piece so far and the stretch marked 2:
+def _join(
+    k: int,
+    lane: int,
+    state: Array,
+    total: Array,
+    C: Array,
+    attitude: Array,
+    V: Array,
+    products: Array,
+    moved: Array,
+    swept: Array,
+    regressors: Array,
+    jumps: Array,
+) -> None:
+    """Append the stretch of a lane to piece k. With C and V of the piece so far and the stretch marked 2:
     ΔΦ = C ΔΦ₂, ΔΦ × V = C ΔΦ₂ × V + C (ΔΦ₂ × V₂), V += C V₂, C ← C C₂ (as quaternions, of unit length again)."""
-    attitude, V, products, moved, swept, regressors, jumps = sums
     rows, linear = products.shape[1], moved.shape[1]
-    C = np.empty((3, 3))
-    for lane, k in enumerate(piece):
-        _matrix_of(attitude[k], C)
-        for r in range(rows):
-            own = COMMON <= r < COMMON + linear - LINEAR
-            if r < LINEAR or own:
-                at = r - COMMON + LINEAR if own else r
-                _add_crossed(C, total[9 * r * LANES + lane :], V[k], moved[k, at])
-                _add_rotated(C, total[9 * (rows + at) * LANES + lane :], moved[k, at])
-            _add_rotated(C, total[9 * r * LANES + lane :], products[k, r])
-            regressors[k, r] += total[(9 * (rows + linear + 3) + r) * LANES + lane]
-        for r in range(3):
-            _add_rotated(C, total[9 * (rows + linear + r) * LANES + lane :], swept[k, r])
-        for i in range(3):
-            for j in range(3):
-                V[k, i] += C[i, j] * state[(_V + j) * LANES + lane]
-        jumps[k] += state[_JUMPS * LANES + lane]
-        _append_attitude(attitude[k], state, lane)
+    _matrix_of(attitude, k, C)
+    for r in range(rows):
+        if r < LINEAR or COMMON <= r < COMMON + linear - LINEAR:
+            at = r if r < LINEAR else r - COMMON + LINEAR
+            _add_crossed(C, total, 9 * r * LANES + lane, V, moved, k, at)
+            _add_rotated(C, total, 9 * (rows + at) * LANES + lane, moved, k, at)
+        _add_rotated(C, total, 9 * r * LANES + lane, products, k, r)
+        regressors[k, r] += total[(9 * (rows + linear + 3) + r) * LANES + lane]
+    for r in range(3):
+        _add_rotated(C, total, 9 * (rows + linear + r) * LANES + lane, swept, k, r)
+    for i in range(3):
+        for j in range(3):
+            V[k, i] += C[i, j] * state[(_V + j) * LANES + lane]
+    jumps[k] += state[_JUMPS * LANES + lane]
+    _append_attitude(attitude, k, state, lane)
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _add_rotated(C: Array, matrix: Array, out: Array) -> None:
-    """Add C times a matrix that lies in every LANES-th number, row by row."""
+def _add_rotated(C: Array, total: Array, at: int, out: Array, k: int, r: int) -> None:
+    """Add C times a matrix that lies in every LANES-th number from `at`, row by row."""
     for j in range(3):
-        a, b, c = matrix[j * LANES], matrix[(3 + j) * LANES], matrix[(6 + j) * LANES]
+        a, b, c = total[at + j * LANES], total[at + (3 + j) * LANES], total[at + (6 + j) * LANES]
         for i in range(3):
-            out[3 * i + j] += C[i, 0] * a + C[i, 1] * b + C[i, 2] * c
+            out[k, r, 3 * i + j] += C[i, 0] * a + C[i, 1] * b + C[i, 2] * c
 
 
-@_part_of_compiled(error_model="numpy", fastmath={"contract"})
-def _add_crossed(C: Array, matrix: Array, V: Array, out: Array) -> None:
-    """Add the cross products of the columns of C times a matrix, which lies in every LANES-th number, with V."""
+def _add_crossed(C: Array, total: Array, at: int, V: Array, out: Array, k: int, r: int) -> None:
+    """Add the cross products of the columns of C times a matrix, which lies in every LANES-th number from `at`, with
+    V."""
     for j in range(3):
-        a, b, c = matrix[j * LANES], matrix[(3 + j) * LANES], matrix[(6 + j) * LANES]
+        a, b, c = total[at + j * LANES], total[at + (3 + j) * LANES], total[at + (6 + j) * LANES]
         x = C[0, 0] * a + C[0, 1] * b + C[0, 2] * c
         y = C[1, 0] * a + C[1, 1] * b + C[1, 2] * c
         z = C[2, 0] * a + C[2, 1] * b + C[2, 2] * c
-        out[j] += y * V[2] - z * V[1]
-        out[3 + j] += z * V[0] - x * V[2]
-        out[6 + j] += x * V[1] - y * V[0]
+        out[k, r, j] += y * V[k, 2] - z * V[k, 1]
+        out[k, r, 3 + j] += z * V[k, 0] - x * V[k, 2]
+        out[k, r, 6 + j] += x * V[k, 1] - y * V[k, 0]
 
 
-@_part_of_compiled(error_model="numpy")
-def _append_attitude(a: Array, state: Array, lane: int) -> None:
+def _append_attitude(attitude: Array, k: int, state: Array, lane: int) -> None:
     """a ← a b, with b the attitude of the lane."""
+    a0, a1, a2, a3 = attitude[k, 0], attitude[k, 1], attitude[k, 2], attitude[k, 3]
     b0, b1, b2, b3 = state[lane], state[LANES + lane], state[2 * LANES + lane], state[3 * LANES + lane]
-    q0 = a[0] * b0 - a[1] * b1 - a[2] * b2 - a[3] * b3
-    q1 = a[0] * b1 + a[1] * b0 + a[2] * b3 - a[3] * b2
-    q2 = a[0] * b2 - a[1] * b3 + a[2] * b0 + a[3] * b1
-    q3 = a[0] * b3 + a[1] * b2 - a[2] * b1 + a[3] * b0
-    length = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
-    a[0], a[1], a[2], a[3] = q0 / length, q1 / length, q2 / length, q3 / length
+    q0 = a0 * b0 - a1 * b1 - a2 * b2 - a3 * b3
+    q1 = a0 * b1 + a1 * b0 + a2 * b3 - a3 * b2
+    q2 = a0 * b2 - a1 * b3 + a2 * b0 + a3 * b1
+    q3 = a0 * b3 + a1 * b2 - a2 * b1 + a3 * b0
+    length = sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+    attitude[k, 0], attitude[k, 1], attitude[k, 2], attitude[k, 3] = q0 / length, q1 / length, q2 / length, q3 / length
 
 
-@_compiled(error_model="numpy")
 def finish(sums: Sums, C: Array) -> None:
     """Write the matrices of the attitudes to C (K, 3, 3), and Ψ = Φ × V − Σ ΔΦ × V over the latter."""
     attitude, V, products, moved, _, _, _ = sums
-    for k in range(len(attitude)):
-        _matrix_of(attitude[k], C[k])
+    _finish(attitude, V, products, moved, C)
+
+
+def _finish(attitude: Array, V: Array, products: Array, moved: Array, C: Array) -> None:
+    """The same without tuples."""
+    for k in range(attitude.shape[0]):
+        _matrix_of(attitude, k, C[k])
         for r in range(moved.shape[1]):
-            Phi, Psi = products[k, r if r < LINEAR else COMMON + r - LINEAR], moved[k, r]
+            of = r if r < LINEAR else COMMON + r - LINEAR
             for j in range(3):
-                x, y, z = Phi[j], Phi[3 + j], Phi[6 + j]
-                Psi[j] = y * V[k, 2] - z * V[k, 1] - Psi[j]
-                Psi[3 + j] = z * V[k, 0] - x * V[k, 2] - Psi[3 + j]
-                Psi[6 + j] = x * V[k, 1] - y * V[k, 0] - Psi[6 + j]
+                x, y, z = products[k, of, j], products[k, of, 3 + j], products[k, of, 6 + j]
+                moved[k, r, j] = y * V[k, 2] - z * V[k, 1] - moved[k, r, j]
+                moved[k, r, 3 + j] = z * V[k, 0] - x * V[k, 2] - moved[k, r, 3 + j]
+                moved[k, r, 6 + j] = x * V[k, 1] - y * V[k, 0] - moved[k, r, 6 + j]
 
 
-@_part_of_compiled(error_model="numpy")
-def _matrix_of(q: Array, C: Array) -> None:
+def _matrix_of(attitude: Array, k: int, C: Array) -> None:
     """Write the matrix of a unit quaternion, scalar first, to C (3, 3)."""
-    C[0, 0] = 1.0 - 2.0 * (q[2] * q[2] + q[3] * q[3])
-    C[0, 1] = 2.0 * (q[1] * q[2] - q[3] * q[0])
-    C[0, 2] = 2.0 * (q[1] * q[3] + q[2] * q[0])
-    C[1, 0] = 2.0 * (q[1] * q[2] + q[3] * q[0])
-    C[1, 1] = 1.0 - 2.0 * (q[1] * q[1] + q[3] * q[3])
-    C[1, 2] = 2.0 * (q[2] * q[3] - q[1] * q[0])
-    C[2, 0] = 2.0 * (q[1] * q[3] - q[2] * q[0])
-    C[2, 1] = 2.0 * (q[2] * q[3] + q[1] * q[0])
-    C[2, 2] = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+    q0, q1, q2, q3 = attitude[k, 0], attitude[k, 1], attitude[k, 2], attitude[k, 3]
+    C[0, 0] = 1.0 - 2.0 * (q2 * q2 + q3 * q3)
+    C[0, 1] = 2.0 * (q1 * q2 - q3 * q0)
+    C[0, 2] = 2.0 * (q1 * q3 + q2 * q0)
+    C[1, 0] = 2.0 * (q1 * q2 + q3 * q0)
+    C[1, 1] = 1.0 - 2.0 * (q1 * q1 + q3 * q3)
+    C[1, 2] = 2.0 * (q2 * q3 - q1 * q0)
+    C[2, 0] = 2.0 * (q1 * q3 - q2 * q0)
+    C[2, 1] = 2.0 * (q2 * q3 + q1 * q0)
+    C[2, 2] = 1.0 - 2.0 * (q1 * q1 + q2 * q2)

@@ -78,11 +78,8 @@ class BlockCompensation:
         """Arguments of the compiled loops, with the sensors that have nonlinear terms alone."""
         has = np.any(self.terms != 0.0, axis=1)
         return (
-            np.ascontiguousarray(self.matrix),
-            -self.matrix @ self.bias,
-            np.ascontiguousarray(self.axes[has]),
-            np.ascontiguousarray(self.terms[has]),
-            np.ascontiguousarray(self.left_inverse[:, has].T),
+            np.column_stack([self.matrix, -self.matrix @ self.bias]),
+            np.hstack([self.axes[has], self.terms[has], self.left_inverse[:, has].T]),
         )
 
 
@@ -102,8 +99,7 @@ class Compensation:
     def _kernel_model(self) -> _kernels.Model:
         """Arguments of the compiled loops."""
         G = self.gyro.matrix @ self.g_sensitivity
-        G = np.ascontiguousarray(G) if G.any() else NO_AXES
-        return self.gyro._kernel_terms(), self.accel._kernel_terms(), G, float(self.delay)
+        return self.gyro._kernel_terms(), self.accel._kernel_terms(), G if G.any() else NO_AXES, float(self.delay)
 
 
 # The moments ---------------------------------------------------------------------------------------------------

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import solve_banded
 
+from tumble.reduction import kernels as _kernels
 from tumble.units import Array, IntArray
 
 STEP = 1.0
@@ -133,8 +133,8 @@ def followed(kelvin: Array, step: float, lag: float, first: float | None = None)
     driven = np.empty(len(kelvin))
     driven[0] = kelvin[0] if first is None else first
     driven[1:] = kelvin[1:] - a * kelvin[:-1] - np.diff(kelvin) / step * lag * (1.0 - a)
-    below = np.array([np.ones(len(kelvin)), np.full(len(kelvin), -a)])
-    return np.asarray(solve_banded((1, 0), below, driven, check_finite=False))  # y₁ − a y₀ = what drives it
+    _kernels.follow(driven, a)
+    return driven
 
 
 def _every_step(time: Array, kelvin: Array) -> tuple[float, Array]:

@@ -125,7 +125,11 @@ class Block:
 
     def jacobian(self, values: Array) -> Array:
         """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the
-        parameters: shape (n, 4, m), so that d(reading) = jacobian · dθ applied to (true, 1)."""
+        parameters: shape (n, 4, m), so that d(reading) = jacobian · dθ applied to (true, 1); not to be written to."""
+        axes, values = np.ascontiguousarray(self.axes, dtype=float), np.ascontiguousarray(values, dtype=float)
+        return _jacobian(self.kind, axes.tobytes(), values.tobytes())
+
+    def _jacobian(self, values: Array) -> Array:
         n, m = self.size, len(values)
         out = np.zeros((n, 4, m))
         scale, angles = values[n : 2 * n], values[2 * n :]
@@ -199,6 +203,15 @@ def _along_body_axes(axes: bytes) -> bool:
     return rows.shape == (3, 3) and bool(
         np.array_equal(np.sort(np.abs(rows), axis=1), [[0, 0, 1]] * 3) and abs(np.linalg.det(rows)) > 0.5
     )
+
+
+@lru_cache(maxsize=64)
+def _jacobian(kind: SensorKind, axes: bytes, values: bytes) -> Array:
+    """`Block.jacobian` of sensing axes (n, 3) and parameters, float64: an estimate asks for that of one point again and
+    again."""
+    out = Block(kind=kind, axes=np.frombuffer(axes).reshape(-1, 3))._jacobian(np.frombuffer(values))
+    out.flags.writeable = False
+    return out
 
 
 @lru_cache(maxsize=64)

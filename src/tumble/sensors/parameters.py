@@ -19,6 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -358,6 +359,7 @@ def usual_of(grade: str) -> dict[str, float]:
     return {group.name: group.usual[grade] for group in FURTHER if grade in group.usual}
 
 
+@lru_cache(maxsize=4096)
 def group_name(parameter: str) -> str:
     """The group of a parameter: "accel.bias" of "accel.bias.x", "accel.bias.t1" of "accel.bias.x.t1"."""
     parts = parameter.split(".")

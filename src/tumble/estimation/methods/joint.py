@@ -419,9 +419,10 @@ def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter) -> tuple
     """The components of scatter by restricted maximum likelihood at one linearisation, from a start, and the covariance
     (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls."""
     noise = out.noise(problem, rows)
+    directions = _together(noise, problem.link < 0)
     variance = start.variances
     active = variance > 0.0
-    deviance, score, information = _scored(problem, rows, noise, variance)
+    deviance, score, information = _scored(problem, rows, noise, directions, variance)
     if not active.any():
         size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
         active = score / size > -special.ndtri(SCATTER_PROBABILITY)
@@ -436,7 +437,7 @@ def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter) -> tuple
         wanted, before = np.maximum(variance + change, 0.0), variance
         for _ in range(5):
             variance = wanted
-            found = _scored(problem, rows, noise, variance)
+            found = _scored(problem, rows, noise, directions, variance)
             if found[0] <= deviance + 1e-6:
                 break
             wanted = 0.5 * (wanted + before)
@@ -450,26 +451,37 @@ def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter) -> tuple
     return Scatter.of_variances(variance), components
 
 
-def _scored(problem: Problem, rows: Rows, noise: Noise, variance: Array) -> tuple[float, Array, Array]:
-    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances."""
+def _together(noise: Noise, last: BoolArray) -> tuple[tuple[Array, Array], ...]:
+    """The directions (N, r, q) of all components of scatter side by side, and to which component (q, 5) each belongs:
+    of the rests that count, and of the merged rows."""
+    found = []
+    for directions in ([Z[last] for Z in noise.rest_directions], noise.merged_directions):
+        component = np.repeat(np.arange(len(COMPONENTS)), [Z.shape[2] for Z in directions])
+        found.append((np.concatenate(directions, axis=2), np.eye(len(COMPONENTS))[component]))
+    return tuple(found)
+
+
+def _scored(
+    problem: Problem, rows: Rows, noise: Noise, directions: tuple[tuple[Array, Array], ...], variance: Array
+) -> tuple[float, Array, Array]:
+    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances:
+
+    ½ (|Zᵀ u|² − tr Zᵀ Q Z),    ½ Σ (Zᵀ Q Z)²,    u = Wᵀ r,    Q = Wᵀ C W
+
+    with the residuals r and their covariance C."""
     weight = noise.weights(Scatter.of_variances(variance))
     step = solve(problem, rows, weight)
     after = left(problem, step)
     last = problem.link < 0
     score, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
-    for W, (residual, covariance), directions in (
-        (weight.rest[last], (after.rest[0][last], after.rest[1][last]), [Z[last] for Z in noise.rest_directions]),
-        (weight.merged, after.merged, noise.merged_directions),
-    ):
-        back = np.swapaxes(W, 1, 2)
-        u, Q = np.einsum("kab,kb->ka", back, residual), back @ covariance @ W
-        QZ = [Q @ Z for Z in directions]
-        for a, Z in enumerate(directions):
-            along = np.einsum("kaq,ka->kq", Z, u)
-            score[a] += 0.5 * ((along**2).sum() - np.einsum("kaq,kaq->", Z, QZ[a]))
-            for b in range(a, len(directions)):
-                information[a, b] += 0.5 * (np.einsum("kaq,kap->kqp", Z, QZ[b]) ** 2).sum()
-    return step.deviance, score, information + np.triu(information, 1).T
+    whitened = (weight.rest[last], after.rest[0][last], after.rest[1][last]), (weight.merged, *after.merged)
+    for (W, residual, covariance), (Z, member) in zip(whitened, directions, strict=True):
+        WZ = W @ Z
+        along = np.swapaxes(WZ, 1, 2) @ residual[:, :, None]
+        Q = np.swapaxes(WZ, 1, 2) @ covariance @ WZ
+        score += 0.5 * ((along[:, :, 0] ** 2).sum(axis=0) - np.einsum("kqq->q", Q)) @ member
+        information += 0.5 * (member.T @ (Q**2).sum(axis=0) @ member)
+    return step.deviance, score, information
 
 
 # The lag

@@ -1,0 +1,218 @@
+"""Compiles the loops over samples when tumble is built: `pip install .`, `pip install -e .`, `python -m build`, or
+`make kernels` after one of them was changed.
+
+Cython makes C of the modules that `tumble.compiled.LOOPS` names, and a compiler of C, the system's own or the one that
+the package ziglang brings, makes machine code of that, which Python imports in place of the source beside it. It holds
+for every Python from 3.11 (the limited API). On x86-64 the same C is compiled for three generations of processors, and
+which of them is used is decided when it is imported; so what was built on one machine runs on every other.
+
+Where nothing can be compiled, tumble is installed all the same, and the loops run as plain Python.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+ROOT = Path(__file__).parent
+SOURCE = ROOT / "src"
+LIMITED_API = "0x030B0000"
+ENDING = ".pyd" if sys.platform == "win32" else ".abi3.so"
+SHARED = "tumble/memoryviews"
+"""What all modules share of Cython's own."""
+
+DIRECTIVES = {
+    "language_level": 3,
+    "annotation_typing": False,  # types are those of the .pxd alone
+    "infer_types": True,
+    "boundscheck": False,
+    "wraparound": False,
+    "initializedcheck": False,
+    "cdivision": True,
+}
+FLAGS = ("-O3", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden", "-w")
+GCC_FLAGS = ("--param=vect-max-version-for-alias-checks=1000",)
+FUSED = {"reduction/moment_kernels", "campaigns/triads"}
+"""Modules whose products and sums may be rounded once; the others give the same bits on all processors."""
+PLAIN = {"reduction/kernels"}
+"""Modules that newer processors do not run faster."""
+AVX2 = ("-mavx2", "-mfma", "-mbmi2")
+AVX512 = (*AVX2, "-mavx512f", "-mavx512vl", "-mavx512dq", "-mavx512bw", "-mprefer-vector-width=512")
+GENERATIONS = {"_avx512": AVX512, "_avx2": AVX2, "": ()}
+
+CHOICE = """
+#include <Python.h>
+extern PyObject *PyInit_{name}_avx512(void), *PyInit_{name}_avx2(void), *PyInit_{name}_any(void);
+__attribute__((visibility("default"))) PyObject *PyInit_{name}(void) {{
+    __builtin_cpu_init();
+    if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma") || !__builtin_cpu_supports("bmi2"))
+        return PyInit_{name}_any();
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq")
+            && __builtin_cpu_supports("avx512bw"))
+        return PyInit_{name}_avx512();
+    return PyInit_{name}_avx2();
+}}
+"""
+
+
+def _compiled() -> Any:
+    """tumble.compiled, by its path: tumble cannot be imported while it is built."""
+    spec = importlib.util.spec_from_file_location("compiled", SOURCE / "tumble/compiled.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _run(*command: object) -> str:
+    """What a command prints; its complaint is raised as an OSError."""
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise OSError((done.stderr.strip() or done.stdout.strip() or str(command[0])).splitlines()[-1])
+    return done.stdout
+
+
+def system_compiler() -> list[str]:
+    """The system's compiler of C, if it has one that makes a shared library; MSVC is not one of them."""
+    if sys.platform == "win32":
+        return []
+    for name in (os.environ.get("CC", ""), "cc", "gcc", "clang"):
+        if not name or not shutil.which(name.split()[0]):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            source = Path(folder) / "any.c"
+            source.write_text("#include <math.h>\n#include <stdio.h>\n")
+            try:
+                _run(*name.split(), "-shared", "-fPIC", source, "-o", source.with_suffix(".so"))
+            except OSError:
+                continue
+        return name.split()
+    return []
+
+
+class Compiler:
+    """A compiler of C and its flags."""
+
+    def __init__(self) -> None:
+        self.command = system_compiler() or [sys.executable, "-m", "ziglang", "cc"]
+        if sys.platform == "win32":
+            self.command += ["-target", f"{platform.machine().lower().replace('amd64', 'x86_64')}-windows-gnu"]
+        self.version = _run(*self.command, "--version").splitlines()[0]
+        clang = "clang" in self.version.lower()
+        python = sysconfig.get_path("include")
+        if not (Path(python) / "Python.h").exists():
+            raise OSError(f"{python}/Python.h is missing: the headers of this Python are not installed")
+        self.flags = [*FLAGS, *(() if clang else GCC_FLAGS), f"-DPy_LIMITED_API={LIMITED_API}", f"-I{python}"]
+
+    def compile(self, source: Path, target: Path, *flags: str) -> Path:
+        """An object file."""
+        _run(*self.command, *self.flags, *flags, "-c", source, "-o", target)
+        return target
+
+    def link(self, objects: Sequence[Path], target: Path) -> None:
+        """A module that Python imports, whole or not at all."""
+        how = {
+            "darwin": ("-bundle", "-undefined", "dynamic_lookup"),
+            "win32": ("-shared", f"-L{sys.base_prefix}/libs", "-lpython3"),
+        }.get(sys.platform, ("-shared", "-lm"))
+        temporary = target.with_suffix(f".{os.getpid()}")
+        _run(*self.command, *objects, *how, "-o", temporary)
+        temporary.replace(target)
+
+
+def _c_of_shared(folder: Path) -> Path:
+    """Cython's own part."""
+    source = folder / f"{Path(SHARED).name}.c"
+    name = SHARED.replace("/", ".")
+    _run(sys.executable, "-m", "cython", f"--generate-shared={source}", "-M", "--module-name", name)
+    return source
+
+
+def _c_of(loops: str, folder: Path) -> Path:
+    """A module of LOOPS as C."""
+    source = folder / f"{Path(loops).name}.c"
+    directives = (word for key, value in DIRECTIVES.items() for word in ("-X", f"{key}={value}"))
+    shared = f"--shared={SHARED.replace('/', '.')}"
+    _run(sys.executable, "-m", "cython", *directives, shared, SOURCE / f"tumble/{loops}.py", "-o", source)
+    return source
+
+
+def _make(compiler: Compiler, loops: str, folder: Path) -> None:
+    """A module of LOOPS as machine code, beside its source."""
+    source, name = _c_of(loops, folder), Path(loops).name
+    target = SOURCE / f"tumble/{loops}{ENDING}"
+    fused = f"-ffp-contract={'fast' if loops in FUSED else 'off'}"
+    if loops in PLAIN or platform.machine().lower() not in ("x86_64", "amd64"):
+        compiler.link([compiler.compile(source, folder / f"{name}.o", fused)], target)
+        return
+    objects = []
+    for generation, flags in GENERATIONS.items():
+        ending = generation or "_any"
+        whole = "__pyx_module_is_main_" + "__".join(("tumble", *loops.split("/")))
+        renamed = (f"-D{symbol}={symbol}{ending}" for symbol in (f"PyInit_{name}", whole))
+        objects.append(compiler.compile(source, folder / f"{name}{ending}.o", fused, *flags, *renamed))
+    choice = folder / f"{name}_choice.c"
+    choice.write_text(CHOICE.format(name=name))
+    compiler.link([*objects, compiler.compile(choice, choice.with_suffix(".o"))], target)
+
+
+def _make_shared(compiler: Compiler, folder: Path) -> None:
+    source = _c_of_shared(folder)
+    compiler.link([compiler.compile(source, source.with_suffix(".o"), "-O1")], SOURCE / (SHARED + ENDING))
+
+
+def build() -> str:
+    """Compile what is not compiled yet or was changed; what with."""
+    compiled = _compiled()
+    sources = {loops: compiled.source_hash(loops) for loops in compiled.LOOPS}
+    made = compiled.record()
+    files = [SOURCE / (SHARED + ENDING), *(SOURCE / f"tumble/{loops}{ENDING}" for loops in sources)]
+    if made.get("sources") == sources and all(file.exists() for file in files):
+        return str(made["compiler"])
+    compiler = Compiler()
+    compiled.RECORD.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
+        jobs = [pool.submit(_make, compiler, loops, Path(folder)) for loops in reversed(compiled.LOOPS)]
+        jobs.append(pool.submit(_make_shared, compiler, Path(folder)))
+        for job in jobs:
+            job.result()
+    content = {"compiler": compiler.version, "sources": sources}
+    compiled.RECORD.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    return compiler.version
+
+
+class Loops(BuildHookInterface):  # type: ignore[type-arg]
+    """Compiles the loops for the wheel, or beside their source for an installation that is edited."""
+
+    def dependencies(self) -> list[str]:
+        """What has to be installed to build."""
+        return ["cython>=3.2", *([] if system_compiler() else ["ziglang>=0.13"])]
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:  # noqa: ARG002
+        """Compile; where that cannot be done, say so and go on."""
+        try:
+            build()
+        except OSError as error:
+            self.app.display_warning(f"tumble: the loops over samples stay plain Python and are slow: {error}")
+            return
+        build_data["pure_python"] = False
+        build_data["tag"] = f"cp311-abi3-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+        build_data["artifacts"] += [f"src/tumble/**/*{ENDING}", "src/tumble/compiled.json"]
+
+
+if __name__ == "__main__":
+    print(build())  # noqa: T201

@@ -1,0 +1,148 @@
+"""The compiled loops against the same source run as Python; what is compiled is of today's source."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import fields
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from click.testing import CliRunner
+
+from tumble import cli, compiled, uncompiled
+from tumble.campaigns import triads
+from tumble.estimation import elimination
+from tumble.reduction import kernels, moment_kernels, moments
+from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
+from tumble.units import Array
+
+MODULES = dict(zip(compiled.LOOPS, (kernels, moment_kernels, elimination, triads), strict=True))
+pytestmark = pytest.mark.skipif(not compiled.record(), reason="the loops are not compiled here")
+
+
+def as_python(loops: str) -> ModuleType:
+    """A module of loops that runs as it is written."""
+    spec = importlib.util.spec_from_file_location("plain", compiled.FOLDER / f"{loops}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def rows(rests: int, angles: int, parameters: int, seed: int) -> tuple[tuple[npt.NDArray[Any], ...], Array, Array]:
+    """Rows of rests and turns of a chain that is interrupted once, and memory for factors and triangle."""
+    rng = np.random.default_rng(seed)
+    link = np.append(np.arange(rests - 1), -1)
+    link[rests // 2] = -1
+    rest = rng.standard_normal((rests, 3, angles + parameters + 1))
+    turn = rng.standard_normal((rests - 1, 6, 2 * angles + parameters + 1))
+    factor = np.zeros((rests, angles, 2 * angles + parameters + 1))
+    return (rest, turn, link, link < 0), factor, np.zeros((parameters + 1, parameters + 1))
+
+
+def chain(module: ModuleType) -> list[Array]:
+    """All that elimination gives for a chain."""
+    given, factor, triangle = rows(9, 3, 7, 1)
+    module.eliminate(*given, factor, triangle)
+    rng, unknowns, covariance = np.random.default_rng(2), np.zeros((9, 3)), np.eye(7) + 0.1
+    parameters = rng.standard_normal(7)
+    own, shared = module.put_back(factor, given[2], parameters, covariance, unknowns)
+    left = module.left_over(*given, unknowns, parameters, (covariance, own, shared))
+    vertical, attitudes = rng.standard_normal((9, 3)), np.zeros((9, 3, 3))
+    vertical /= np.linalg.norm(vertical, axis=1)[:, None]
+    module.carry(vertical, np.linalg.qr(rng.standard_normal((8, 3, 3)))[0], given[2], 0.1 * np.arange(9.0), attitudes)
+    return [factor, triangle, unknowns, own, shared, *left, attitudes]
+
+
+def test_elimination_is_that_of_python_to_the_bit() -> None:
+    for found, expected in zip(chain(elimination), chain(as_python("estimation/elimination")), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_moments_are_those_of_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    rates, forces = 0.5 * rng.standard_normal((90, 3)), 10.0 * rng.standard_normal((90, 3))
+    starts, stops = np.array([0, 30, 47]), np.array([25, 47, 90])
+    pieces = Pieces(
+        rates=rates, forces=forces, intervals=np.full(90, 0.01), turn=np.arange(3), start=starts, stop=stops
+    )
+    block = BlockCompensation(
+        axes=np.eye(3),
+        to_body=np.eye(3),
+        matrix=np.eye(3) + 0.01 * rng.standard_normal((3, 3)),
+        bias=0.1 * rng.standard_normal(3),
+        terms=1e-3 * rng.standard_normal((3, 3)),
+    )
+    compensation = Compensation(gyro=block, accel=block, g_sensitivity=1e-3 * np.ones((3, 3)), delay=3e-3)
+    own = OwnAxes(gyro=np.eye(3), accel=np.eye(3)[:2])
+    found = moments_of(pieces, compensation, own)
+    monkeypatch.setattr(moments, "_kernels", as_python("reduction/moment_kernels"))
+    with np.errstate(over="ignore", invalid="ignore"):  # two samples before the first, of which one counts
+        expected = moments_of(pieces, compensation, own)
+    for field in fields(found):
+        ours, theirs = getattr(found, field.name), getattr(expected, field.name)
+        assert np.isfinite(theirs).all()
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-12, err_msg=field.name)
+
+
+def test_sums_over_samples_are_those_of_python() -> None:
+    rng = np.random.default_rng(4)
+    phase, sizes = np.cumsum(rng.standard_normal(1001)), np.array([1, 7, 300, 500])
+    values, time = np.round(rng.standard_normal((200, 2)), 1), 0.01 * np.arange(200.0)
+    found = []
+    for module in (kernels, as_python("reduction/kernels")):
+        state, out, sums, filled = module.new_channel_state(2), np.zeros((30, 2)), np.zeros(2), np.array([3])
+        blocks = module.block_sums(values, time, np.ones(200), 7, sums, filled, state, out)
+        filters, powers, further = np.zeros((4, 4)), np.zeros(4), np.append([4.0, 2.0, 1.0, 0.5], np.zeros(300))
+        orders = module.levinson(further[:4].copy(), filters, powers)
+        module.continue_autocovariance(further, np.array([1.0, -0.5, 0.0, 0.1]), 1e-9)
+        found.append([np.array([blocks, orders]), module.allan_sums(phase, sizes), state, out, sums, filled, filters])
+        lagging = values[:, 0].copy()
+        module.follow(lagging, 0.3)
+        found[-1] += [powers, further, lagging]
+    for ours, theirs in zip(*found, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_fits_of_triads_are_those_of_python() -> None:
+    rng = np.random.default_rng(5)
+    forces = rng.standard_normal((3, 14, 3))
+    readings = 9.8 * forces / np.linalg.norm(forces, axis=2)[..., None] * 1.01 + 0.05
+    found, expected = triads.fit_statics(readings, 9.8), as_python("campaigns/triads").fit_statics(readings, 9.8)
+    for ours, theirs in zip(found[:2], expected[:2], strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("loops", compiled.LOOPS)
+def test_what_is_compiled_is_of_this_source_and_has_its_constants(loops: str) -> None:
+    made = compiled.record()["sources"]
+    assert made[loops] == compiled.source_hash(loops), "the source was changed: run `make kernels`"
+    assert MODULES[loops].__file__ not in (None, str(compiled.FOLDER / f"{loops}.py"))
+    plain = vars(as_python(loops))
+    constants = {name: value for name, value in plain.items() if name.strip("_").isupper() and isinstance(value, int)}
+    assert {name: getattr(MODULES[loops], name) for name in constants} == constants
+
+
+def test_words_say_what_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert compiled.words().startswith("compiled, ")
+    monkeypatch.setattr(compiled, "source_hash", lambda loops: loops)
+    assert compiled.words().endswith(f"; older than their source: {', '.join(compiled.LOOPS)}")
+    monkeypatch.setattr(compiled, "RECORD", compiled.FOLDER / "none.json")
+    assert compiled.words().startswith("plain Python")
+
+
+def test_where_nothing_is_compiled_a_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "record", dict)
+    said = CliRunner().invoke(cli.main, ["programme", "none"]).stderr.splitlines()
+    assert said[0] == "tumble: the loops over samples are not compiled and run as plain Python, slowly"
+    assert "plain Python" not in CliRunner().invoke(cli.main, ["-q", "programme", "none"]).stderr
+
+
+def test_what_stands_for_cython_has_what_the_loops_use() -> None:
+    assert not uncompiled.compiled
+    with uncompiled.nogil:
+        pass
