@@ -165,9 +165,8 @@ def main(arguments: list[str]) -> int:
     kills = 20 if options.short else 1000
     started = time.monotonic()
     tally = interrupt(options.registry, kills, seed=1)
-    print(
-        f"{kills} writers killed within {1e3 * LONGEST:.0f} ms of their start or first record, in {time.monotonic() - started:.0f} s"
-    )
+    within = f"{kills} writers killed within {1e3 * LONGEST:.0f} ms of their start or first record"
+    print(f"{within}, in {time.monotonic() - started:.0f} s")
     print(f"killed before their first record was acknowledged: {tally.before}")
     print(f"records acknowledged: {tally.acknowledged}; committed in the moment before the kill: {tally.silent}")
     print(f"acknowledged and lost: {tally.lost}; faults of the database: {tally.faults}")
