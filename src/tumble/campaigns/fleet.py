@@ -116,13 +116,19 @@ def sessions_of(pattern: str) -> list[str]:
 def _listed(manifest: str) -> list[str]:
     text = _text(manifest)
     if manifest.lower().endswith(".csv"):
-        table = csv.DictReader(io.StringIO(text))
-        if COLUMN not in (table.fieldnames or ()):
-            raise InputError(f"{manifest}: expected a column {COLUMN!r}, found {', '.join(table.fieldnames or ())}")
-        lines = [row[COLUMN] or "" for row in table]
+        lines = _column(manifest, csv.DictReader(io.StringIO(text)))
     else:
         lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     return [_from(manifest, line.strip()) for line in lines if line.strip()]
+
+
+def _column(manifest: str, table: csv.DictReader[str]) -> list[str]:
+    try:
+        if COLUMN not in (table.fieldnames or ()):
+            raise InputError(f"{manifest}: expected a column {COLUMN!r}, found {', '.join(table.fieldnames or ())}")
+        return [row[COLUMN] or "" for row in table]
+    except csv.Error as error:
+        raise InputError(f"{manifest}: expected rows of a CSV table, found in row {table.line_num}: {error}") from None
 
 
 def _from(manifest: str, session: str) -> str:
