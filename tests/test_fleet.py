@@ -127,6 +127,9 @@ def test_sessions_at_urls_give_the_rows_of_the_folders(yard: Path, serial: pl.Da
     found = pl.read_parquet(run_fleet(sessions, tmp_path / "out", method="staged"))
     assert found.drop("session", "error").equals(serial.drop("session", "error"))
     assert found["error"].to_list()[1].startswith("memory:///fleet-of-the-test/b/session.toml: log.file")
+    memory.pipe_file("/fleet-of-the-test/bad.txt", b"file:///etc\n")
+    with pytest.raises(InputError, match="expected sessions at memory://fleet-of-the-test, where the manifest is"):
+        sessions_of("memory://fleet-of-the-test/bad.txt")
     memory.pipe_file("/fleet-of-the-test/some.txt", b"a\nc\n")
     assert sessions_of("memory://fleet-of-the-test/some.txt") == [f"memory://fleet-of-the-test/{n}" for n in "ac"]
 

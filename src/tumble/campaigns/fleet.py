@@ -132,12 +132,24 @@ def _column(manifest: str, table: csv.DictReader[str]) -> list[str]:
 
 
 def _from(manifest: str, session: str) -> str:
-    """A session of a manifest; a relative one starts at the manifest's folder."""
+    """A session of a manifest; a relative one starts at the manifest's folder. A manifest at a URL lists what is at its
+    own place alone: it does not make this machine open its own files, or those of its network."""
     if _is_url(session):
+        if _is_url(manifest) and _place(session) != _place(manifest):
+            raise InputError(
+                f"{manifest}: expected sessions at {'://'.join(_place(manifest))}, where the manifest is, found "
+                f"{session}; copy the manifest to this machine if it is meant"
+            )
         return session
     if _is_url(manifest):
         return f"{manifest.rpartition('/')[0]}/{session}"
     return str(Path(manifest).absolute().parent / session)
+
+
+def _place(url: str) -> tuple[str, str]:
+    """Protocol and host, or bucket, of a URL."""
+    kind, _, rest = url.partition("://")
+    return kind.lower(), rest.partition("/")[0].lower()
 
 
 def _text(manifest: str) -> str:

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from threading import Lock
 
 _ONE_AT_A_TIME = Lock()
 _STANDARD_ERROR = 2
+LAST_WORDS = 0.1
+"""How long other threads that stop at a damaged file may take to print so: s."""
 _MARK = b" panicked at "
 
 
@@ -30,6 +33,9 @@ def without_panic() -> Iterator[None]:
         os.dup2(held.fileno(), _STANDARD_ERROR)
         try:
             yield
+        except BaseException:
+            time.sleep(LAST_WORDS)
+            raise
         finally:
             os.dup2(kept, _STANDARD_ERROR)
             os.close(kept)

@@ -30,7 +30,7 @@ import polars as pl
 from tumble.errors import LogError
 from tumble.recording.clock import date_of, day_of, seconds_of
 from tumble.recording.dialect import BLANKS, LINE_BYTES, Dialect, Recoded, head_lines, top_of
-from tumble.recording.panic import without_panic
+from tumble.recording.panic import LAST_WORDS, without_panic
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec
 from tumble.units import Array
@@ -248,12 +248,8 @@ def _next(batches: Iterator[pl.DataFrame], rows: int) -> pl.DataFrame | None:
     with without_panic():
         table = next(batches, None)
         if table is None and rows:
-            time.sleep(_LAST_WORDS)
+            time.sleep(LAST_WORDS)
         return table
-
-
-_LAST_WORDS = 0.1
-"""How long threads that stopped at a damaged file may take to print so: s."""
 
 
 def _open_parquet(path: Path) -> _Frame:

@@ -294,8 +294,10 @@ def _check(scenario: Scenario) -> None:
             f"found {vibration.frequency:g} Hz"
         )
     if isinstance(scenario.course, HandHeld):
-        if not 1 <= scenario.course.positions <= MOST_POSITIONS:
-            raise InputError(f"positions: expected from 1 to {MOST_POSITIONS}, found {scenario.course.positions:.6g}")
+        if scenario.course.positions < 1:
+            raise InputError(f"positions: expected at least 1, found {scenario.course.positions}")
+        if scenario.course.positions > MOST_POSITIONS:
+            raise InputError(f"positions: expected at most {MOST_POSITIONS}, found {scenario.course.positions:.6g}")
     else:
         _expect("table error", scenario.course.table_error / DEGREE, "deg", zero=True)
         _expect("mounting error", scenario.course.mounting_error / DEGREE, "deg", zero=True)
