@@ -276,9 +276,9 @@ TARGETS = (
         file="limits.toml", weight=2.0, commands=("registry limits BCHE-501 {}/limits.toml --registry {out}/r.sqlite",)
     ),
     Target(file="certificate.toml", commands=(CERTIFY,)),
-    Target(file="campaign.toml", weight=0.25, commands=("campaign {}/campaign.toml --serial -o {out}/campaign",)),
-    Target(file="manifest.csv", weight=0.3, commands=("fleet {}/manifest.csv --serial -o {out}/fleet",)),
-    Target(file="manifest.txt", weight=0.2, commands=("fleet {}/manifest.txt --serial -o {out}/fleet",)),
+    Target(file="campaign.toml", weight=0.25, commands=("campaign {}/campaign.toml --in-process -o {out}/campaign",)),
+    Target(file="manifest.csv", weight=0.3, commands=("fleet {}/manifest.csv --in-process -o {out}/fleet",)),
+    Target(file="manifest.txt", weight=0.2, commands=("fleet {}/manifest.txt --in-process -o {out}/fleet",)),
     Target(
         file="readings.csv",
         weight=2.0,

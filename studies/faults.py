@@ -71,9 +71,9 @@ WRITERS = {
     "programme": "programme cube-26 -o {out}/n.html",
     "registry add": "registry add {in}/calibration.json --registry {out}/n.sqlite",
     "registry show": "registry show 1 -o {out}/n.json --registry {in}/r.sqlite",
-    "registry trend": "registry trend BCHE-501 -o {out}/n.svg --registry {in}/r.sqlite",
-    "campaign": "campaign {in}/campaign.toml --serial -o {out}/n",
-    "fleet": "fleet {in}/manifest.txt --serial -o {out}/n",
+    "registry trend": "registry trend mems-7 -o {out}/n.svg --registry {in}/r.sqlite",
+    "campaign": "campaign {in}/campaign.toml --in-process -o {out}/n",
+    "fleet": "fleet {in}/manifest.txt --in-process -o {out}/n",
     "selftest": "selftest -o {out}/n.json",
 }
 """A command that writes, of each family, by its name."""
@@ -471,7 +471,7 @@ def inputs_of_others(bench: Bench, _: dict[str, str]) -> Found:
         for url in ("file:///etc", "/etc", "ftp://127.0.0.1/s", f"http://{host}/s", f"simplecache::http://{host}/s"):
             bench.emptied()
             (bench.inputs / "urls.txt").write_text(f"{url}\n", encoding="utf-8")
-            ended = bench.run("fleet {in}/urls.txt --serial -o {out}/n")
+            ended = bench.run("fleet {in}/urls.txt --in-process -o {out}/n")
             failed = "" if ended.status == 1 and "failed: " in ended.err else "not in its row"
             yield f"fleet, {url.partition('/')[0]} in a manifest", ended.fault() or failed
         server.knocked = False  # type: ignore[attr-defined]
@@ -519,9 +519,9 @@ def _malicious(bench: Bench) -> Found:
             "new {out}/n {in}/x.csv", "new {out}/n {in}/x.mat", "new {out}/n {in}/x.h5", "new {out}/n {in}/x.ulg",
             "new {out}/n {in}/x.bag", "new {out}/n {in}/x.npy", "new {out}/n {in}/x.parquet",
             "compare {in}/x.json {in}/calibration.json", "compare {in}/x.yaml {in}/calibration.json",
-            "registry import {in}/x.jsonl --registry {out}/n.sqlite", "fleet {in}/x.csv --serial -o {out}/n",
+            "registry import {in}/x.jsonl --registry {out}/n.sqlite", "fleet {in}/x.csv --in-process -o {out}/n",
             "export {in}/calibration.json --to dcc --certificate {in}/x.toml -o {out}/n.xml",
-            "registry list --registry {in}/x.sqlite", "campaign {in}/x.toml --serial -o {out}/n",
+            "registry list --registry {in}/x.sqlite", "campaign {in}/x.toml --in-process -o {out}/n",
         ):  # fmt: skip
             bench.emptied()
             file = next(word for word in command.split() if "{in}/x" in word).replace("{in}", str(bench.inputs))

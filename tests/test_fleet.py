@@ -168,13 +168,13 @@ def test_without_fsspec_the_message_says_what_to_install(monkeypatch: pytest.Mon
 
 def test_the_command_counts_and_says_why_and_resumes(yard: Path, tmp_path: Path) -> None:
     for _ in range(2):
-        result = fleet(f"{yard}/*", "--serial", "-o", tmp_path / "out")
+        result = fleet(f"{yard}/*", "--in-process", "-o", tmp_path / "out")
         assert result.exit_code == 1
         assert result.stdout == "5 sessions: 2 accepted, 1 not accepted, 2 failed\n"
         assert f"not accepted: {yard}/d: " in result.stderr
         assert f"failed: {yard}/b: " in result.stderr
-    other = fleet(f"{yard}/[ac]", "--serial", "-o", tmp_path / "out")
+    other = fleet(f"{yard}/[ac]", "--in-process", "-o", tmp_path / "out")
     assert other.exit_code == 2
     assert "was begun by another job" in other.stderr
-    good = fleet(f"{yard}/[ac]", "--serial", "-o", tmp_path / "good")
+    good = fleet(f"{yard}/[ac]", "--in-process", "-o", tmp_path / "good")
     assert good.exit_code == 0

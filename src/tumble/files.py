@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,12 +20,10 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     Raises OSError that names `path` for a folder that is not there or cannot be written to, and for a disk that is
     full, also where a library says so in words of its own."""
-    with _errors_of(path):
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}.", suffix=path.suffix)
-    os.close(descriptor)
-    temporary = Path(name)
+    temporary = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix}")
     try:
         with _errors_of(path, temporary):
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
             yield temporary
             with temporary.open("rb+") as file:
                 os.fsync(file.fileno())
@@ -36,12 +34,12 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _errors_of(path: Path, temporary: Path | None = None) -> Iterator[None]:
+def _errors_of(path: Path, temporary: Path) -> Iterator[None]:
     """Errors of writing as OSError that names the file that was asked for. Those of other files stay."""
     try:
         yield
     except OSError as error:
-        if error.filename is not None and temporary is not None and Path(os.fsdecode(error.filename)) != temporary:
+        if error.filename is not None and Path(os.fsdecode(error.filename)) != temporary:
             raise
         raise OSError(error.errno, _said(error), str(path)) from None
     except Exception as error:

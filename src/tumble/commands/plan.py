@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import say, setup_of, setup_options
+from tumble.commands.arguments import JSON, say, setup_of, setup_options
 
 
 @click.command()
@@ -19,6 +19,7 @@ from tumble.commands.arguments import say, setup_of, setup_options
 @click.option("--criterion", type=click.Choice(["A", "D"]), default="A", show_default=True, help="What is best.")
 @click.option("--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. accel.scale=3.5ppm; repeat.")
 @click.option("--axes", metavar="N,U,E", help="Turns about these alone, the device staying as it is mounted.")
+@JSON
 @click.option("--step", type=float, default=45.0, show_default=True, help="Where the table stops: multiples, °.")
 def plan(
     attitudes: tuple[str, ...],
@@ -28,6 +29,7 @@ def plan(
     wanted: tuple[str, ...],
     axes: str | None,
     step: float,
+    as_json: bool,
     **options: Any,
 ) -> None:
     """The least uncertainty a programme allows, the best next position, and better programmes."""
@@ -36,7 +38,9 @@ def plan(
     from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.programme.positions import from_attitudes
+    from tumble.terminal.data import print_data
     from tumble.terminal.plan import plan_report, short_of
+    from tumble.terminal.planning_data import plan_data
     from tumble.terminal.text import print_report
 
     setup = setup_of(options)
@@ -46,8 +50,11 @@ def plan(
     aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
     table = TurnTable.of(axes, step)
     found = best(setup, positions=positions, aim=aim, table=table)
-    print_report(plan_report(found, aim))
     reasons = short_of(found.bound, aim, found.setup)
+    if as_json:
+        print_data(plan_data(found, reasons))
+    else:
+        print_report(plan_report(found, aim))
     for reason in reasons:
         say(reason)
     sys.exit(1 if reasons else 0)

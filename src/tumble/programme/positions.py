@@ -80,6 +80,8 @@ def attitude(code: str) -> Array:
 
     Raises ProgrammeError if the letters are not a right-handed triple or a turn is not like N+45."""
     code = " ".join(code.split())
+    if code.startswith(CORNER):
+        code = _corners().get(code, code)  # to the last digit the same as its turns
     letters, *turns = code.split(" ")
     matrix = _on_corner(code, turns.pop(0) if turns else "") if letters == CORNER else _pointing(code, letters)
     for turn in turns:
@@ -260,6 +262,17 @@ def _codes(signs: Array, lift: str) -> list[str]:
     """The codes of lifted triples with the vertical along `signs` in the body."""
     up = signs / np.linalg.norm(signs)
     return [code for code, vertical_b in _lifted(lift).items() if np.abs(vertical_b - up).max() < _SAME]
+
+
+@cache
+def _corners() -> dict[str, str]:
+    """The code in turns of every corner of a cube in three azimuths, by its name."""
+    every = {signs: _codes(np.array(signs), _ON_CORNER) for signs in product((1.0, -1.0), repeat=3)}
+    return {
+        _corner_name(np.array(signs), attitude(code) @ attitude(codes[0]).T): code
+        for signs, codes in every.items()
+        for code in codes
+    }
 
 
 def _corner_name(signs: Array, turned: Array) -> str:
