@@ -482,7 +482,7 @@ def _and(*parts: str) -> str:
     return "; ".join(part for part in parts if part)
 
 
-MOST_LISTED = 12
+MOST_LISTED = 21
 """Parameters that are named one by one."""
 
 

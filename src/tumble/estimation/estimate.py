@@ -110,11 +110,12 @@ class Outcome(Judgement):
     def from_content(content: Mapping[str, Any]) -> Outcome:
         """The outcome of what `content` gave."""
         accel, gyro = ({*content[kind]["reasons"], *content[kind]["remarks"]} for kind in ("accel", "gyro"))
-        said = (*content["reasons"], *content["remarks"])
+        remarks = tuple(content.get("remarks", ()))
+        said = (*content["reasons"], *remarks)
         return Outcome(
             reasons=tuple(content["reasons"]),
-            remarks=tuple(content["remarks"]),
-            unobservable=tuple(content["unobservable"]),
+            remarks=remarks,
+            unobservable=tuple(content.get("unobservable", ())),
             of_accel=tuple(each for each in said if each not in gyro),
             of_gyro=tuple(each for each in said if each not in accel),
         )
