@@ -168,7 +168,8 @@ def tree_changed(content: Any, rng: Rng) -> Any:
         elif kind == 2 and isinstance(part, dict):
             part[str(VALUES[rng.integers(len(VALUES))])] = part.pop(key)
         elif kind == 3 and isinstance(part[key], int | float) and not isinstance(part[key], bool):
-            part[key] = part[key] * 10.0 ** rng.integers(-9, 10) * (-1) ** rng.integers(0, 2)
+            factor = 10.0 ** rng.integers(-9, 10) * (-1) ** rng.integers(0, 2)
+            part[key] = part[key] * factor if abs(part[key]) < 10**300 else -part[key]
         else:
             part[key] = json.loads(json.dumps(VALUES[rng.integers(len(VALUES))]))
     return content
