@@ -50,7 +50,7 @@ from tumble.estimation.variables import Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import Instrument, functions, slopes
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import Block, SensorModel, beyond_body
 from tumble.sensors.parameters import CONSTANT, FUNCTIONS, Variable, limits_of
 from tumble.units import Array, IntArray
 
@@ -402,7 +402,7 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
     return Rows(
         rest=np.concatenate(rest, axis=1),
         turn=turn,
-        prior=_prior_rows(problem, point),
+        prior=_with_arrays(_prior_rows(problem, point), problem, point, about),
         bias=bias,
         own=-point.own / problem.own_known,
     )
@@ -519,7 +519,7 @@ def _spare_rows(problem: Problem, point: Point) -> tuple[Array, Array]:
     assert gyro is not None
     assert turns is not None
     model = problem.gyro_model(point.values)
-    free = _free(model)
+    free = beyond_body(model.matrix)
     y = readings.integral - np.outer(turns.duration, model.bias)
     by_rate = np.zeros((len(y), 1, 15))
     by_rate[:, 0, 1:4] = y @ model.inverse().T
@@ -534,11 +534,6 @@ def _spare_rows(problem: Problem, point: Point) -> tuple[Array, Array]:
     none = np.zeros((len(y), len(free), observations.accel_block.size))
     bias = turns.duration[:, None, None] * np.broadcast_to(free, (len(y), *free.shape))
     return rows, np.concatenate([none, bias], axis=2)
-
-
-def _free(model: SensorModel) -> Array:
-    """Orthonormal rows (n − 3, n): the directions of readings that no rate explains."""
-    return np.asarray(np.linalg.qr(model.matrix, mode="complete")[0][:, 3:].T)
 
 
 def _attitude_rows(problem: Problem, point: Point) -> Array:
@@ -571,6 +566,17 @@ def _prior_rows(problem: Problem, point: Point) -> Array:
         rows[:-1, :-1] = _root_of_inverse(problem.prior.covariance)
     rows[:-1, -1] = rows[:-1, :-1] @ (expected - np.append(point.gravity, point.values))
     return rows
+
+
+def _with_arrays(prior: Array, problem: Problem, point: Point, about: TurnsAbout | None) -> Array:
+    """The triangle of the prior together with what arrays say of themselves in motion."""
+    if about is None or not about.arrays:
+        return prior
+    rows = [np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1) for array in about.arrays]
+    first = int(prior[0, 0] == 0.0)  # gravity that is exact
+    out = np.zeros_like(prior)
+    out[first:, first:] = np.linalg.qr(np.concatenate([prior[:-1], *rows])[first:, first:], mode="r")
+    return out
 
 
 def _root_of_inverse(covariance: Array) -> Array:
@@ -666,7 +672,7 @@ def _turn_noise(problem: Problem, unseen: float) -> Array:
     if readings is None:
         return out
     assert problem.observations.gyro_block is not None
-    free = _free(problem.observations.gyro_block.nominal())
+    free = beyond_body(problem.observations.gyro_block.axes)
     return _diagonal([out, free @ readings.covariance @ free.T])
 
 

@@ -11,10 +11,11 @@ for every function b of every sensor p. Lever arms and delays enter V alone, Eqs
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.estimation.array_levers import ArrayLevers, array_levers
 from tumble.reduction.moments import (
     NO_AXES,
     BlockCompensation,
@@ -55,6 +56,8 @@ class TurnsAbout:
     levers: Array
     delay: Array
     to_rate: Array
+    arrays: tuple[ArrayLevers, ...] = ()
+    """What the accelerometers of arrays say of each other in motion."""
 
     @staticmethod
     def of(
@@ -80,7 +83,11 @@ class TurnsAbout:
             rate, force = rate + changes[0], force + changes[1]
             moments = observations.moments_about_each(list(map(compensation, rate, force)), own)
         lefts = about.gyro.left_inverse, about.accel.left_inverse
-        return TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts)
+        about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts)
+        if instrument.in_motion("lever") is None:
+            return about_turns
+        arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)
+        return replace(about_turns, arrays=arrays)
 
     @staticmethod
     def from_moments(

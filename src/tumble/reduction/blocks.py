@@ -15,8 +15,9 @@ import numpy as np
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log
 from tumble.reduction import kernels as _kernels
+from tumble.reduction.array_motion import FEWEST
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.sensors.model import Block
+from tumble.sensors.model import Block, beyond_body
 from tumble.units import Array, IntArray
 
 BLOCK_SECONDS = 0.1
@@ -237,7 +238,8 @@ class Reducer:
         self._stop = 0.0
         self._edges, self._temperature = _Growing(1), _Growing(1)
         self._unrecorded: dict[int, float] = {}
-        self._stored = MotionSamples() if gyro else None
+        self._beyond = (beyond_body(accel.axes), beyond_body(gyro.axes)) if gyro and accel.size >= FEWEST else None
+        self._stored = MotionSamples(0 if self._beyond is None else sum(map(len, self._beyond))) if gyro else None
         self._lost = self._repeated = 0
         self._last: tuple[Array, ...] = ()
 
@@ -254,7 +256,7 @@ class Reducer:
         if self._gyro and self._stored is not None and chunk.gyro is not None:
             self._gyro.feed(chunk.gyro, chunk.time, chunk.dt, ends, seconds)
             rates, forces = (_body(v, to) for v, to in zip((chunk.gyro, chunk.accel), self._to_body[::-1], strict=True))
-            self._stored.append(rates, forces, chunk.dt)
+            self._stored.append(rates, forces, chunk.dt, self._spare(chunk.accel, chunk.gyro))
         if self._magnetometer and chunk.magnetometer is not None:
             self._magnetometer.feed(chunk.magnetometer, chunk.time, chunk.dt, ends, seconds)
         if chunk.temperature is not None:
@@ -264,6 +266,12 @@ class Reducer:
         self._lost += int(np.round(late * self.rate).sum()) - len(late)
         self._count += len(chunk.time)
         self._stop = float(chunk.time[-1])
+
+    def _spare(self, accel: Array, gyro: Array) -> Array | None:
+        """What the accelerometers and gyros of an array read beyond force and rate; None where that is of no use."""
+        if self._beyond is None:
+            return None
+        return np.hstack([values @ beyond.T for values, beyond in zip((accel, gyro), self._beyond, strict=True)])
 
     def _note_unrecorded(self, chunk: Chunk) -> None:
         """Keep the blocks in which time passed between two samples that no sample covers, and how much, s."""

@@ -25,6 +25,7 @@ import numpy as np
 from tumble.programme.positions import Programme
 from tumble.recording.gaps import Gap
 from tumble.recording.session import Site
+from tumble.reduction.array_motion import ArrayMoments, array_moments
 from tumble.reduction.blocks import FileBlocks, Reduction
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.matching import Match
@@ -204,6 +205,8 @@ class Observations:
     """The course of the temperature, where there is a thermometer."""
     together: Together | None = None
     """Where these are several sessions."""
+    arrays: tuple[ArrayMoments, ...] = ()
+    """Of every session, what the accelerometers of an array read in motion, where there are enough of them."""
     clock_u: float = 0.0
     """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
     usual: Mapping[str, float] = field(default_factory=dict)
@@ -307,6 +310,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
     spans = match.rests
     rests, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
     turns, samples, readings = None, None, None
+    arrays: tuple[ArrayMoments, ...] = ()
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         by_file, block_seconds = {f.file: f for f in reduction.files}, reduction.files[0].size / reduction.rate
         accel_noise = fit_coloured_noise([by_file[s.file].accel[s.first : s.last] for s in spans])
@@ -314,6 +318,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         noises = (accel, accel_noise), (gyro, gyro_noise)
         turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
         readings = _turn_readings(by_file, spans, turns, gyro_noise, block_seconds) if gyro.size > 3 else None
+        arrays = _arrays(reduction, rests, accel, gyro)
     return Observations(
         accel_block=accel,
         gyro_block=gyro,
@@ -324,10 +329,21 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         programme=match.programme,
         position=match.position,
         turn_readings=readings,
+        arrays=arrays,
         rounding=rounded,
         notes=(*_copies(reduction), *rounding_notes(rounded)),
         thermometer=None if rests.temperature is None else _thermometer(reduction),
     )
+
+
+def _arrays(reduction: Reduction, rests: Rests, accel: Block, gyro: Block) -> tuple[ArrayMoments, ...]:
+    """What the accelerometers of an array read in motion, that in turns which are left out included."""
+    if reduction.samples is None:
+        return ()
+    parts = [(f.first_sample, f.first_sample + f.size * len(f.accel)) for f in reduction.files]
+    at_rest = np.linalg.pinv(gyro.axes) @ rests.gyro.mean(axis=0)
+    found = array_moments(reduction.samples, parts, accel, at_rest)
+    return () if found is None else (found,)
 
 
 def _thermometer(reduction: Reduction) -> Thermometer:

@@ -82,6 +82,7 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
         turns=turns,
         turn_samples=_samples(sessions),
         turn_readings=_readings(sessions),
+        arrays=tuple(moments for each in sessions for moments in each.arrays),
         programme=None,
         position=None,
         rounding=_rounding(sessions),

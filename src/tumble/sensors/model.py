@@ -268,3 +268,8 @@ def _frame_of(axes: Array) -> Array:
     third = np.cross(axes[0], axes[1])
     third = third / np.linalg.norm(third)
     return np.array([first, np.cross(third, first), third])
+
+
+def beyond_body(matrix: Array) -> Array:
+    """Orthonormal rows (n − 3, n): what sensors of a sensitivity matrix (n, 3) read that no vector explains."""
+    return np.asarray(np.linalg.qr(matrix, mode="complete")[0][:, 3:].T)

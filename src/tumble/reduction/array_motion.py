@@ -1,0 +1,135 @@
+"""What the accelerometers of an array read while it is moved: moments that know no parameters.
+
+The readings y of n accelerometers contain the specific force and the angular acceleration of the body, six unknowns of
+every sample. What the other n − 6 combinations say of lever arms (`tumble.estimation.array_levers`) needs no more of
+the samples than the sums of products of
+
+    x = (1, y (n), ω_i ω_j (6), d(ω_i ω_j)/dt (6), dω/dt (3), f_i f_j (6), df/dt (3))
+
+with the rates ω and the force f that the nominal sensors read; derivatives are differences between the samples before
+and after. In a body that is shaken the noise of these combinations differs from sample to sample by orders of
+magnitude, since forces change between the instants at which the sensors are read. So the sums are kept apart by how
+much is left of a sample: of its n − 6 quietest directions, once what varies with the rates is taken out.
+
+Source: dynamics method A7, "the n − 3 parity combinations"; in place of its integration by parts the angular
+acceleration is an unknown of every sample, which takes three combinations more and no derivative of a noisy rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from tumble.reduction.motion_samples import MotionSamples
+from tumble.sensors.model import Block, beyond_body
+from tumble.units import Array, BoolArray
+
+FEWEST = 7
+"""Accelerometers that know something beside the force and the angular acceleration."""
+SLOWEST = 4.0
+"""(rad/s)²: what moves more slowly says nothing of lever arms."""
+MOVED = 10
+"""Samples in motion for every part of x: with fewer there is nothing to be had."""
+CLASSES, QUIETEST = 64, 1e-6
+"""Of the mean square that is left, (m/s²)², each √2 times that before, from QUIETEST on."""
+BATCH_SAMPLES = 2**14
+UNEVEN = 0.1
+"""Intervals that differ by more than this part from the usual one have no derivatives."""
+DISAGREE = 0.1
+"""Gyros that differ by more than this part of the rate from what they have in common: one is clipped, or late."""
+_FIRST, _SECOND = np.triu_indices(3)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ArrayMoments:
+    """Sums (B, c, c) of the products of x (module docstring) over `counts` (B,) samples of each class of noise, SI."""
+
+    sums: Array
+    counts: Array
+    columns: dict[str, slice]
+    """Where the parts of x stand: one, readings, products, change, turning, forces, jerk."""
+
+
+def columns_of(sensors: int) -> dict[str, slice]:
+    """Where the parts of x stand for so many accelerometers."""
+    out, first = {}, 0
+    widths = {"one": 1, "readings": sensors, "products": 6, "change": 6, "turning": 3, "forces": 6, "jerk": 3}
+    for name, width in widths.items():
+        out[name] = slice(first, first := first + width)
+    return out
+
+
+def array_moments(
+    samples: MotionSamples, parts: list[tuple[int, int]], accel: Block, at_rest: Array
+) -> ArrayMoments | None:
+    """The moments of samples start … stop − 1 of every part; `at_rest` (3,), rad/s, is what the gyros read in the body
+    when nothing moves. None where there are too few accelerometers, or where too little moves."""
+    if accel.size < FEWEST:
+        return None
+    columns = columns_of(accel.size)
+    width = columns["jerk"].stop
+    whole, count = np.zeros((width, width)), 0
+    for x in _in_motion(samples, parts, accel, at_rest):
+        whole += x.T @ x
+        count += len(x)
+    if count < MOVED * width:
+        return None
+    judge, sums, counts = _quiet(whole, columns), np.zeros((CLASSES, width, width)), np.zeros(CLASSES)
+    for x in _in_motion(samples, parts, accel, at_rest):
+        left = np.maximum(((x @ judge.T) ** 2).mean(axis=1), QUIETEST)
+        of = np.minimum(np.floor(2.0 * np.log2(left / QUIETEST)), CLASSES - 1)
+        for c in np.unique(of).astype(int).tolist():
+            chosen = x[of == c]
+            sums[c] += chosen.T @ chosen
+            counts[c] += len(chosen)
+    return ArrayMoments(sums=sums, counts=counts, columns=columns)
+
+
+def _quiet(whole: Array, columns: dict[str, slice]) -> Array:
+    """Rows (n − 6, c): what of the readings neither goes with the rates nor belongs to the six directions in which they
+    vary most, which are those of the force and the angular acceleration."""
+    read = np.r_[columns["readings"]]
+    given = np.r_[columns["one"], columns["products"], columns["change"]]
+    by = np.linalg.lstsq(whole[np.ix_(given, given)], whole[np.ix_(given, read)], rcond=None)[0]
+    spread = whole[np.ix_(read, read)] - whole[np.ix_(read, given)] @ by
+    quiet = np.linalg.eigh(spread)[1][:, :-6].T
+    out = np.zeros((len(quiet), len(whole)))
+    out[:, read], out[:, given] = quiet, -quiet @ by.T
+    return out
+
+
+def _in_motion(samples: MotionSamples, parts: list[tuple[int, int]], accel: Block, at_rest: Array) -> Iterator[Array]:
+    """x (m, c) of the samples that can be used, batch by batch."""
+    for start, stop in parts:
+        for first in range(start, stop, BATCH_SAMPLES):
+            around = max(first - 1, start), min(first + BATCH_SAMPLES + 1, stop)
+            if around[1] - around[0] > 2:
+                yield _functions(samples, *around, accel, at_rest)
+
+
+def _functions(samples: MotionSamples, start: int, stop: int, accel: Block, at_rest: Array) -> Array:
+    """x (m, c) of the samples that move, can be used, and have one before and after that can."""
+    rates, forces, intervals = samples.read(start, stop)
+    spare, rates = samples.spare(start, stop), rates - at_rest
+    products = rates[:, _FIRST] * rates[:, _SECOND]
+    span = (0.5 * intervals[:-2] + intervals[1:-1] + 0.5 * intervals[2:])[:, None]
+    readings = forces @ accel.axes.T + spare[:, : accel.size - 3] @ beyond_body(accel.axes)
+    change, turning, jerk = ((v[2:] - v[:-2]) / span for v in (products, rates, forces))
+    inner = slice(1, -1)
+    squares = forces[inner][:, _FIRST] * forces[inner][:, _SECOND]
+    one = np.ones((len(span), 1))
+    x = np.concatenate([one, readings[inner], products[inner], change, turning, squares, jerk], axis=1)
+    usable = _usable(rates, spare[:, accel.size - 3 :], intervals)
+    moves = (rates[inner] ** 2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
+    return np.asarray(x[moves & usable[:-2] & usable[inner] & usable[2:]])
+
+
+def _usable(rates: Array, spare: Array, intervals: Array) -> BoolArray:
+    """Samples (m,) at the usual interval whose gyros agree; of three gyros, those that repeat nothing."""
+    even = np.abs(intervals / np.median(intervals) - 1.0) < UNEVEN
+    if spare.shape[1]:
+        return np.asarray(even & (np.abs(spare).max(axis=1) < DISAGREE * np.linalg.norm(rates, axis=1)))
+    repeated = np.any(np.diff(rates, axis=0, prepend=np.inf) == 0.0, axis=1)
+    return np.asarray(even & ~repeated & ~np.append(repeated[1:], False))
