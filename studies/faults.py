@@ -11,8 +11,9 @@ surroundings. A case is a finding where
 
     python studies/faults.py [--short] [--only WORD]
 
-`--short` is one command with a full disk; `--only` takes the cases whose name has the word. As root the read-only folder and the full
-disk are mounted where that is possible; otherwise the disk is a limit on the size of files.
+`--short` is one command with a full disk; `--only` takes the kinds of faults whose name has the word. As root the
+read-only folder and the full disk are mounted where that is possible; otherwise the disk is a limit on the size of
+files.
 """
 
 from __future__ import annotations

@@ -83,6 +83,8 @@ def d_si(*units: str) -> str:
     """The product of units as D-SI writes it: d_si("m/s^2") is \\metre\\second\\tothe{-2}."""
     powers: Counter[str] = Counter()
     for unit in units:
+        if unit not in _DIMENSIONS:
+            raise InputError(f"calibration: expected the SI unit of a parameter, found {unit!r}; calibrate again")
         powers.update(_DIMENSIONS[unit])
     parts = [f"\\{name}" + ("" if power == 1 else f"\\tothe{{{power}}}") for name, power in powers.items() if power]
     return "".join(parts) or "\\one"
