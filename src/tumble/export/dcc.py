@@ -26,6 +26,7 @@ from scipy.special import chdtri, fdtri
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
 from tumble.calibration.results import coverage_factor
+from tumble.errors import InputError
 from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
