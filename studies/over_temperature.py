@@ -9,6 +9,8 @@ goes from 0 to 40 °C and back; once while it goes from 0 to 40 °C; once at roo
 3 °C; and the same without any change of temperature. Sensors follow the thermometer with a lag, |N(0, 200 s)| where
 none is stated, and have a hysteresis of the usual size where both ways are gone.
 
+Then the three procedures from logs of every sample, tactical instruments, rests of 30 s at 20 samples a second.
+
 z: root mean square of (value − truth)/u over runs and parameters. Coverage: how often the truth is within the interval
 of 95 %.
 """
@@ -16,13 +18,18 @@ of 95 %.
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
-from tumble.estimation.estimate import Estimate
+from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.together import calibrate_together
+from tumble.estimation.estimate import Estimate, Fit
+from tumble.estimation.likelihood import Scatter, solve
 from tumble.estimation.methods.joint import joint
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
@@ -32,8 +39,18 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import Variable, group_name, named_group, usual_sizes
 from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
-from tumble.simulation.scenario import OnTable, Scenario, scenario_of
-from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
+from tumble.simulation.scenario import OnTable, Scenario, itinerary, scenario_of
+from tumble.simulation.session import session_in_memory
+from tumble.simulation.temperature_profile import (
+    LAG_NAME,
+    REFERENCE_NAME,
+    TemperatureProfile,
+    draw_lag,
+    draw_thermal,
+)
+from tumble.simulation.temperature_profile import REFERENCE as REFERENCE_CELSIUS
+from tumble.simulation.temperature_profile import truth_at as true_at
+from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
 GRADE = "navigation"
 REFERENCE = 20.0 + ZERO_CELSIUS
@@ -59,13 +76,15 @@ SLOPES = {
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Procedure:
     """Courses of temperature, °C, of the sessions, each passed through at a constant rate, and the programme; whether
-    there is hysteresis; the minutes of a warm-up, which goes as an exponential, else None."""
+    there is hysteresis; the minutes of a warm-up, which goes as an exponential, else None; and whether biases are
+    steady, so that nothing scatters from rest to rest."""
 
     name: str
     courses: tuple[tuple[float, ...], ...]
     programme: Programme = ONCE
     hysteresis: bool = False
     warm_up: float | None = None
+    steady: bool = False
 
 
 LEVELS = Procedure(name="three levels", courses=((0.0, 0.0), (20.0, 20.0), (40.0, 40.0)))
@@ -105,6 +124,9 @@ def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
         for name in more:
             more[name] *= SLOPES.get(group_name(name), 0.0) / USUAL[group_name(name)]
     course = replace(course, programme=procedure.programme)
+    if procedure.steady:
+        noise = replace(scenario.noise, accel_instability=0.0, gyro_instability=0.0)
+        scenario = replace(scenario, noise=noise)
     return replace(scenario, truth=dict(scenario.truth) | more, usual=USUAL, course=course)
 
 
@@ -112,9 +134,9 @@ def of_launch(scenario: Scenario, rng: np.random.Generator, *, several: bool) ->
     """The instrument in another session: with drifts of its own, and of several, with biases of its own."""
     truth = dict(scenario.truth)
     for name in truth:
-        group, size = group_name(name), USUAL.get(f"{group_name(name)}.launch")
+        group, size = group_name(name), scenario.usual.get(f"{group_name(name)}.launch")
         if group.endswith(".drift"):
-            truth[name] = float(USUAL[group] * rng.standard_normal())
+            truth[name] = float(scenario.usual[group] * rng.standard_normal())
         elif several and size is not None:
             truth[name] += float(size * rng.standard_normal())
     return replace(scenario, truth=truth)
@@ -134,6 +156,56 @@ def observed(procedure: Procedure, number: int, lag: float | None) -> tuple[Scen
         return scenario, sessions[0]
     names = [f"session {i + 1}" for i in range(len(sessions))]
     return scenario, joined(sessions, names, [np.arange(len(each.rests)) for each in sessions])
+
+
+RECORDED = Setup.of(grade="tactical", terms="full", rest=30.0, rate_deg_s=40.0, sample_rate=20.0)
+"""What is sampled: short sessions at a low rate."""
+
+
+def calibrated(procedure: Procedure, number: int) -> tuple[Calibration, dict[str, float]]:
+    """The calibration of a device from logs of every sample, and the truth at its reference temperature."""
+    rng = np.random.default_rng([13, number])
+    scenario = scenario_of(RECORDED, rng)
+    course, blocks = scenario.course, {"accel": scenario.accel, "gyro": scenario.gyro}
+    assert isinstance(course, OnTable)
+    thermal, lag = draw_thermal(RECORDED.further, "tactical", blocks, rng), draw_lag(RECORDED.further, rng)
+    if not procedure.hysteresis:
+        thermal = {name: value for name, value in thermal.items() if not name.endswith("hysteresis")}
+    scenario = replace(scenario, usual=RECORDED.further, course=replace(course, programme=procedure.programme))
+    duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
+    scenario = replace(scenario, truth=dict(scenario.truth) | thermal)
+    sessions, several = [], len(procedure.courses) > 1
+    for celsius in procedure.courses:
+        mine = of_launch(scenario, rng, several=several)
+        climate = TemperatureProfile(celsius=celsius).climate(duration, lag)
+        sessions.append(session_in_memory(replace(mine, climate=climate), rng))
+    found = calibrate_together(sessions) if several else calibrate(sessions[0])
+    truth = dict(scenario.truth if several else mine.truth) | {REFERENCE_NAME: REFERENCE_CELSIUS}
+    return found, true_at(truth, found.reference_temperature) | {LAG_NAME: lag}
+
+
+def samples(count: int) -> float:
+    """Print what calibrations of logs give; the worst of the coverages of their coefficients, from 95 %."""
+    worst = 0.0
+    for procedure in (LEVELS, BOTH_WAYS, ONE_WAY):
+        runs = [calibrated(procedure, number) for number in range(count)]
+        verdicts = Counter(run[0].outcome.verdict for run in runs)
+        z = {"all": list[float](), "coefficients": list[float](), "lag": list[float]()}
+        within = {kind: list[bool]() for kind in z}
+        for found, truth in runs:
+            for p in (p for p in found.parameters if p.u and p.name in truth):
+                group = group_name(p.name)
+                mine = ["coefficients"] if group in THERMAL else ["lag"] if p.name == LAG_NAME else []
+                for kind in ("all", *mine):
+                    error = (p.value - truth[p.name]) / (p.u or 1.0)
+                    z[kind].append(error)
+                    within[kind].append(abs(error) < (stats.norm if p.dof is None else stats.t(p.dof)).ppf(0.975))
+        print(f"{procedure.name}, {count} devices from logs: {dict(verdicts)}")
+        for kind in (kind for kind in z if z[kind]):
+            said = f"z {np.sqrt(np.mean(np.square(z[kind]))):.2f}, covered {100.0 * np.mean(within[kind]):.1f} %"
+            print(f"  {kind}: {said} of {len(z[kind])}")
+        worst = max(worst, abs(100.0 * float(np.mean(within["coefficients"])) - 95.0))
+    return worst
 
 
 def truth_at(scenario: Scenario, kelvin: float) -> dict[str, float]:
@@ -213,9 +285,41 @@ def procedures(count: int) -> float:
     return worst
 
 
+def without_scatter(estimate: Estimate) -> tuple[Array, Array]:
+    """Values and u of an estimate with the noise within rests alone, whatever the residuals are."""
+    likelihood = estimate.linearised
+    assert likelihood is not None
+    step = solve(likelihood.problem, likelihood.rows, likelihood.noise.weights(Scatter()))
+    return likelihood.point.values + step.parameters[1:], np.sqrt(np.diag(step.covariance)[1:])
+
+
+def bare(scenario: Scenario, observations: Observations, leave: Sequence[str]) -> tuple[float, float, Fit]:
+    """Errors over u with the noise within rests alone, rms: of biases, scale factors and their coefficients, and of
+    biases and scale factors; and the chi-square, without groups that are left out."""
+    usual = {name: size for name, size in observations.usual.items() if name not in leave}
+    estimate = joint(replace(observations, usual=usual))
+    assert observations.rests.temperature is not None
+    truth = truth_at(scenario, float(observations.rests.temperature.mean()))
+    values, u = without_scatter(estimate)
+    z = {n: float((v - truth.get(n, 0.0)) / s) for n, v, s in zip(estimate.names, values, u, strict=True)}
+    every = [z[name] for name in z if group_name(name) in (*THERMAL, *AT_REFERENCE)]
+    there = [z[name] for name in z if group_name(name) in AT_REFERENCE]
+    return rms_of(every), rms_of(there), estimate.fits["noise within rests"]
+
+
+def rms_of(values: Sequence[float]) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+AT_REFERENCE = ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale")
+HYSTERESIS, LAG_ALONE = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), ("temperature.lag",)
+
+
 def lags(count: int) -> None:
-    """Print the table of lags: estimated, and what is lost where it is ignored."""
-    print(f"\nlag, {count} devices each: z of all, lag ignored → estimated; estimate")
+    """Print the tables of the method's A5: lags, and hysteresis with a lag of 60 s, estimated, and what is lost where
+    they are ignored and nothing but the noise within rests is allowed for. Bias scatters in no rest."""
+    print(f"\nlag, {count} devices each: errors over u where it is ignored (at T0; chi-square for degrees); estimate")
     for procedure, lag in (
         (BOTH_WAYS, 30.0),
         (BOTH_WAYS, 100.0),
@@ -223,28 +327,28 @@ def lags(count: int) -> None:
         (ONE_WAY, 100.0),
         (ONE_WAY, 300.0),
     ):
-        made = [observed(replace(procedure, hysteresis=False), number, lag) for number in range(count)]
-        with_lag = [found(*each) for each in made]
-        without = [
-            found(*each, leave=("temperature.lag", "accel.bias.hysteresis", "gyro.bias.hysteresis")) for each in made
-        ]
+        quiet = replace(procedure, hysteresis=False, steady=True)
+        made = [observed(quiet, number, lag) for number in range(count)]
+        with_lag = [found(*each, leave=HYSTERESIS) for each in made]
+        without = [bare(*each, leave=(*LAG_ALONE, *HYSTERESIS)) for each in made]
         values = [run.values["temperature.lag"] for run in with_lag]
-        u = float(np.sqrt(np.mean([run.u["temperature.lag"] ** 2 for run in with_lag])))
-        ignored, fit = rms(without, (*LINEAR, *THERMAL)), np.mean([run.chi_square for run in without])
-        print(f"  {procedure.name:12s} {lag:4.0f} s: {ignored:5.1f} (chi-square over degrees {fit:.2f})", end=" ")
-        print(
-            f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f}; {np.mean(values):.1f} ± {np.std(values):.1f} s, u {u:.1f} s"
-        )
-    made = [observed(BOTH_WAYS, number, 60.0) for number in range(count)]
-    both, lag_alone = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), ("temperature.lag",)
+        u = rms_of([run.u["temperature.lag"] for run in with_lag])
+        every, there = rms_of([each[0] for each in without]), rms_of([each[1] for each in without])
+        chi, degrees = (np.mean([getattr(each[2], what) for each in without]) for what in ("chi_square", "degrees"))
+        print(f"  {procedure.name:12s} {lag:4.0f} s: {every:5.1f} ({there:.1f}; {chi:.0f} for {degrees:.0f})", end=" ")
+        print(f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f};", end=" ")
+        print(f"{np.mean(values):.1f} ± {np.std(values, ddof=1):.1f} s, u {u:.1f} s")
+    made = [observed(replace(BOTH_WAYS, steady=True), number, 60.0) for number in range(count)]
     for what, leave in (
-        ("ignored", both + lag_alone),
-        ("lag alone", both),
-        ("hysteresis alone", lag_alone),
+        ("both ignored", HYSTERESIS + LAG_ALONE),
+        ("lag alone", HYSTERESIS),
+        ("hysteresis alone", LAG_ALONE),
         ("both", ()),
     ):
-        z = rms([found(*each, leave=leave) for each in made], (*LINEAR, *THERMAL))
-        print(f"  hysteresis with a lag of 60 s, {what}: {z:.2f}")
+        print(f"  hysteresis with a lag of 60 s, {what}: {rms_of([bare(*each, leave)[0] for each in made]):.2f}")
+    made = [observed(replace(BOTH_WAYS, steady=True), number, 0.0) for number in range(count)]
+    for what, leave in (("ignored", HYSTERESIS + LAG_ALONE), ("fitted", LAG_ALONE)):
+        print(f"  hysteresis without lag, {what}: {rms_of([bare(*each, leave)[0] for each in made]):.2f}")
 
 
 def warm_up(count: int) -> tuple[float, float]:
@@ -266,9 +370,10 @@ def warm_up(count: int) -> tuple[float, float]:
 
 def main() -> int:
     short = "--short" in sys.argv
-    worst = procedures(2 if short else 60)
+    worst = procedures(2 if short else 1000)
     if not short:
-        lags(8)
+        worst = max(worst, samples(60))
+        lags(16)
     z, ratio = warm_up(3 if short else 30)
     honest = worst < (6.0 if short else 2.0) and z < (1.3 if short else 1.05) and ratio < 1.2
     print(f"\nIs u over temperature honest, and does a warm-up cost little? {'Yes' if honest else 'No'}")

@@ -45,9 +45,8 @@ def solved(found: ArrayLevers, rates: float, lever: float = 0.03) -> tuple[Array
     """Lever arms, delay and E (q,), and their covariance, where the rates are known to a part `rates`."""
     known = np.concatenate([np.full(len(found.about) - COMMON, lever), [0.02], np.full(9, rates)]) ** -2.0
     normal = found.root.T @ found.root + np.diag(known)
-    return found.about + np.linalg.solve(normal, found.root.T @ found.excess - known * found.about), np.linalg.inv(
-        normal
-    )
+    step = np.linalg.solve(normal, found.root.T @ found.excess - known * found.about)
+    return np.asarray(found.about + step), np.asarray(np.linalg.inv(normal))
 
 
 def placed(solution: Array) -> Array:
@@ -61,7 +60,7 @@ class Shaken:
     def __init__(self, seed: int, *, seconds: float = 30.0, rate: float = 200.0, delay: float = 1.5e-3) -> None:
         rng = np.random.default_rng(seed)
         self.dt, self.delay = 1.0 / rate, delay
-        t = np.arange(round(seconds * rate)) * self.dt
+        t = np.arange(round(seconds * rate), dtype=float) * self.dt
         self.levers = np.repeat(CHIPS, 3, axis=0) + rng.normal(0.0, 0.3e-3, (24, 3))
         self.own = rng.normal(0.0, [0.3, 2e-4, 2e-4, 2e-4], (24, 4))  # biases, and what is not known of the rows
         self.values = np.zeros(len(INSTRUMENT.names))

@@ -166,7 +166,31 @@ def test_parameters_are_taken_to_the_temperature_of_the_check() -> None:
     known, same = (known_before(c, here, "mems", {}) for c in (cold, replace(calibration, reference_temperature=40.0)))
     i = 1 + known.instrument.names.index("accel.bias.x")
     more = known.covariance[i, i] - same.covariance[i, i]
-    assert np.sqrt(more) == pytest.approx(20.0 * 0.3 * MG, rel=1e-6)
+    assert np.sqrt(more) == pytest.approx(np.hypot(20.0 * 0.3 * MG, 20.0**2 * 0.3 * MG / 60.0), rel=1e-6)
+
+
+def test_curvatures_of_the_calibration_are_used() -> None:
+    """b(T) = b + θ₁ (T − T₀) + θ₂ (T − T₀)², with u of the curvature as the calibration has it."""
+    observations, calibration = seen(3), device()[1]
+    warm = np.full(3, 40.0 + ZERO_CELSIUS)
+    here = replace(observations, rests=replace(observations.rests, temperature=warm))
+    unit = {"t1": "m/s^2/K", "t2": "m/s^2/K^2"}
+    values = {"t1": 0.5 * MG, "t2": -0.01 * MG}
+    more = tuple(
+        Parameter(name=f"accel.bias.{x}.{ending}", value=values[ending], u=1e-3 * MG, unit=unit[ending])
+        for x in "xyz"
+        for ending in values
+    )
+    assert calibration.covariance is not None
+    m, n = len(calibration.parameters), len(more)
+    covariance = np.zeros((m + n, m + n))
+    covariance[:m, :m], covariance[m:, m:] = calibration.covariance, (1e-3 * MG) ** 2 * np.eye(n)
+    parameters = (*calibration.parameters, *more)
+    warmed = replace(calibration, parameters=parameters, covariance=covariance, reference_temperature=20.0)
+    known = known_before(warmed, here, "mems", {})
+    by_name = dict(zip(known.instrument.names, known.values.tolist(), strict=True))
+    assert by_name["accel.bias.x"] - calibration["accel.bias.x"].value == pytest.approx(6.0 * MG)
+    assert by_name["accel.bias.x.t1"] == pytest.approx(0.1 * MG)
 
 
 def test_a_session_is_checked_and_the_calibration_updated(folder: Path) -> None:

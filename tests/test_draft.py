@@ -116,6 +116,20 @@ def test_thermometers_are_known_with_the_unit_of_their_name(name: str, unit: str
     assert temperature_unit(name) == unit
 
 
+@pytest.mark.parametrize(
+    ("names", "taken"),
+    [
+        (("temp_accel", "temp_gyro"), "temp_gyro"),
+        (("gyro_temperature", "accel_temperature"), "gyro_temperature"),
+        (("chip_temp_C", "temp"), "chip_temp_C"),
+        (("temperature_accel_degC",), "temperature_accel_degC"),
+        (("template", "tempo"), None),
+    ],
+)
+def test_of_several_thermometers_that_of_the_gyros_is_taken(names: tuple[str, ...], taken: str | None) -> None:
+    assert columns_by_name(["t", *named("acc_"), *names]).temperature == taken
+
+
 def test_a_second_imu_in_the_same_log_is_named_and_angular_accelerations_are_nobodys() -> None:
     found = columns_by_name([*named("imu0_acc_"), *named("imu1_acc_"), *named("angular_acceleration_")])
     assert found.triads[ACCEL].columns[0] == "imu0_acc_x"

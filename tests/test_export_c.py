@@ -5,14 +5,18 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from calibrated import HEXAD, calibration
+from calibrated import HEXAD, calibration, warmed
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.results import Parameter
 from tumble.export import export_calibration
+from tumble.export.c_header import LAG_EXAMPLE
+from tumble.reduction.thermometer import followed
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
@@ -119,3 +123,55 @@ def test_the_examples_in_the_comment_are_right() -> None:
 
 def test_accelerometers_alone_have_no_function_for_gyros() -> None:
     assert "gyro" not in export_calibration(calibration(with_gyro=False), "c").content.decode()
+
+
+LAGGING = """
+#include <stdio.h>
+#include "imu.h"
+int main(void)
+{
+    imu_thermometer state = {0};
+    double celsius, seconds;
+    while (scanf("%lf %lf", &celsius, &seconds) == 2) {
+        printf("%a\\n", imu_sensors_celsius(&state, celsius, seconds));
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("lag", [73.0, -40.0])
+def test_the_lag_is_followed_as_the_library_does(tmp_path: Path, gcc: str, lag: float) -> None:
+    """Over steps from milliseconds to hours; without the lag among the parameters there is no such function."""
+    made = warmed(calibration())
+    parameter = Parameter(name="temperature.lag", value=lag, u=1.0, unit="s")
+    assert made.covariance is not None
+    n = len(made.parameters)
+    covariance = np.eye(n + 1)
+    covariance[:n, :n] = made.covariance
+    made = replace(made, parameters=(*made.parameters, parameter), covariance=covariance)
+    exported = export_calibration(made, "c")
+    assert not any("lag" in loss for loss in exported.losses)
+    (tmp_path / "imu.h").write_bytes(exported.content)
+    (tmp_path / "main.c").write_text(LAGGING)
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function"]
+    subprocess.run([gcc, *flags, str(tmp_path / "main.c"), "-o", str(tmp_path / "lag")], check=True)
+
+    def run_on(readings: list[tuple[float, float]]) -> Array:
+        given = "\n".join(f"{celsius.hex()} {seconds.hex()}" for celsius, seconds in readings)
+        done = subprocess.run([tmp_path / "lag"], input=given, capture_output=True, text=True, check=True)
+        return np.array([float.fromhex(line) for line in done.stdout.split()])
+
+    rng = np.random.default_rng(1)
+    celsius, steps = 20.0 + np.cumsum(rng.normal(size=400)), 10.0 ** rng.uniform(-3.0, 4.0, 400)
+    expected = [celsius[0]]
+    for i in range(1, 400):
+        before = expected[-1] if lag > 0.0 else 2.0 * celsius[i - 1] - expected[-1]
+        now = followed(celsius[i - 1 : i + 1], float(steps[i]), abs(lag), first=float(before))[1]
+        expected.append(now if lag > 0.0 else 2.0 * celsius[i] - now)
+    found = run_on(list(zip(celsius.tolist(), steps.tolist(), strict=True)))
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
+    stated = re.search(r"the sensors have ([-0-9. ]+)", exported.content.decode())
+    assert stated is not None
+    np.testing.assert_allclose(run_on(list(LAG_EXAMPLE)), [float(word) for word in stated[1].split()], atol=1e-9)
+    assert "imu_thermometer" not in export_calibration(warmed(calibration()), "c").content.decode()

@@ -28,10 +28,10 @@ MILLI_G = 1e-3 * G_STANDARD
 UNIT = {"accel": MILLI_G, "gyro": DEGREE}
 
 
-def parameters(made: Calibration, to: str) -> dict[str, float]:
+def parameters(made: Calibration, to: str, imu: int | None = None) -> dict[str, float]:
     """Name and value of every line that is not a comment, as the autopilot keeps them."""
     out = {}
-    for line in export_calibration(made, to).content.decode().splitlines():
+    for line in export_calibration(made, to, imu=imu).content.decode().splitlines():
         if line.startswith("#"):
             continue
         if to.startswith("px4"):
@@ -183,6 +183,16 @@ def test_the_numbers_are_those_of_the_sensors_that_were_recorded() -> None:
     fourth = replace(made, imu={"accel": AutopilotSensor(number=4, id=None)})
     with pytest.raises(InputError, match="expected one of the first 3 IMUs, found a recording of IMU 4"):
         export_calibration(fourth, "ardupilot-thermal")
+
+
+def test_of_another_imu_the_file_has_its_numbers_and_its_place() -> None:
+    px4, ardupilot = (parameters(warmed(calibration()), to, imu=2) for to in AUTOPILOTS)
+    assert {"CAL_ACC1_XOFF", "CAL_GYRO1_XOFF", "TC_A1_TREF", "TC_G1_X1_0"} <= set(px4)
+    assert not any(name.startswith(("TC_A0", "TC_G0", "CAL_ACC0")) for name in px4)
+    assert {"INS_ACC2OFFS_X", "INS_TCAL2_ENABLE", "INS_ACC2_CALTEMP"} <= set(ardupilot)
+    for to, most in zip(AUTOPILOTS, (3, 5), strict=True):
+        with pytest.raises(InputError, match=f"expected a number from 1 to {most} for {to}, found 7"):
+            export_calibration(warmed(calibration()), to, imu=7)
 
 
 def test_px4_says_what_its_steps_of_one_degree_cost() -> None:

@@ -119,8 +119,14 @@ def write_bag1(path: Path, record: Array) -> None:
             bag.write(topic, stamp + 1234, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
 
 
-def write_bag2(path: Path, record: Array, topics: dict[str, Array] | None = None, warmth: Array | None = None) -> None:
-    """With temperatures, °C, at every tenth sample, where they are given."""
+def write_bag2(
+    path: Path,
+    record: Array,
+    topics: dict[str, Array] | None = None,
+    warmth: Array | None = None,
+    thermometers: tuple[str, ...] = ("/imu/temperature",),
+) -> None:
+    """With temperatures, °C, at every tenth sample, where they are given; of each further thermometer 10 K less."""
     store = get_typestore(Stores.ROS2_JAZZY)
     types = store.types
     with Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
@@ -129,9 +135,10 @@ def write_bag2(path: Path, record: Array, topics: dict[str, Array] | None = None
             for stamp, row in zip(stamps(len(rows)), rows, strict=True):
                 message = imu_message(store, row, stamp, ros1=False)
                 bag.write(topic, stamp, store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
-        if warmth is not None:
-            topic = bag.add_connection("/imu/temperature", "sensor_msgs/msg/Temperature", typestore=store)
-            for stamp, celsius in zip(stamps(len(warmth) * 10)[::10], warmth.tolist(), strict=True):
+        for less, name in enumerate(() if warmth is None else thermometers):
+            assert warmth is not None
+            topic = bag.add_connection(name, "sensor_msgs/msg/Temperature", typestore=store)
+            for stamp, celsius in zip(stamps(len(warmth) * 10)[::10], (warmth - 10.0 * less).tolist(), strict=True):
                 time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
                 header = types["std_msgs/msg/Header"](stamp=time, frame_id="imu")
                 message = types["sensor_msgs/msg/Temperature"](header=header, temperature=celsius, variance=0.0)
@@ -356,3 +363,13 @@ def test_a_missing_extra_is_named(module: str, name: str, record: Array, tmp_pat
     code += "except MissingExtraError as error: print(error)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert f"needs {module}; install it with: pip install 'tumble[formats]'" in said
+
+
+def test_of_several_topics_with_temperatures_that_beside_the_imu_is_taken(at_rest: Array, tmp_path: Path) -> None:
+    names = ("/baro/temperature", "/imu/temperature")
+    write_bag2(tmp_path / "two", at_rest, warmth=np.full(300, 40.0), thermometers=names)
+    name, temperatures = temperature_of(tmp_path / "two")
+    assert name == "/imu/temperature"
+    np.testing.assert_allclose(temperatures, 30.0)
+    draft, _ = new_session(tmp_path / "again", tmp_path / "two")
+    assert "other thermometers, not used: /baro/temperature" in draft.said

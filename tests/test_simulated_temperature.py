@@ -36,6 +36,7 @@ from tumble.simulation.temperature_profile import (
         ("-10:60:-10", [0.0, 0.25, 0.5, 1.0], [-10.0, 25.0, 60.0, -10.0]),
         ("22+15@600", [0.0, 0.5, 1.0], [22.0, 37.0 - 15.0 * np.exp(-1.0), 37.0 - 15.0 * np.exp(-2.0)]),
         ("22.5-2.5@600", [0.0, 1.0], [22.5, 20.0 + 2.5 * np.exp(-2.0)]),
+        ("-10:60:-10-5@600", [0.0, 0.5, 1.0], [-10.0, 55.0 + 5.0 * np.exp(-1.0), -15.0 + 5.0 * np.exp(-2.0)]),
     ],
 )
 def test_a_profile_is_what_its_text_says(text: str, at: list[float], celsius: list[float]) -> None:
@@ -126,3 +127,21 @@ def test_a_ramp_up_and_down_is_calibrated_within_its_uncertainties(tmp_path: Pat
     z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth])
     assert len(z) >= 33
     assert np.sqrt(np.mean(z**2)) < 1.8  # chi-square of 33: one in 10⁹
+
+
+def test_a_device_with_all_terms_has_a_lag_and_hysteresis(tmp_path: Path) -> None:
+    """They are in truth.json by their names, and the calibration of the log finds them."""
+    setup = Setup.of(grade="tactical", rest=20.0, rate_deg_s=40.0, sample_rate=25.0, terms="full")
+    profile = temperature_profile("10:35:10")
+    folder = simulate_session(tmp_path / "s", setup, seed=5, temperature=profile)
+    true = read_truth(folder / "truth.json")
+    hysteresis = [name for name in true if name.endswith(".hysteresis")]
+    assert len(hysteresis) == 6
+    assert true["temperature.lag"] > 0.0
+    found = calibrate(folder)
+    lag = found["temperature.lag"]
+    assert found.outcome.accepted, found.outcome.reasons
+    assert lag.u is not None
+    assert lag.u < 100.0
+    for name in ("temperature.lag", *hysteresis):
+        assert abs(found[name].value - true[name]) < 6.0 * (found[name].u or 0.0), name

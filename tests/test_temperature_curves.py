@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,6 +50,24 @@ def test_u_of_a_curve_has_the_degrees_of_freedom_of_the_sum() -> None:
         assert found.expanded[0] == pytest.approx(coverage_factor(float(nu)) * combined, rel=1e-6)
 
 
+def test_coefficients_against_each_other_leave_u_its_degrees_of_freedom() -> None:
+    """Where the sum is known a thousand times better than its parts, k is at most that of the part with fewest."""
+    made = warmed(calibration(), curved=False)
+    place = {p.name: i for i, p in enumerate(made.parameters)}
+    i, j = place["accel.bias.x"], place["accel.bias.x.t1"]
+    reference = made.reference_temperature
+    assert made.covariance is not None
+    assert reference is not None
+    covariance, u = made.covariance.copy(), float(np.sqrt(made.covariance[i, i]))
+    covariance[j, j] = (0.1 * u) ** 2
+    covariance[i, j] = covariance[j, i] = -0.999999 * 0.1 * u**2
+    parameters = tuple(replace(p, dof=12.0) if p.name.startswith("accel.bias.x") else p for p in made.parameters)
+    made = replace(made, parameters=parameters, covariance=covariance)
+    found = curve(made, "accel.bias.x", np.array([reference + 10.0]))
+    assert found.expanded is not None
+    assert found.expanded[0] == pytest.approx(coverage_factor(12.0) * u * np.sqrt(2e-6), rel=1e-3)
+
+
 def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
     made = warmed(calibration())
     empty = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.rests[:2])
@@ -61,6 +80,18 @@ def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
     assert measured_range(calibration()) is None
     assert changing(calibration()) == ()
     assert measured_range(warmed(calibration(), low=22.0, high=22.01)) is None
+
+
+def test_the_range_is_in_the_file_of_launches_and_survives_where_rests_do_not(tmp_path: Path) -> None:
+    made = warmed(calibration())
+    first = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.rests[:2])
+    launches = replace(made, rests=(), launches=(first, replace(first, session="b", rests=made.rests[2:])))
+    launches.write(tmp_path / "launches.json")
+    kept = json.loads((tmp_path / "launches.json").read_text())["temperature"]["range"]
+    assert kept == list(made.temperature_range or ())
+    updated = replace(made, rests=(), measured_between=made.temperature_range)
+    updated.write(tmp_path / "updated.json")
+    assert measured_range(read_calibration(tmp_path / "updated.json")) == measured_range(made)
 
 
 def test_what_changes_with_temperature_survives_the_file(tmp_path: Path) -> None:
@@ -93,6 +124,8 @@ def test_the_picture_has_a_panel_for_each_group_and_marks_what_was_not_measured(
         assert found is not None
         figure = next(block for block in found.blocks if isinstance(block, Figure))
         assert "Dashed, on grey: not measured" in figure.caption
+        left = [block for block in found.blocks if isinstance(block, Figure)][1]
+        assert left.caption.startswith("What is left of the specific force at each rest, by its temperature")
         assert figure.svg.count("stroke-dasharray: 2.4,1.6") == panels * 3 * 2  # three sensors, two sides
 
 

@@ -17,8 +17,11 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.together import calibrate_together
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.estimation.by_session import each_session
+from tumble.estimation.causes import Projection
 from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, linearise, noise_of, solve
 from tumble.estimation.methods.joint import joint
+from tumble.estimation.misfit import misfit
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import variables_of
 from tumble.planning.setup import Setup
@@ -238,6 +241,43 @@ def test_a_ramp_up_and_down_shows_the_lag() -> None:
     assert estimate.values[at] == pytest.approx(lag, abs=6.0 * estimate.u[at])
 
 
+def test_each_session_alone_knows_what_all_know_and_names_its_cause() -> None:
+    """With what the others say, parameters are as well known from one session as from all; and a warm-up in one of
+    two is found there."""
+    observations = together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)])
+    rests, warm = observations.rests, observations.session == 1
+    settling = np.where(warm, np.exp(-(rests.start - rests.start[warm].min()) / 150.0), 0.0)
+    estimate = joint(replace(observations, rests=replace(rests, accel=rests.accel + 0.03 * settling[:, None])))
+    assert estimate.linearised is not None
+    known = np.array([Projection(each, each.scatter).u for each in each_session(estimate.linearised)])
+    linear = estimate.instrument.linear_count if estimate.instrument is not None else 0
+    np.testing.assert_allclose(known[:, :linear], np.broadcast_to(estimate.u[:linear], (2, linear)), rtol=0.05)
+    found = misfit(estimate, observations)
+    assert found is not None
+    assert "warm-up" in found.causes
+    assert any("session-2: fits: biases of the accelerometers settle" in said for _, said in found.remarks)
+    assert all("session-2" in said for _, said in found.remarks if "settle" in said)
+
+
+def test_a_ramp_that_turns_back_within_a_turn_is_followed() -> None:
+    """The peak of the temperature lies in a turn, steep enough that the rests beside it do not tell how warm it was."""
+    setup = Setup.of(grade="navigation", programme="cube-14", rest=60.0, rate_deg_s=5.0)
+    scenario = device("navigation", setup, seed=3)
+    steep = ramp(-20.0, 60.0, -20.0)
+    last = simulate_observations(replace(scenario, climate=steep), np.random.default_rng(1)).rests.stop[-1]
+    steep = replace(steep, time=np.linspace(0.0, last, 3))
+    observations = simulate_observations(replace(scenario, climate=steep), np.random.default_rng(1))
+    turns = observations.turns
+    assert turns is not None
+    within = variables_of(observations)["temperature"]
+    k = int(np.argmax(within[1]))
+    ends = within[0][turns.first[k]], within[0][turns.last[k]]
+    assert within[1][k] > max(ends) + 1.0
+    times = observations.rests.stop[turns.first], observations.rests.start[turns.last]
+    offset = np.mean(steep.means(observations.rests.start, observations.rests.stop)["temperature"]) - within[0].mean()
+    np.testing.assert_allclose(within[1] + offset, steep.means(*times)["temperature"], atol=0.02)
+
+
 # -------------------- from logs --------------------
 
 
@@ -376,6 +416,7 @@ def test_the_command_writes_the_calibration(made: tuple[Scenario, list[Session],
     assert done.exit_code == 0, done.output
     assert re.search(r"^cold +14 +13 +0\.0 +0\.0$", done.output, re.M), done.output
     assert [member.session for member in read_calibration(out).together] == ["cold", "hot"]
+    assert "two temperatures show slopes and no curvature; take a third between them" in " ".join(done.output.split())
     refused = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--method", "staged", "--out", str(out)])
     assert refused.exit_code == 2
     assert "--together: expected the method 'joint'" in refused.output

@@ -77,6 +77,13 @@ def test_departures_are_named(departure: str, size: float, cause: str) -> None:
     assert verdict(estimate, observations).verdict != "accepted"
 
 
+@pytest.mark.parametrize("seed", [104, 105, 127])
+def test_lost_samples_are_named_first_where_all_scatters(seed: int) -> None:
+    found = misfit(*estimated("1 % of samples lost", setting=1, seed=seed))
+    assert found is not None
+    assert found.causes[0] == "lost samples"
+
+
 def test_lost_samples_are_refused() -> None:
     outcome = verdict(*estimated("0.2 % of samples lost", seed=1))
     assert outcome.verdict == "not accepted"

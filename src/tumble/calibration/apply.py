@@ -176,7 +176,7 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
         at = "the reference" if compensator.reference is None else f"{compensator.reference:.1f} °C"
         out.append(f"the session has no temperature: parameters are those at {at}")
     elif compensator.warm and compensator.lag != 0.0:
-        out.append(f"sensors follow the thermometer with a lag of {compensator.lag:.0f} s")
+        out.append(f"sensors follow the thermometer with a lag of {compensator.lag:z.0f} s")
     if any(group.variable == "hysteresis" for group in groups() if group.name in found):
         out.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
     if any(group.variable == "time" for group in groups() if group.name in found):

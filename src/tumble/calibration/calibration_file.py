@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,6 +105,8 @@ class Calibration:
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     reference_temperature: float | None = None
     """°C, at which parameters that change with temperature have their values."""
+    measured_between: tuple[float, float] | None = None
+    """°C, the range of rests that are not here, as those of a calibration that a check has updated."""
     circumstances: Circumstances = UNKNOWN
     """When, by whom, with what and in what air it was recorded."""
     imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
@@ -129,9 +132,10 @@ class Calibration:
 
     @property
     def temperature_range(self) -> tuple[float, float] | None:
-        """The lowest and the highest temperature of the rests, °C; None where they have none."""
-        found = [rest.temperature for rest in self.rests if rest.temperature is not None]
-        return (min(found), max(found)) if found else None
+        """The lowest and the highest temperature of the rests of all launches, °C; None where they have none."""
+        every = chain(self.rests, *(launch.rests for launch in self.launches))
+        found = [rest.temperature for rest in every if rest.temperature is not None]
+        return (min(found), max(found)) if found else self.measured_between
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -440,6 +444,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         prediction=optional(_prediction_from, content.get("prediction")),
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
+        measured_between=optional(_pair, content.get("temperature", {}).get("range")),
         imu=sensors_from(content["device"].get("imu", {})),
         sample_rate=optional(float, content.get("sample_rate")),
         iterations=tuple({p["name"]: float(p["increment"]) for p in i["parameters"]} for i in content["iterations"]),
@@ -468,6 +473,11 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         together=tuple(map(member_from, content.get("together", ()))),
         provenance=dict(content["provenance"]),
     )
+
+
+def _pair(content: list[float]) -> tuple[float, float]:
+    low, high = map(float, content)
+    return low, high
 
 
 def _outcome_from(content: Mapping[str, Any]) -> Outcome:

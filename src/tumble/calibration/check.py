@@ -8,8 +8,9 @@ What is known of the parameters at the check is the calibration, with
 s what turning on again changes: the standard deviation from launch to launch where the calibration has several, else
 what is usual of the grade (`tumble.sensors.grades`). Groups of parameters that the calibration does not have, and
 drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
-temperatures, parameters are taken to that of the session by their slopes, with the usual size of those that are not
-known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite sign.
+temperatures, parameters are taken to that of the session by their slopes and curvatures, with the usual size of those
+that are not known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite
+sign.
 
 Rests scatter as they did in the calibration, at least by the in-run instability of the grade.
 """
@@ -39,7 +40,7 @@ from tumble.recording.session import Session, session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import group_of, shown_in, usual_sizes
+from tumble.sensors.parameters import group_of, shown_in, to_temperature, usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
@@ -182,7 +183,7 @@ def _notes(calibration: Calibration, observations: Observations, grade: str, *, 
     if then is None or now is None:
         notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")
     elif abs(now - then) > 1.0:
-        notes.append(f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes")
+        notes.append(f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures")
     return tuple(notes)
 
 
@@ -247,13 +248,8 @@ def _drifts(parameter: Parameter) -> bool:
 
 def _to_temperature(calibration: Calibration, observations: Observations, instrument: Instrument) -> Array:
     """The matrix (m, m) that takes parameters from the temperature of the calibration to that of the session."""
-    out, then, now = np.eye(len(instrument.names)), calibration.reference_temperature, _celsius(observations)
-    if then is None or now is None:
-        return out
-    for own, base, variable in instrument.changes:
-        if variable == "temperature":
-            out[base, own] = (now - then) * np.eye(own.stop - own.start)
-    return out
+    then, now = calibration.reference_temperature, _celsius(observations)
+    return to_temperature(instrument.names, 0.0 if then is None or now is None else now - then)
 
 
 def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> Array:
@@ -301,6 +297,7 @@ def _updated(check: FieldCheck) -> Calibration:
         if before.site is None
         else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=rate),
         reference_temperature=check.temperature if before.reference_temperature is not None else None,
+        measured_between=before.temperature_range,
         notes=(_how(check), *before.notes),
         provenance={
             **before.provenance,

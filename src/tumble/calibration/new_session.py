@@ -158,10 +158,13 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     log = folder / "log.parquet"
     folder.mkdir(parents=True, exist_ok=True)
-    thermometer = None if _temperature(accel, gyro, None) else next((m for m in found if m.thermometer), None)
+    apart = [] if _temperature(accel, gyro, None) else [m for m in found if m.thermometer]
+    thermometer = max(apart, key=lambda m: _shared(m.name, accel.name), default=None)
     formats.as_log(log, accel, gyro, thermometer)
     said = [f"{recording.name}: message {accel.name}, written to {log}"]
     said += [] if thermometer is None else [f"temperature from {thermometer.name}, interpolated"]
+    unused = [m.name for m in apart if m is not thermometer]
+    said += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
     if gyro is not None and gyro is not accel:
         said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
     others = [m.name for m in found if m not in (accel, gyro) and m.accel]
@@ -180,6 +183,12 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
     draft = _of_log(written, times_of(written, given.rate), given.rate)
     imu = {kind: sensor for m in (gyro, accel) if m is not None for kind, sensor in m.imu.items()}
     return replace(draft, content={**draft.content, "device": {"imu": sensors_content(imu)}} if imu else draft.content)
+
+
+def _shared(name: str, other: str) -> int:
+    """How many parts, between slashes, two topics begin with alike."""
+    alike = [a == b for a, b in zip(name.split("/"), other.split("/"), strict=False)]
+    return next((i for i, same in enumerate(alike) if not same), len(alike))
 
 
 def _temperature(accel: Message, gyro: Message | None, thermometer: Message | None) -> str | None:

@@ -9,7 +9,10 @@ import numpy as np
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.variables import OVER_TEMPERATURE, both_ways, lag_is_sought
 from tumble.reduction.observations import Observations
-from tumble.units import ZERO_CELSIUS
+from tumble.units import ZERO_CELSIUS, Array
+
+APART = 0.25
+"""Rests whose temperatures differ by more of their range are at two levels."""
 
 
 def over_temperature(estimate: Estimate, observations: Observations) -> Iterator[str]:
@@ -25,6 +28,7 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
             "temperature are mostly what is usual; take sessions at temperatures further apart"
         )
         return
+    yield from _left_open(estimate, kelvin)
     turned = observations.turns is not None and bool((observations.turns.duration > 0.0).any())
     if turned:
         yield from _where_turned(observations)
@@ -35,6 +39,16 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
             f"the temperature was not passed both ways: the lag behind the thermometer is known to {u:.0f} s only, and "
             "hysteresis not at all; ramp up and down in one recording"
         )
+
+
+def _left_open(estimate: Estimate, kelvin: Array) -> Iterator[str]:
+    """Which coefficients the temperatures say nothing of, and why."""
+    left = [group.name for group in estimate.groups if group.name.endswith((".t1", ".t2")) and not group.kept]
+    if not left:
+        return
+    levels = 1 + int(np.sum(np.diff(np.sort(kelvin)) > APART * np.ptp(kelvin)))
+    why = "two temperatures show slopes and no curvature; take a third between them" if levels == 2 else ""
+    yield f"nothing is seen of {', '.join(left)}: {why or 'turn at more temperatures, each axis up and down'}"
 
 
 def _where_turned(observations: Observations) -> Iterator[str]:

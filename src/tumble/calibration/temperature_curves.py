@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Parameter, coverage_factor
+from tumble.calibration.results import Parameter, RestResult, coverage_factor
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
 
@@ -39,18 +39,23 @@ class Range:
         return f"{self.low:.1f} to {self.high:.1f} °C"
 
 
-def rest_temperatures(calibration: Calibration) -> list[float]:
-    """Temperatures, °C, of the rests of all launches that have one."""
+def warm_rests(calibration: Calibration) -> list[RestResult]:
+    """The rests of all launches that have a temperature."""
     rests = chain(calibration.rests, *(launch.rests for launch in calibration.launches))
-    return [rest.temperature for rest in rests if rest.temperature is not None]
+    return [rest for rest in rests if rest.temperature is not None]
+
+
+def rest_temperatures(calibration: Calibration) -> list[float]:
+    """Their temperatures, °C."""
+    return [rest.temperature for rest in warm_rests(calibration) if rest.temperature is not None]
 
 
 def measured_range(calibration: Calibration) -> Range | None:
     """The range of temperatures of the rests of all launches; None where they have none, or all the same."""
-    seen = rest_temperatures(calibration)
-    if not seen or max(seen) - min(seen) < _LEAST_SPAN:
+    seen = calibration.temperature_range
+    if seen is None or seen[1] - seen[0] < _LEAST_SPAN:
         return None
-    return Range(low=min(seen), high=max(seen))
+    return Range(low=seen[0], high=seen[1])
 
 
 def changing(calibration: Calibration) -> tuple[str, ...]:
@@ -96,10 +101,14 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
 
 def _coverage(u2: Array, parts: Array, parameters: list[Parameter]) -> Array:
     """k (N,) of sums of variance u2 (N,) by the Welch–Satterthwaite formula, of what each parameter contributes to it,
-    (N, m); JCGM 100:2008, G.4.1."""
+    (N, m); JCGM 100:2008, G.4.1. Parameters that go against each other have a sum known better than they are, to which
+    the formula does not apply: a sum has at least the degrees of freedom of the parameter that has least, as it has
+    where they are independent."""
+    known = [p.dof for p in parameters if p.dof is not None]
     per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
-    known = parts**2 @ per_degree
-    degrees = np.divide(u2**2, known, out=np.full(len(u2), math.inf), where=known > 0.0)
+    spread = parts**2 @ per_degree
+    degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
+    degrees = np.maximum(degrees, min(known, default=math.inf))
     return np.array([coverage_factor(float(nu)) for nu in degrees])
 
 

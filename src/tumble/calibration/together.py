@@ -222,9 +222,10 @@ def _notes(each: _ReducedSession) -> Iterator[str]:
 
 
 def _with_scatter(outcome: Outcome, estimate: Estimate) -> Outcome:
-    """The outcome with a remark where the noise within rests does not explain the residuals."""
+    """The outcome with a remark where the noise within rests explains the residuals of each session, but not those of
+    all."""
     total = estimate.fits["noise within rests"]
-    if total.probability >= SELDOM or outcome.reasons:
+    if total.probability >= SELDOM or outcome.reasons or outcome.remarks:
         return outcome
     units = {
         "accelerometers": (1e-6 * G_STANDARD, "µg"),

@@ -24,7 +24,7 @@ FORMATS = [
     "--noise", metavar="SESSION", type=EXISTING_FOLDER, help="kalibr: noise from this session's longest rest."
 )
 @click.option("--certificate", type=FILE, help="dcc: TOML file with laboratory, customer, number and dates.")
-@click.option("--imu", metavar="N", type=int, help="px4, ardupilot: of the N-th IMU, from 1.")
+@click.option("--imu", metavar="N", type=int, help="px4, ardupilot, also thermal: of the N-th IMU, from 1.")
 @click.option("--sensor-ids", metavar="ACCEL,GYRO", help="px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.")
 @click.option("--force", is_flag=True, help="Replace an existing file.")
 def export(

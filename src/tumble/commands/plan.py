@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from tumble.commands.arguments import JSON, say, setup_of, setup_options
+from tumble.commands.arguments import JSON, say, setup_of, setup_options, warn
+
+if TYPE_CHECKING:
+    from tumble.planning.setup import Setup
 
 
 @click.command()
@@ -21,6 +24,9 @@ from tumble.commands.arguments import JSON, say, setup_of, setup_options
 @click.option("--axes", metavar="N,U,E", help="Turns about these alone, the device staying as it is mounted.")
 @JSON
 @click.option("--step", type=float, default=45.0, show_default=True, help="Where the table stops: multiples, °.")
+@click.option("--temperature", metavar="RECORDINGS", help="Over temperature, °C: -20/4,20,60/4 or -20:60:-20/30.")
+@click.option("--time-constant", type=float, default=600.0, show_default=True, help="Of the unit in a chamber, s.")
+@click.option("--chamber-rate", type=float, default=2.0, show_default=True, help="Of the chamber, K a minute.")
 def plan(
     attitudes: tuple[str, ...],
     accel_only: bool,
@@ -30,9 +36,13 @@ def plan(
     axes: str | None,
     step: float,
     as_json: bool,
+    temperature: str | None,
+    time_constant: float,
+    chamber_rate: float,
     **options: Any,
 ) -> None:
-    """The least uncertainty a programme allows, the best next position, and better programmes."""
+    """The least uncertainty a programme allows, the best next position, and better programmes; over temperature with
+    the time in a chamber."""
     from tumble.planning.best_positions import Aim
     from tumble.planning.plan import plan as best
     from tumble.planning.reachable_attitudes import TurnTable
@@ -46,6 +56,12 @@ def plan(
     setup = setup_of(options)
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
+    if temperature is not None:
+        if positions is not None:
+            raise click.UsageError("--positions: expected none with --temperature, found one; plan the positions first")
+        if as_json:
+            raise click.UsageError("--json: expected none with --temperature, whose plan is a table alone")
+        _over_temperature(setup, temperature, (chamber_rate, time_constant), wanted, gyros=not accel_only)
     wishes = wanted_of(wanted, None, setup) if wanted else {}
     aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
     table = TurnTable.of(axes, step)
@@ -57,4 +73,25 @@ def plan(
         print_report(plan_report(found, aim))
     for reason in reasons:
         say(reason)
+    sys.exit(1 if reasons else 0)
+
+
+def _over_temperature(
+    setup: Setup, text: str, chamber: tuple[float, float], wanted: tuple[str, ...], *, gyros: bool
+) -> NoReturn:
+    """Print the plan of recordings over temperature, and exit."""
+    from tumble.planning.over_temperature import Chamber, plan_over_temperature, wanted_over_temperature
+    from tumble.simulation.chamber import chamber_sessions
+    from tumble.terminal.text import print_report
+    from tumble.terminal.thermal_plan import short_over_temperature, thermal_plan_report
+
+    wishes, (rate, time_constant) = wanted_over_temperature(wanted), chamber
+    chosen = Chamber.of(per_minute=rate, time_constant=time_constant)
+    found = plan_over_temperature(setup, chamber_sessions(text, setup), chamber=chosen, gyros=gyros)
+    print_report(thermal_plan_report(found))
+    for note in found.notes:
+        say(f"note: {note}")
+    reasons = short_over_temperature(found, wishes)
+    for reason in reasons:
+        warn(reason)
     sys.exit(1 if reasons else 0)

@@ -103,7 +103,7 @@ def _rate_error(instrument: Instrument, values: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _At:
+class _Place:
     """Where the likelihood is taken: lever arms r (n, 3), the delay, s, and the error E (3, 3) of the rates."""
 
     r: Array
@@ -117,7 +117,7 @@ class _At:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Linear:
+class _LinearRows:
     """A sample's rows as linear functions of x: `left` (n, c) of what the readings leave, `own` (n, s, c) of the
     unknowns of a sensor, its lever arm last, `common` (10, n, c) of the delay and of E; and N Nᵀ (n, n), `free`."""
 
@@ -136,7 +136,7 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     """The likelihood, with the sensitivities of the accelerometers that the instrument has at `values` (m,)."""
     accel = instrument.accel
     K = instrument.model(accel, values).matrix
-    at = _At(r=np.zeros((accel.size, 3)), delay=0.0, E=_rate_error(instrument, values))
+    at = _Place(r=np.zeros((accel.size, 3)), delay=0.0, E=_rate_error(instrument, values))
     centre = np.concatenate([np.zeros(3 * accel.size - 3), at.common])
     variances = np.ones(len(moments.counts))
     for _ in range(ROUNDS):
@@ -148,7 +148,7 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
         variances = _variances(moments, linear, nuisance.own(step, order), step[-COMMON:])
         r = at.r.copy()
         r[order] += step[:-COMMON].reshape(-1, 3)
-        at = _At(r=r, delay=at.delay + step[-COMMON], E=at.E + step[1 - COMMON :].reshape(3, 3))
+        at = _Place(r=r, delay=at.delay + step[-COMMON], E=at.E + step[1 - COMMON :].reshape(3, 3))
         if np.abs(step[:-COMMON]).max() < SETTLED:
             break
     share = (1.0 - 2.0 / (accel.size - 6)) ** 2
@@ -160,7 +160,7 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     return ArrayLevers(about=about, root=root, excess=excess)
 
 
-def _linear(moments: ArrayMoments, K: Array, at: _At) -> _Linear:
+def _linear(moments: ArrayMoments, K: Array, at: _Place) -> _LinearRows:
     """The rows about a point. Without lever arms, at first, the angular acceleration is that of the gyros."""
     where, width = moments.columns, moments.sums.shape[1]
     turned = np.einsum("ijkl,ij->kl", _BY_RATE_ERROR, at.E) + np.eye(6)
@@ -185,11 +185,11 @@ def _linear(moments: ArrayMoments, K: Array, at: _At) -> _Linear:
     common[0][:, where["change"]] = -whirl
     common[1:, :, where["products"]] = np.einsum("pm,eml->epl", whirl, _BY_RATE_ERROR.reshape(9, 6, 6))
     N = np.linalg.qr(H, mode="complete")[0][:, H.shape[1] :]
-    return _Linear(left=left, own=own, common=common, free=N @ N.T)
+    return _LinearRows(left=left, own=own, common=common, free=N @ N.T)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Nuisance:
+class _OfSensors:
     """What every sensor has of its own (n, s'), `found` less `by` (n, s', q) times the step of the others."""
 
     found: Array
@@ -202,7 +202,9 @@ class _Nuisance:
         return np.column_stack([self.found - self.by @ step, lever])
 
 
-def _normal(moments: ArrayMoments, accel: Block, linear: _Linear, variances: Array) -> tuple[Array, Array, _Nuisance]:
+def _normal(
+    moments: ArrayMoments, accel: Block, linear: _LinearRows, variances: Array
+) -> tuple[Array, Array, _OfSensors]:
     """Normal matrix (q, q) and right side (q,) of the lever arms and of what is common, with variances (B,) of the
     classes, and what was eliminated."""
     M = np.tensordot(1.0 / variances, moments.sums, axes=1)
@@ -223,7 +225,7 @@ def _normal(moments: ArrayMoments, accel: Block, linear: _Linear, variances: Arr
     inner = every[np.ix_(out, out)] + np.diag(np.tile(OWN**-2.0, n))
     solved = np.linalg.solve(inner, np.column_stack([every[np.ix_(out, kept)], right[out]]))
     back = every[np.ix_(kept, out)]
-    nuisance = _Nuisance(found=solved[:, -1].reshape(n, s - 3), by=solved[:, :-1].reshape(n, s - 3, -1))
+    nuisance = _OfSensors(found=solved[:, -1].reshape(n, s - 3), by=solved[:, :-1].reshape(n, s - 3, -1))
     return every[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1], nuisance
 
 
@@ -242,7 +244,7 @@ def _with_floor(normal: Array, gradient: Array) -> tuple[Array, Array]:
     return normal - normal[:, first] @ less[:, :-1], gradient - normal[:, first] @ less[:, -1]
 
 
-def _variances(moments: ArrayMoments, linear: _Linear, own: Array, common: Array) -> Array:
+def _variances(moments: ArrayMoments, linear: _LinearRows, own: Array, common: Array) -> Array:
     """The variances (B,) that the residuals after a step show; 1 in a class without samples."""
     residual = linear.left - np.einsum("psc,ps->pc", linear.own, own) - np.tensordot(common, linear.common, axes=1)
     shown = np.einsum("pc,bcd,pd->b", linear.free @ residual, moments.sums, residual, optimize=True)

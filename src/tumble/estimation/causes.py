@@ -64,6 +64,9 @@ PLAY = 0.05 * G_STANDARD
 PATH_STEPS = 24
 """Steps a turn is followed in."""
 
+SHORTEST_TURN = 1e-6
+"""s: what is shorter is no turn."""
+
 Concerns = Literal["accel", "gyro", "both"]
 
 
@@ -237,6 +240,12 @@ class _Session:
         return self.observations.accel_block
 
     @cached_property
+    def turned(self) -> bool:
+        """Whether anything is turned: the parts of a rest are joined by turns of no duration."""
+        about = self.linearised.about
+        return about is not None and bool(np.any(about.moments.T >= SHORTEST_TURN))
+
+    @cached_property
     def steps(self) -> Array:
         """Rotations (K, steps, 3, 3), body at the start → body on the way of each turn, taken as one about one axis of
         the body."""
@@ -292,7 +301,7 @@ def _candidates(session: _Session) -> Iterator[_Columns]:
     yield _hysteresis(session)
     yield from _memory(session)
     yield from _products(session)
-    if session.linearised.about is not None and session.observations.gyro_block is not None:
+    if session.turned and session.linearised.about is not None and session.observations.gyro_block is not None:
         yield from _of_turns(session, session.linearised.about, session.observations.gyro_block)
     if session.observations.gyro_block is not None and session.observations.site.latitude is not None:
         yield _latitude(session)
@@ -403,8 +412,8 @@ def _remembered(session: _Session, block: Block, seconds: float) -> tuple[Array,
 
 def _relaxed(slow: Array, target: Array, passed: float) -> tuple[Array, Array]:
     """The mean of slow − target over a time, in time constants, and slow after it."""
-    decay = np.exp(-passed)
-    return (slow - target) * (1.0 - decay) / passed, target + (slow - target) * decay
+    share = -np.expm1(-passed) / passed if passed > 0.0 else 1.0
+    return (slow - target) * share, target + (slow - target) * np.exp(-passed)
 
 
 def _products(session: _Session) -> Iterator[_Columns]:
@@ -443,7 +452,9 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
     m = session.accel.size
     rest, turn = session.nothing(m)
     left_inverse = np.asarray(np.linalg.pinv(session.accel.axes), dtype=float)
-    late = single_delay_columns(about.moments, left_inverse, session.accel.axes)
+    with np.errstate(invalid="ignore"):  # between the parts of a rest there are no samples
+        late = single_delay_columns(about.moments, left_inverse, session.accel.axes)
+    late[about.moments.T < SHORTEST_TURN] = 0.0
     session.put_velocity(turn, late)
     yield _Columns(
         name="single delays",
@@ -458,7 +469,8 @@ def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Co
 def _gyro_nonlinearity(session: _Session, about: TurnsAbout, gyro: Block) -> _Columns:
     """Scale factors with the square of the rate, of an estimate that has no such parameters."""
     n = gyro.size
-    square = about.moments.body_rates[:, [0, 3, 5]] / about.moments.T[:, None] @ (gyro.axes**2).T
+    duration = np.maximum(about.moments.T, SHORTEST_TURN)[:, None]
+    square = about.moments.body_rates[:, [0, 3, 5]] / duration @ (gyro.axes**2).T
     rest, turn = session.nothing(n)
     phi, V = (
         np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
@@ -513,7 +525,7 @@ def causes(linearised: Linearised, projection: Projection) -> list[Cause]:
     several += _quantisation(session)
     held = list(_held(session))
     several += held
-    if session.linearised.about is not None and not held:
+    if session.turned and not held:
         several.append(_lost(session, projection))
     return sorted(several, key=lambda cause: cause.probability)
 

@@ -195,13 +195,15 @@ class Weights:
 class Step:
     """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, of the angles (N, 3), and
     of what each session has of its `own` (S, q), with its covariance, gravity and parameters after it (S, q + 1 + m, q
-    + 1 + m); twice the negative logarithm of the restricted likelihood, less its constant; and what `left` needs."""
+    + 1 + m); the sum of squares that is left, priors included; twice the negative logarithm of the restricted
+    likelihood, less its constant; and what `left` needs."""
 
     parameters: Array
     covariance: Array
     angles: Array
     own: Array
     own_covariance: Array
+    square: float
     deviance: float
     whitened: tuple[Array, Array]
     shared: tuple[Array, Array]
@@ -239,7 +241,7 @@ class Problem:
     earth: Array
     measured: tuple[Array, Array]
     variables: Variables
-    """What parameters may change with, in the middle of the rests (N,) and of the turns (K,)."""
+    """What parameters may change with, of the rests (N,) and of the turns (K,)."""
     parts: tuple[SessionSpan, ...]
     """The sessions."""
     of_session: tuple[IntArray, IntArray]
@@ -250,6 +252,10 @@ class Problem:
     """the standard deviations (q,) of its priors."""
     by_lag: Variables = field(default_factory=dict)
     """Derivatives of the variables by the lag of the thermometer, where this is an unknown."""
+    at_lag: float | None = None
+    """The lag at which the variables are."""
+    lag_known: bool = False
+    """Whether the lag is known, so that nothing else is said of it."""
 
     @staticmethod
     def of(
@@ -321,7 +327,10 @@ class Problem:
         if self.lag is None:
             return self
         lag = float(point.values[self.lag])
-        return replace(self, variables=variables_of(self.observations, lag), by_lag=by_lag(self.observations, lag))
+        if lag == self.at_lag:
+            return self
+        change = {} if self.lag_known else by_lag(self.observations, lag)
+        return replace(self, variables=variables_of(self.observations, lag), by_lag=change, at_lag=lag)
 
     def values_in(self, point: Point, place: int) -> Array:
         """Parameters (·, m + q) of every rest (`place` 0) or turn (1), those of its session after the common ones."""
@@ -381,6 +390,18 @@ def _parts(observations: Observations, link: IntArray) -> tuple[tuple[SessionSpa
         rests, own = slice(edges[s], edges[s + 1]), slice(turn_edges[s], turn_edges[s + 1])
         parts.append(SessionSpan(rests=rests, turns=own, link=np.where(link[rests] < 0, -1, link[rests] - own.start)))
     return tuple(parts), (of_rest, of_turn)
+
+
+def instruments_of(observations: Observations) -> tuple[Instrument, Instrument | None]:
+    """The instrument with all groups whose usual size observations know and which they may show; and, of several
+    sessions, that with what each has of its own."""
+    accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
+    variables = set(variables_of(observations))
+    if observations.together is None:
+        return Instrument.of(accel, gyro, usual, variables), None
+    every = Instrument.of(accel, gyro, usual, OWN)
+    own = replace(every, further=tuple(group for group in every.further if group.variable in OWN))
+    return Instrument.of(accel, gyro, usual, variables - set(OWN)), own
 
 
 # Residuals and Jacobians
@@ -697,12 +718,7 @@ def weights(problem: Problem, rows: Rows, scatter: Scatter) -> Weights:
 
 def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
     """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
-    turns = problem.observations.turns
-    first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
-    rest, merged = (
-        _own_first(problem, weight.rest @ rows.rest, 3),
-        _own_first(problem, weight.merged @ rows.merged(first), 6),
-    )
+    rest, merged = whitened_rows(problem, rows, weight)
     N, p, q = len(rest), len(rows.prior) - 1, len(problem.own_known)
     factor, triangle, heads = np.empty((N, 3, 7 + q + p)), rows.prior, []
     for part, residual in zip(problem.parts, rows.own, strict=True):
@@ -725,10 +741,20 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
         angles=angles,
         own=own,
         own_covariance=np.array(own_covariance),
+        square=float(triangle[-1, -1] ** 2),
         deviance=_deviance(problem, weight, factor, heads, triangle),
         whitened=(rest, merged),
         shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
     )
+
+
+def whitened_rows(problem: Problem, rows: Rows, weight: Weights) -> tuple[Array, Array]:
+    """The whitened rows of the rests, and of the turns with the rests before them, as the elimination has them: after
+    the angles what a session has of its own, then gravity and the common parameters."""
+    turns = problem.observations.turns
+    first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
+    merged = weight.merged @ rows.merged(first)
+    return _own_first(problem, weight.rest @ rows.rest, 3), _own_first(problem, merged, 6)
 
 
 def _own_first(problem: Problem, rows: Array, angles: int) -> Array:

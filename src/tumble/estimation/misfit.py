@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.estimation.by_session import each_session
 from tumble.estimation.causes import Cause, Concerns, Projection, causes, variance_chance
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Linearised, Scatter
@@ -29,12 +30,17 @@ NAMED_PROBABILITY = 0.02
 """A cause is named for scatter that is there where chance alone would show as much less often."""
 
 MOST_NAMED = 3
+MOST_SESSIONS = 5
+"""Of several sessions, so many at most are described one by one."""
 
 MANY = 30.0
 """Times the noise: a larger scatter is no disturbance of a model that otherwise holds."""
 
 NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5}
 """m/s², rad/s, rad: scatter that no use of an inertial unit would notice, however small the noise of the log."""
+
+TURNS_MORE = 10.0
+"""Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
 
 DAMAGE = 3.0
 """Times u: a parameter that errs by more because a cause was left out."""
@@ -73,38 +79,65 @@ class Misfit:
 
 
 def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
-    """What the residuals of an estimate say; None where the method keeps no likelihood."""
+    """What the residuals of an estimate say, of several sessions each for itself; None where the method keeps no
+    likelihood."""
     linearised = estimate.linearised
     if linearised is None:
         return None
+    if observations.together is None:
+        return _of_session(linearised)
+    names = observations.together.names
+    found = [_of_session(each, share=1.0 / len(names)) for each in each_session(linearised)]
+    return _of_all([(name, each) for name, each in zip(names, found, strict=True) if each.remarks or each.reasons])
+
+
+def _of_all(found: list[tuple[str, Misfit]]) -> Misfit:
+    """What residuals of sessions say, each with its name: the first few, and how many more."""
+    shown, more = found[:MOST_SESSIONS], len(found) - MOST_SESSIONS
+    remarks = [(concerns, f"{name}: {said}") for name, each in shown for concerns, said in each.remarks]
+    if more > 0:
+        remarks.append(("both", f"{more} more sessions scatter: calibrate them one by one to see by what"))
+    return Misfit(
+        reasons=tuple((concerns, f"{name}: {said}") for name, each in found for concerns, said in each.reasons),
+        remarks=tuple(remarks),
+        causes=tuple(dict.fromkeys(cause for _, each in found for cause in each.causes)),
+    )
+
+
+def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
+    """What the residuals of a session say, which has this share of the false alarms."""
+    observations, limit = linearised.problem.observations, share * CAUSE_PROBABILITY
     chances = group_chances(linearised)
-    larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < GROUP_PROBABILITY]
+    larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
     found = causes(linearised, Projection(linearised, linearised.scatter))
-    named = [cause for cause in found if cause.probability < CAUSE_PROBABILITY]
-    if larger:
-        named += _likely(found, {group.component for group in larger}, {group.concerns for group in larger})
-    named = named[:MOST_NAMED]
+    named = [cause for cause in found if cause.probability < limit]
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
+    if larger:
+        others = [cause for cause in found if cause.probability >= limit]
+        named += _likely(others, ratios, {group.concerns for group in larger})
+    named = named[:MOST_NAMED]
     reasons = [
         _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
     ]
-    reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < CAUSE_PROBABILITY]
+    reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < limit]
     remarks = [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
     remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
     return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=tuple(cause.name for cause in named))
 
 
-def _likely(found: list[Cause], components: set[str], concerned: set[Concerns]) -> list[Cause]:
-    """Causes for a scatter that is there. What makes turns scatter and not the gyros at rest is random itself, so that
-    nothing systematic need fit well: it comes first."""
-    likely = [c for c in found if c.probability >= CAUSE_PROBABILITY and concerned & {c.concerns, "both"}]
-    random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in components else []
+def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concerns]) -> list[Cause]:
+    """Causes, of those that do not stand out, for a scatter that is there, which is `ratios` times the noise. What
+    makes turns scatter and not, or much less, the gyros at rest is random itself, so that nothing systematic need fit
+    well: it comes first."""
+    likely = [c for c in found if c.concerns in {*concerned, "both"}]
+    random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in ratios else []
     if random and random[0].probability > 0.05:
         random.insert(0, _movement())
     elif random:
         random.append(_movement())
     others = [c for c in likely if c.probability < NAMED_PROBABILITY and c not in random]
-    return others + random if "gyro" in components else random + others
+    at_rest = TURNS_MORE * ratios.get("gyro", 0.0) >= ratios.get("turn", 0.0)
+    return others + random if "gyro" in ratios and at_rest else random + others
 
 
 def group_chances(linearised: Linearised) -> list[float]:

@@ -1,9 +1,11 @@
 """What parameters change with: time, temperature and its square, the direction in which the temperature came, and, of
 several sessions, that they are several.
 
-Temperatures are those of the thermometer, or of what follows it with a lag (dynamics method, §8 and A5). The reference
-T₀ is the mean of the thermometer over the rests, so that T − T₀ is small and a parameter has its value at T₀.
-Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1 over the range of the rests.
+Temperatures are those of the thermometer, or of what follows it with a lag (dynamics method, §8 and A5), as means over
+each rest and each turn: where a ramp turns back within a turn the rests beside it do not say how warm it was, and the
+mean of a square is not the square of a mean. The reference T₀ is the mean of the thermometer over the rests, so that
+T − T₀ is small and a parameter has its value at T₀. Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1 over the range of the
+thermometer in the recording: it is nothing where the temperature turns back.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tumble.reduction.observations import Observations
+from tumble.reduction.thermometer import Warmth
 from tumble.sensors.parameters import Variable
 from tumble.units import Array, BoolArray
 
@@ -25,12 +28,13 @@ INNER = 0.8
 LAG_STEP = 1.0  # s, of the difference for the derivative
 
 Variables = Mapping[Variable, tuple[Array, Array]]
-"""In the middle of the rests (N,) and of the turns (K,)."""
+"""Of the rests (N,) and of the turns (K,)."""
 
 
 def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array]]:
-    """What parameters may change with: time from the middle of the session, s, temperature from its mean, K, and its
-    square, in the middle of the rests (N,) and of the turns (K,); and of several sessions, each of them."""
+    """What parameters may change with, of the rests (N,) and of the turns (K,): time from the middle of the session, s,
+    temperature from its mean, K, and its square, and the direction it came from; and of several sessions, each of
+    them."""
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
     for of in (slice(None),) if session is None else (session == s for s in range(session[-1] + 1)):
@@ -38,32 +42,48 @@ def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable,
     at_rest: dict[Variable, Array] = {"time": time}
     if session is not None:
         at_rest["launch"] = np.ones(len(rests))
-    if rests.temperature is not None:
-        at_rest |= _of_temperature(observations, rests.temperature, lag)
     if turns is None:
-        return {name: (values, np.zeros(0)) for name, values in at_rest.items()}
-    return {name: (v, 0.5 * (v[turns.first] + v[turns.last])) for name, v in at_rest.items()}
+        out = {name: (values, np.zeros(0)) for name, values in at_rest.items()}
+    else:
+        out = {name: (v, 0.5 * (v[turns.first] + v[turns.last])) for name, v in at_rest.items()}
+    if rests.temperature is not None:
+        out |= _of_temperature(observations, rests.temperature, lag)
+    return out
 
 
-def _of_temperature(observations: Observations, kelvin: Array, lag: float) -> dict[Variable, Array]:
-    """What goes with the temperature, at rest (N,)."""
-    warmer = sensors_at(observations, kelvin, lag) - kelvin.mean()
-    out: dict[Variable, Array] = {"temperature": warmer, "temperature²": warmer**2}
+def _of_temperature(observations: Observations, kelvin: Array, lag: float) -> dict[Variable, tuple[Array, Array]]:
+    """What goes with the temperature."""
+    rest, turn = _warmth(observations, kelvin, lag)
+    reference = float(kelvin.mean())
+    warmer = rest.kelvin - reference, turn.kelvin - reference
+    square = warmer[0] ** 2 + rest.variance, warmer[1] ** 2 + turn.variance
+    out: dict[Variable, tuple[Array, Array]] = {"temperature": warmer, "temperature²": square}
     if lag_is_sought(observations):
-        out["lag"] = np.zeros(len(kelvin))
+        out["lag"] = np.zeros(len(warmer[0])), np.zeros(len(warmer[1]))
     if both_ways(observations):
-        x = (warmer + kelvin.mean() - 0.5 * (kelvin.min() + kelvin.max())) / (0.5 * np.ptp(kelvin))
-        out["hysteresis"] = directions(observations) * np.maximum(1.0 - x**2, 0.0)
+        out["hysteresis"] = rest.hysteresis, turn.hysteresis
     return out
 
 
 def sensors_at(observations: Observations, kelvin: Array, lag: float) -> Array:
-    """Temperatures (N,), K, of sensors that follow the thermometer with a lag, at rests where it has `kelvin` (N,)."""
-    thermometer, rests = observations.thermometer, observations.rests
-    if thermometer is None or lag == 0.0:
-        return kelvin
-    middle = 0.5 * (rests.start + rests.stop)
-    return np.asarray(kelvin + thermometer.at(rests.file, middle, lag) - thermometer.at(rests.file, middle))
+    """Mean temperatures (N,), K, of sensors that follow the thermometer with a lag, at rests where it has `kelvin`
+    (N,)."""
+    return _warmth(observations, kelvin, lag)[0].kelvin
+
+
+def _warmth(observations: Observations, kelvin: Array, lag: float) -> tuple[Warmth, Warmth]:
+    """What the sensors have in the rests and in the turns, by the record of the thermometer; without one the `kelvin`
+    (N,) of the rests, and of the turns what is between."""
+    rests, turns, thermometer = observations.rests, observations.turns, observations.thermometer
+    first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
+    if thermometer is None:
+        between = 0.5 * (kelvin[first] + kelvin[last])
+        at_rest, in_turns = (Warmth(kelvin=k, variance=0.0 * k, hysteresis=0.0 * k) for k in (kelvin, between))
+        return at_rest, in_turns
+    file = np.concatenate([rests.file, rests.file[first]])
+    when = np.concatenate([rests.start, rests.stop[first]]), np.concatenate([rests.stop, rests.start[last]])
+    every = thermometer.means(file, *when, lag)
+    return every[: len(rests)], every[len(rests) :]
 
 
 def by_lag(observations: Observations, lag: float) -> dict[Variable, tuple[Array, Array]]:

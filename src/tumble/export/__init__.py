@@ -40,7 +40,7 @@ _PLAIN = {
 FORMATS = ("kalibr", *_PLAIN, "px4-thermal", "dcc")
 
 AUTOPILOTS = ("px4", "ardupilot")
-"""Formats with parameters of several IMUs."""
+"""Formats with parameters of several IMUs, as they are and over temperature."""
 
 
 def export_calibration(
@@ -54,9 +54,9 @@ def export_calibration(
 ) -> Exported:
     """A calibration, or that of a file, in one of the `FORMATS`. `kalibr` takes the noise densities of the device or a
     session whose longest rest shows them, else those of the calibration's rests; `dcc` needs the administrative data of
-    a certificate or their file; `px4` and `ardupilot` take the number of the IMU whose parameters are to be written,
-    from 1, where the recording does not say it; `px4-thermal` the device ids of accelerometer
-    and gyro, likewise.
+    a certificate or their file; the formats of PX4 and ArduPilot take the number of the IMU whose parameters are to be
+    written, from 1, where the recording does not say it; `px4-thermal` the device ids of accelerometer and gyro,
+    likewise.
 
     Raises InputError for a calibration that was not accepted or that the format has no place for.
 
@@ -89,7 +89,7 @@ def _export(
     if to == "px4-thermal":
         from tumble.export.px4_thermal import px4_thermal
 
-        return px4_thermal(calibration, sensor_ids)
+        return px4_thermal(calibration, sensor_ids, imu)
     if to == "kalibr":
         from tumble.export.kalibr import kalibr, noise_of_rests
 
@@ -108,7 +108,7 @@ def _check_wanted(to: str, noise: NoiseDensities | None, certificate: Certificat
         found = "none" if certificate is None else f"it with {to}"
         raise InputError(f"export: expected --certificate with dcc and only there, found {found}")
     for what, given, takers in (("noise", noise, ("kalibr",)), ("imu", imu, AUTOPILOTS)):
-        if given is not None and to not in takers:
+        if given is not None and to.removesuffix("-thermal") not in takers:
             raise InputError(f"export: expected --{what} with {' or '.join(takers)} and only there, found it with {to}")
 
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
-from tumble.export.ardupilot import ESTIMATED_ANEW, NUMBER_INSIDE, parameters
-from tumble.export.autopilot import FIRST, single, written
+from tumble.export.ardupilot import ESTIMATED_ANEW, MOST, NUMBER_INSIDE, parameters
+from tumble.export.autopilot import sensors_of, single, whose, written
 from tumble.export.exported import Exported, origin
 from tumble.export.thermal import Thermal, thermal
 from tumble.units import Array
@@ -32,9 +32,10 @@ SCALE = 1e-6
 LETTERS = {"accel": "ACC", "gyro": "GYR"}
 
 
-def ardupilot_thermal(calibration: Calibration) -> Exported:
-    """The .param file of a calibration over temperature."""
-    found, sensors = thermal(calibration, "ardupilot-thermal"), {**FIRST, **calibration.imu}
+def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Exported:
+    """The .param file of a calibration over temperature; `imu` is the number of the IMU, from 1, where the recording
+    has not said it."""
+    found, sensors = thermal(calibration, "ardupilot-thermal"), sensors_of(calibration, imu, "ardupilot-thermal", MOST)
     numbers = {kind: sensors[kind].number for kind in found.slopes}
     if max(numbers.values()) > NUMBER_INSIDE:
         raise InputError(
@@ -45,7 +46,12 @@ def ardupilot_thermal(calibration: Calibration) -> Exported:
     def offsets(kind: str, temperature: Array) -> Array:
         return _offsets(found, kind, temperature)
 
-    losses = (*found.losses(offsets), *found.held.losses, *([ESTIMATED_ANEW] if "gyro" in found.slopes else []))
+    losses = (
+        *found.losses(offsets),
+        *found.held.losses,
+        *([ESTIMATED_ANEW] if "gyro" in found.slopes else []),
+        *whose(calibration, imu),
+    )
     comments = [
         *origin(calibration),
         f"offsets and scales are those at {found.reference:g} degC, INS_ACC{numbers['accel']}_CALTEMP",

@@ -11,10 +11,18 @@ Where parameters change with temperature, there are functions with a temperature
 
     out = inverse · ((reading − bias − d (b₁ + d b₂)) / (1 + d (s₁ + d s₂)))
 
-sensor by sensor. Nothing needs a library.
+sensor by sensor. Where the sensors lag behind the thermometer by λ, a function follows it from reading to reading,
+exact where the temperature is straight between two (`tumble.reduction.thermometer`): over h seconds, with
+g = 1 − e^(−h/λ),
+
+    y₁ = y₀ + g (T₀ − y₀) + (T₁ − T₀) (1 − g λ/h)
+
+Nothing needs a library.
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,6 +30,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import changing, coefficients, measured_range
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
+from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import Block, SensorModel
@@ -96,6 +105,44 @@ _WARM = """\
         gain[j] = 1 + warmer * (scale_slope[j] + warmer * scale_curve[j]);
     }}"""
 
+_LAG = """\
+/* what follows a thermometer: all zero before its first reading */
+typedef struct {{
+    int started;
+    double thermometer, behind;
+}} imu_thermometer;
+
+/* temperature of the sensors, degC, which lag behind the thermometer: from its reading, degC, and the seconds since the
+   reading before; as warm as the thermometer with the first */
+static inline double imu_sensors_celsius(imu_thermometer *state, double celsius, double seconds)
+{{
+    static const double lag = {size!r};
+    if (!state->started) {{
+        state->started = 1;
+        state->behind = celsius;
+    }} else if (seconds > 0) {{
+        double x = seconds / lag, gain = 1;
+        if (x < 40) {{
+            int doublings = 0;
+            while (x > 0.01) {{
+                x *= 0.5;
+                doublings++;
+            }}
+            gain = x * (1 - x / 2 * (1 - x / 3 * (1 - x / 4 * (1 - x / 5))));
+            while (doublings-- > 0) {{
+                gain *= 2 - gain;
+            }}
+        }}
+        state->behind += gain * (state->thermometer - state->behind)
+            + (celsius - state->thermometer) * (1 - gain * lag / seconds);
+    }}
+    state->thermometer = celsius;
+    return {found};
+}}
+"""
+LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))
+"""Readings of a thermometer, degC, and the seconds since the one before."""
+
 HELD = frozenset(
     {"accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.cubic", "gyro.g_sensitivity"}
 )
@@ -113,11 +160,15 @@ def c_header(calibration: Calibration) -> Exported:
     compensator = None if calibration.accel is None else calibration.compensator
     digits = "the functions in float have 7 digits; use those in double where that matters"
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None and compensator is not None
-    losses = (*not_held(calibration, HELD | HELD_AT if warm else HELD), NO_UNCERTAINTY, digits)
+    lag = compensator.lag if warm and compensator is not None else 0.0
+    held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
+    losses = (*not_held(calibration, held), NO_UNCERTAINTY, digits)
     examples = _examples(known) if compensator is None else _worked(compensator, known)
-    comments = [*origin(calibration), *examples, *(_temperatures(calibration) if warm else []), *losses]
+    comments = [*origin(calibration), *examples, *(_temperatures(calibration) if warm else []), *_lagging(lag), *losses]
     lines = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", ""]
     lines += ["/*", *(f" * {line}" for line in comments), " */", ""]
+    if lag:
+        lines.append(_LAG.format(size=abs(lag), found="state->behind" if lag > 0 else "2 * celsius - state->behind"))
     for kind, model in known.items():
         for single in (False, True):
             for at in [None, calibration] if warm else [None]:
@@ -137,6 +188,27 @@ def _temperatures(calibration: Calibration) -> list[str]:
         f"functions without a temperature are for {calibration.reference_temperature:g} degC; those in _at take it, "
         f"in degC{known}"
     ]
+
+
+def _lagging(lag: float) -> list[str]:
+    """What the function of the lag is for, with an example; nothing where there is none."""
+    if not lag:
+        return []
+    readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
+    return [
+        f"sensors lag behind the thermometer by {lag:.6g} s: give functions in _at what imu_sensors_celsius makes of "
+        "every reading",
+        f"example lag: the thermometer reads {readings}; the sensors have {shown(sensors_celsius(lag).round(9))}",
+    ]
+
+
+def sensors_celsius(lag: float) -> Array:
+    """Temperatures, °C, of the sensors with the readings of LAG_EXAMPLE."""
+    out = [LAG_EXAMPLE[0][0]]
+    for (before, _), (now, seconds) in pairwise(LAG_EXAMPLE):
+        out.append(float(followed(np.array([before, now]), seconds, abs(lag), first=out[-1])[1]))
+    celsius = np.array([each for each, _ in LAG_EXAMPLE])
+    return np.array(out) if lag > 0.0 else 2.0 * celsius - np.array(out)
 
 
 def _over_temperature(kind: str, model: SensorModel, at: Calibration | None, *, single: bool) -> dict[str, str]:

@@ -30,7 +30,8 @@ from tumble.errors import InputError
 from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
-from tumble.registry.limits import AGREED_RULE, Verdict, limits_of, verdicts
+from tumble.registry.conformity import verdicts
+from tumble.registry.limits import AGREED_RULE, LimitJudgement, Verdict, limits_of
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import Array
@@ -286,6 +287,11 @@ def _result(parent: ET.Element, name: str) -> ET.Element:
     return _child(result, "data")
 
 
+def _over(judgement: LimitJudgement) -> str:
+    """At which temperature a parameter over temperature was judged."""
+    return "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
+
+
 def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Verdict]) -> None:
     for parameter in calibration.parameters:
         quantity = _typed(_child(data, "quantity"), "basic_measuredValue")
@@ -298,7 +304,11 @@ def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Ver
         for occasion, judgement in told:
             statement = _typed(_child(every, "metaData"), "basic_conformity")
             _named(statement, "name", f"{occasion} check")
-            _named(statement, "declaration", f"limits {judgement.low:g} to {judgement.high:g} {judgement.unit}")
+            _named(
+                statement,
+                "declaration",
+                f"limits {judgement.low:g} to {judgement.high:g} {judgement.unit}{_over(judgement)}",
+            )
             _child(statement, "conformity", _CONFORMITY[judgement.statement])
 
 

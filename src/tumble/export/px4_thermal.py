@@ -1,5 +1,6 @@
 """PX4 over temperature: the parameter file of `px4`, of the sensors that were recorded, with their thermal
-compensation, which PX4 finds by their ids, in its first place.
+compensation, which PX4 finds by their ids, in its first place, or with --imu N in the N-th, so that the files of
+several IMUs do not overwrite each other.
 
     TC_A0_X1_0 and so on: offset(T) = X0 + X1 d + X2 d² + X3 d³, d = T − TREF, T kept within TMIN … TMAX, degC
     (reading − offset(T) − CAL_ACC0_XOFF) · CAL_ACC0_XSCALE        reading − offset(T) − CAL_GYRO0_XOFF
@@ -13,29 +14,30 @@ Source: PX4, parameter reference, "Thermal Compensation"; module temperature_com
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.errors import InputError
-from tumble.export.autopilot import FIRST, single, written
+from tumble.export.autopilot import sensors_of, single, whose, written
 from tumble.export.exported import Exported, origin
 from tumble.export.px4 import INT32, REAL32, parameters, signed, too_small
 from tumble.export.thermal import Thermal, said, thermal
+from tumble.recording.autopilot import AutopilotSensor
 from tumble.units import Array
 
 LETTERS = {"accel": "A", "gyro": "G"}
-NO_IDS = (
-    "TC_A0_ID and TC_G0_ID are not in this file: set them to CAL_ACC0_ID and CAL_GYRO0_ID, or give --sensor-ids; "
-    "without them PX4 compensates nothing"
-)
+MOST_PLACES = 3
+"""So many sensors of a kind PX4 compensates."""
 
 
-def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None) -> Exported:
-    """The .params file of a calibration over temperature; `ids` are the device ids of accelerometer and gyro where the
-    recording has not said them."""
-    ids = ids or _recorded(calibration)
-    found = thermal(calibration, "px4-thermal")
-    held, sensors = found.held, {**FIRST, **calibration.imu}
+def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None, imu: int | None = None) -> Exported:
+    """The .params file of a calibration over temperature; `ids` are the device ids of accelerometer and gyro, and `imu`
+    the number of the IMU, from 1, where the recording has not said them."""
+    ids, place = ids or _recorded(calibration), 0 if imu is None else imu - 1
+    found, sensors = thermal(calibration, "px4-thermal"), sensors_of(calibration, imu, "px4-thermal", MOST_PLACES)
+    held = found.held
     accel, gyro = (sensors[kind].number - 1 for kind in ("accel", "gyro"))
 
     def offsets(kind: str, temperature: Array) -> Array:
@@ -46,7 +48,8 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None) ->
         _in_steps(found),
         *held.losses,
         *too_small(held),
-        *([] if ids is not None else [NO_IDS]),
+        *([] if ids is not None else [_no_ids(sensors, place)]),
+        *whose(calibration, imu),
     )
     comments = [
         *origin(calibration),
@@ -59,7 +62,7 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None) ->
     ]
     rows = [(name, value, REAL32) for name, value in parameters(held, sensors)]
     for number, kind in enumerate(found.slopes):
-        rows += _of_kind(found, kind, None if ids is None else ids[number])
+        rows += _of_kind(found, (kind, place), None if ids is None else ids[number])
     lines = [f"1\t1\t{name}\t{value}\t{kind}" for name, value, kind in rows]
     return Exported(content="\n".join([*(f"# {c}".rstrip() for c in comments), *lines, ""]).encode(), losses=losses)
 
@@ -82,9 +85,18 @@ def sensor_ids(text: str) -> tuple[int, int]:
     return accel, gyro
 
 
-def _of_kind(found: Thermal, kind: str, device: int | None) -> list[tuple[str, str, int]]:
-    """The parameters of the accelerometer or the gyro."""
-    stem = f"TC_{LETTERS[kind]}0"
+def _no_ids(sensors: Mapping[str, AutopilotSensor], place: int) -> str:
+    accel, gyro = (sensors[kind].number - 1 for kind in ("accel", "gyro"))
+    return (
+        f"TC_A{place}_ID and TC_G{place}_ID are not in this file: set them to CAL_ACC{accel}_ID and CAL_GYRO{gyro}_ID, "
+        "or give --sensor-ids; without them PX4 compensates nothing"
+    )
+
+
+def _of_kind(found: Thermal, of: tuple[str, int], device: int | None) -> list[tuple[str, str, int]]:
+    """The parameters of the accelerometer or the gyro in a place."""
+    kind, place = of
+    stem = f"TC_{LETTERS[kind]}{place}"
     rows = [(f"TC_{LETTERS[kind]}_ENABLE", "1", INT32)]
     rows += [] if device is None else [(f"{stem}_ID", str(signed(device)), INT32)]
     ends = {"TREF": found.reference, "TMIN": found.measured.low, "TMAX": found.measured.high}

@@ -147,7 +147,7 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
         condition=np.inf if len(null) else float(np.sqrt(size[-1] / size[0])),
         worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
         worst_u=np.inf if len(null) else float(np.sqrt(size[-1])),
-        further=tuple(_findings(instrument, setup, np.diag(own))),
+        further=tuple(findings(instrument, setup, np.diag(own))),
     )
 
 
@@ -164,7 +164,7 @@ def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solut
     return np.block([[solution.covariance, across], [across.T, own]]), solution
 
 
-def _findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
+def findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
     """What a programme finds out about each group beyond the linear model."""
     for name, members in instrument.members.items():
         learned = np.clip(1.0 - variance[members] / setup.further[name] ** 2, 0.0, 1.0)
@@ -253,34 +253,49 @@ def known_before(problem: Problem) -> Array:
 
 def view(course: Course, setup: Setup, *, gyros: bool) -> View:
     """The rows' ingredients at perfect sensors and the attitudes of the course. Raises InputError."""
-    _check(setup, gyros)
     instrument = instrument_of(setup, gyros)
-    values, turning = np.zeros(len(instrument.names)), gyros and len(course.first) > 0
-    about = _turns_about(course, setup, instrument) if turning else None
+    observations, about = observed(course, setup, instrument)
+    return View(
+        problem=Problem.of(observations, instrument=instrument, usual=setup.further),
+        point=Point(values=np.zeros(len(instrument.names)), gravity=setup.gravity, attitudes=course.attitudes),
+        about=about,
+        scatter=scatter_of(setup),
+    )
+
+
+def scatter_of(setup: Setup) -> Scatter:
+    """The in-run instability of a set-up's instrument."""
+    return Scatter(accel=setup.noise.accel_instability, gyro=setup.noise.gyro_instability)
+
+
+def observed(
+    course: Course, setup: Setup, instrument: Instrument, still: Array | None = None
+) -> tuple[Observations, TurnsAbout | None]:
+    """What perfect sensors observe on a course, and its turns about the parameters of an instrument, where it has
+    gyros; with `still` (K,) s before and after the turns that belong to them. Raises InputError."""
+    gyros = instrument.gyro is not None
+    _check(setup, gyros)
+    about = _turns_about(course, setup, instrument, still) if gyros and len(course.first) > 0 else None
     observations = Observations(
         accel_block=ACCEL,
         gyro_block=instrument.gyro,
         site=Site(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u),
         rests=_rests(course, setup, gyros),
-        turns=None if about is None else _turns(course, setup, about.moments),
+        turns=None if about is None else _turns(course, setup, about.moments, still),
         turn_samples=None,
         programme=None,
         position=None,
+        usual=setup.further,
     )
-    return View(
-        problem=Problem.of(observations, instrument=instrument, usual=setup.further),
-        point=Point(values=values, gravity=setup.gravity, attitudes=course.attitudes),
-        about=about,
-        scatter=Scatter(accel=setup.noise.accel_instability, gyro=setup.noise.gyro_instability),
-    )
+    return observations, about
 
 
-def _turns_about(course: Course, setup: Setup, instrument: Instrument) -> TurnsAbout:
+def _turns_about(course: Course, setup: Setup, instrument: Instrument, still: Array | None) -> TurnsAbout:
     """The turns of a course as perfect sensors record them."""
     assert instrument.gyro is not None
     start, end = course.attitudes[course.first], course.attitudes[course.first + 1]
     vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
-    moments = steady_moments(vector, course.seconds, start, setup, own_axes(instrument))
+    moments = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), still)
     values = np.zeros(len(instrument.names))
     rate, force = (instrument.coefficients(block, values) for block in (instrument.gyro, instrument.accel))
     return TurnsAbout.from_moments(moments, instrument.accel, (rate, force, 0.0), (np.eye(3), np.eye(3)))
@@ -322,9 +337,9 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
     )
 
 
-def _turns(course: Course, setup: Setup, moments: Moments) -> Turns:
+def _turns(course: Course, setup: Setup, moments: Moments, still: Array | None) -> Turns:
     """The turns with these moments, with the covariances of white noise."""
-    T, noise = course.seconds, setup.noise
+    T, noise = course.seconds if still is None else course.seconds + 2.0 * still, setup.noise
     rotation = noise.gyro_white**2 * T + TURN_FLOOR**2
     velocity = noise.accel_white**2 * T + VELOCITY_FLOOR**2
     return Turns(

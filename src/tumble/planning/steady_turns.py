@@ -47,21 +47,32 @@ def _gauss() -> tuple[Array, Array, Array]:
     return 0.5 * (nodes + 1.0), 0.5 * weights, 0.5 * to_end @ coefficients
 
 
-def steady_moments(vector: Array, T: Array, start: Array, setup: Setup, own: OwnAxes) -> Moments:
-    """Moments of turns through rotation vectors (K, 3), body, inertial, in T (K,) s from attitudes (K, 3, 3)."""
+def steady_moments(
+    vector: Array, T: Array, start: Array, setup: Setup, own: OwnAxes, still: Array | None = None
+) -> Moments:
+    """Moments of turns through rotation vectors (K, 3), body, inertial, in T (K,) s from attitudes (K, 3, 3); with
+    `still` (K,) s before and after them in which nothing turns."""
     K = len(T)
+    lasts = T[:, None] if still is None else np.stack([still, T, still], axis=1)
     nodes, weights, to_end = _gauss()
-    C = rotation_matrix(nodes[None, :, None] * vector[:, None])
+    moves = np.ones((K, 1)) if still is None else np.broadcast_to([0.0, 1.0, 0.0], (K, 3))
+    turned = (np.cumsum(moves, axis=1) - moves)[:, :, None] + moves[:, :, None] * nodes
+    passed = (np.cumsum(lasts, axis=1) - lasts)[:, :, None] + lasts[:, :, None] * nodes
+    C = rotation_matrix(turned.reshape(K, -1, 1) * vector[:, None])
     earth = np.array(earth_rate(setup.latitude))
-    up = rotation_matrix(nodes[None, :, None] * (T[:, None] * earth)[:, None])[..., 1]
+    up = rotation_matrix(passed.reshape(K, -1, 1) * earth)[..., 1]
     force = setup.gravity * np.einsum("knij,kni->knj", C, np.einsum("kji,knj->kni", start, up))
-    rate = np.broadcast_to((vector / T[:, None])[:, None], force.shape)
+    rate = np.repeat(moves[:, :, None] * (vector / T[:, None])[:, None], NODES, axis=1)
     felt = np.einsum("knij,knj->kni", C, force)
-    dt = weights * T[:, None]
-    beta = np.concatenate([np.ones((K, NODES, 1)), rate, force, force[..., _FIRST] * force[..., _SECOND]], axis=2)
+    dt = (lasts[:, :, None] * weights).reshape(K, -1)
+    beta = np.concatenate([np.ones((*dt.shape, 1)), rate, force, force[..., _FIRST] * force[..., _SECOND]], axis=2)
     own_gyro, own_accel = _own(rate @ own.gyro.T), _own(force @ own.accel.T)
     squares = rate[..., _FIRST] * rate[..., _SECOND]
-    to_go = T[:, None, None] * np.einsum("nm,kmi->kni", to_end, felt)  # V(T) − V(t)
+    by_piece = felt.reshape(K, lasts.shape[1], NODES, 3)
+    within = lasts[:, :, None, None] * np.einsum("nm,kpmi->kpni", to_end, by_piece)
+    pieces = lasts[:, :, None] * np.einsum("n,kpni->kpi", weights, by_piece)
+    after = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1] - pieces
+    to_go = (within + after[:, :, None]).reshape(felt.shape)  # V(T) − V(t)
     crossed = -skew(to_go) @ C
     V = np.einsum("kn,kni->ki", dt, felt)
     n, m = len(own.gyro), len(own.accel)

@@ -45,6 +45,7 @@ from tumble.reduction.rest_noise import accel_covariance, channel_rounding, dens
 from tumble.reduction.rounding import Rounding, rounding_notes
 from tumble.reduction.segmentation import RestSpan
 from tumble.reduction.thermometer import Thermometer
+from tumble.reduction.warming import without_warming
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
@@ -273,18 +274,15 @@ def reduced_rests(
     by_file = {f.file: f for f in reduction.files}
     blocks = [by_file[s.file] for s in spans]
     durations = np.array([s.stop - s.start for s in spans])
-    accel_series = [f.accel[s.first : s.last] for f, s in zip(blocks, spans, strict=True)]
-    gyro_series = [_gyro_of(f)[s.first : s.last] for f, s in zip(blocks, spans, strict=True)]
+    accel_series, gyro_series, temperatures = _series(blocks, spans)
+    accel_quiet, gyro_quiet = (without_warming(each, temperatures) for each in (accel_series, gyro_series))
     rounded = {"accel": channel_rounding(reduction, spans, "accel")}
-    accel_spread = accel_covariance(accel_series, accel) + np.diag(ACCEL_FLOOR**2 + rounded["accel"].of_rest ** 2)
+    accel_spread = accel_covariance(accel_quiet, accel) + np.diag(ACCEL_FLOOR**2 + rounded["accel"].of_rest ** 2)
     gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
     if gyro is not None:
-        gyro_noise, rounded["gyro"] = fit_coloured_noise(gyro_series), channel_rounding(reduction, spans, "gyro")
+        gyro_noise, rounded["gyro"] = fit_coloured_noise(gyro_quiet), channel_rounding(reduction, spans, "gyro")
         gyro_spread = np.array([gyro_noise.covariance_of_mean(len(s), i) for i, s in enumerate(gyro_series)])
         gyro_spread += np.diag(GYRO_FLOOR**2 + rounded["gyro"].of_rest ** 2)
-    temperatures = [
-        f.temperature[s.first : s.last].mean() for f, s in zip(blocks, spans, strict=True) if f.temperature is not None
-    ]
     magnetometer, magnetometer_covariance = _magnetometer(reduction, blocks, spans)
     rests = Rests(
         file=np.array([s.file for s in spans]),
@@ -298,11 +296,22 @@ def reduced_rests(
         gyro_covariance=gyro_spread,
         gyro_drift=drift(gyro_series),
         gyro_noise=density(gyro_spread, durations),
-        temperature=np.array(temperatures) if temperatures else None,
+        temperature=None if temperatures is None else np.array([each.mean() for each in temperatures]),
         magnetometer=magnetometer,
         magnetometer_covariance=magnetometer_covariance,
     )
     return rests, gyro_noise, rounded
+
+
+def _series(
+    blocks: Sequence[FileBlocks], spans: tuple[RestSpan, ...]
+) -> tuple[list[Array], list[Array], list[Array] | None]:
+    """Block means of the accelerometers and of the gyros in the rests at these spans, and their temperatures, K, where
+    all rests have some."""
+    pairs = list(zip(blocks, spans, strict=True))
+    accel, gyro = [f.accel[s.first : s.last] for f, s in pairs], [_gyro_of(f)[s.first : s.last] for f, s in pairs]
+    kelvin = [f.temperature[s.first : s.last] for f, s in pairs if f.temperature is not None]
+    return accel, gyro, kelvin if len(kelvin) == len(pairs) else None
 
 
 def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None, site: Site) -> Observations:
@@ -313,7 +322,8 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
     arrays: tuple[ArrayMoments, ...] = ()
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         by_file, block_seconds = {f.file: f for f in reduction.files}, reduction.files[0].size / reduction.rate
-        accel_noise = fit_coloured_noise([by_file[s.file].accel[s.first : s.last] for s in spans])
+        accel_series, _, temperatures = _series([by_file[s.file] for s in spans], spans)
+        accel_noise = fit_coloured_noise(without_warming(accel_series, temperatures))
         whole = _recorded_turns(spans, reduction.gaps)
         noises = (accel, accel_noise), (gyro, gyro_noise)
         turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)

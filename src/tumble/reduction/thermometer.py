@@ -10,7 +10,7 @@ and as warm as the thermometer where a file begins. A negative λ is what the th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.signal import lfilter
@@ -24,6 +24,20 @@ MOVED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Warmth:
+    """Of some stretches of time (N,): the mean temperature, K, its variance, K², and the mean of sgn(Ṫ)(1 − x²), which
+    a hysteresis goes with, x = −1 … 1 over the range of the thermometer in the file and Ṫ that of the thermometer."""
+
+    kelvin: Array
+    variance: Array
+    hysteresis: Array
+
+    def __getitem__(self, some: slice) -> Warmth:
+        """Of some of the stretches."""
+        return Warmth(kelvin=self.kelvin[some], variance=self.variance[some], hysteresis=self.hysteresis[some])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Thermometer:
     """Temperatures, K, every STEP from a start, s, by file: (start, temperatures)."""
 
@@ -34,6 +48,9 @@ class Thermometer:
         """The record of times (K,), s, and temperatures (K,), K, by file."""
         return Thermometer(files={file: _every_step(*record) for file, record in records.items()})
 
+    _directions: dict[int, Array] = field(default_factory=dict, repr=False)
+    """The direction at every step, by file, once it was asked for."""
+
     def at(self, file: IntArray, time: Array, lag: float = 0.0) -> Array:
         """Temperatures (N,), K, at times (N,) of files (N,) of what follows the thermometer with a time constant, s."""
         out = np.empty(len(time))
@@ -42,16 +59,67 @@ class Thermometer:
             out[of] = np.interp(time[of], start + STEP * np.arange(len(kelvin)), followed(kelvin, STEP, lag))
         return out
 
+    def means(self, file: IntArray, start: Array, stop: Array, lag: float = 0.0) -> Warmth:
+        """What follows the thermometer, from start to stop (N,), s, of files (N,); of a shorter time than STEP, about
+        its middle."""
+        half = 0.5 * np.maximum(stop - start, STEP)
+        early, late = 0.5 * (start + stop) - half, 0.5 * (start + stop) + half
+        out, middle = np.empty((3, len(start))), np.empty(len(start))
+        for number, (begin, kelvin) in self.files.items():
+            of, reach = file == number, 0.5 * float(np.ptp(kelvin))
+            middle[of] = here = 0.5 * float(kelvin.min() + kelvin.max())
+            off = followed(kelvin, STEP, lag) - here
+            inner = np.maximum(1.0 - (off / max(reach, MOVED)) ** 2, 0.0)
+            series = np.stack([off, off**2, self._direction(number) * inner])
+            integral = _integral(series, late[of] - begin) - _integral(series, early[of] - begin)
+            out[:, of] = integral / (2.0 * half[of])
+        mean, square, hysteresis = out
+        return Warmth(kelvin=mean + middle, variance=np.maximum(square - mean**2, 0.0), hysteresis=hysteresis)
+
+    def _direction(self, file: int) -> Array:
+        """The direction at every step of a file."""
+        if file not in self._directions:
+            self._directions[file] = _came(self.files[file][1])
+        return self._directions[file]
+
     def direction(self, file: IntArray, time: Array) -> Array:
         """Whether the temperature at times (N,) of files (N,) came from below, 1, or from above, −1; 0 where it was the
         same, to MOVED, since the file began."""
         out = np.zeros(len(time))
-        for i, (number, when, now) in enumerate(zip(file, time, self.at(file, time), strict=True)):
-            start, kelvin = self.files[int(number)]
-            before = kelvin[: max(int((when - start) / STEP) + 1, 1)] - now
-            apart = np.flatnonzero(np.abs(before) > MOVED)
-            out[i] = -np.sign(before[apart[-1]]) if len(apart) else 0.0
+        for number, (start, kelvin) in self.files.items():
+            of = file == number
+            steps = np.clip((time[of] - start) / STEP, 0, len(kelvin) - 1).astype(np.int64)
+            out[of] = self._direction(number)[steps]
         return out
+
+
+def _came(kelvin: Array) -> Array:
+    """The direction, 1, −1 or 0, at every one of temperatures (K,): it turns where the temperature has come back by
+    more than MOVED from its furthest."""
+    out = np.zeros(len(kelvin))
+    low = high = float(kelvin[0])
+    direction = 0.0
+    for i, now in enumerate(kelvin.tolist()):
+        low, high = min(low, now), max(high, now)
+        if direction <= 0.0 and now > low + MOVED:
+            direction, high = 1.0, now
+        elif direction >= 0.0 and now < high - MOVED:
+            direction, low = -1.0, now
+        out[i] = direction
+    return out
+
+
+def _integral(series: Array, at: Array) -> Array:
+    """Integrals (q, N) from the first to times (N,), s, after it of series (q, K) of values every STEP that are
+    straight between, and the same beyond their ends."""
+    last = series.shape[1] - 1
+    whole = np.zeros_like(series)
+    np.cumsum(0.5 * STEP * (series[:, 1:] + series[:, :-1]), axis=1, out=whole[:, 1:])
+    step = np.clip((at / STEP).astype(np.int64), 0, max(last - 1, 0))
+    into = np.clip(at - STEP * step, 0.0, STEP)
+    here, there = series[:, step], series[:, np.minimum(step + 1, last)]
+    beyond = np.maximum(at - STEP * last, 0.0) * series[:, [-1]] + np.minimum(at, 0.0) * series[:, [0]]
+    return np.asarray(whole[:, step] + into * here + 0.5 * into**2 / STEP * (there - here) + beyond)
 
 
 def followed(kelvin: Array, step: float, lag: float, first: float | None = None) -> Array:

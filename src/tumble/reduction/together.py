@@ -96,6 +96,36 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
     )
 
 
+def apart(observations: Observations, rests: slice, turns: slice) -> Observations:
+    """Those of one of several sessions that were joined, its rests and turns being these."""
+    whole = {field.name: getattr(observations.rests, field.name) for field in fields(Rests)}
+    own: dict[str, Any] = {name: None if value is None else value[rests] for name, value in whole.items()}
+    together, every, readings = observations.together, observations.turns, observations.turn_readings
+    assert together is not None
+    some = None
+    if every is not None and turns.stop > turns.start:
+        some = Turns(**{field.name: getattr(every, field.name)[turns] for field in fields(Turns)})
+        some = replace(some, first=some.first - rests.start, last=some.last - rests.start)
+        if readings is not None:
+            readings = TurnReadings(integral=readings.integral[turns], covariance=readings.covariance[turns])
+    return replace(
+        observations,
+        rests=Rests(**own),
+        turns=some,
+        turn_samples=None if some is None else _samples_from(observations.turn_samples, turns.start),
+        turn_readings=None if some is None else readings,
+        together=replace(together, session=together.session[rests], number=together.number[rests]),
+    )
+
+
+def _samples_from(samples: TurnSamples | None, first: int) -> TurnSamples | None:
+    """The samples of the session whose turns begin with this one."""
+    if samples is None:
+        return None
+    every = {0: replace(samples, others=(), _only_batch=[])} | dict(samples.others)
+    return every.get(first)
+
+
 def held(observations: Observations) -> Observations:
     """The same with turns of no duration that leave the attitude as it is to HELD."""
     turns = observations.turns

@@ -4,6 +4,9 @@ In the file of limits (TOML), [incoming] and [periodic] give them by parameter (
 ("accel.bias"); the longer name goes before. A limit is "5 mg", which is ±5 mg about zero, or a table: min, max, or
 deviation, which is about the type's systematic value in the calibration file that `systematic` names.
 
+With temperature_degC = [-20, 60] they hold at every temperature between these: a parameter is judged at the one where
+it is worst (`tumble.registry.conformity`).
+
 The decision rule is RULE. With the limits low, high and the expanded uncertainty U = t₉₅.₄₅(ν) u:
 
     pass         low + U ≤ value ≤ high − U
@@ -19,17 +22,14 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from tumble.calibration.coverage import expanded_of
 from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError
-from tumble.registry.records import OCCASIONS, Occasion, ParameterRow, parameter_rows
+from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
 from tumble.sensors.frames import FRAMES
 from tumble.sensors.parameters import ParameterGroup, group_name, group_of, quantity_of
-
-if TYPE_CHECKING:
-    from tumble.calibration.calibration_file import Calibration
 
 FORMAT = 1
 
@@ -50,7 +50,7 @@ Statement = Literal["pass", "conditional pass", "conditional fail", "fail", "und
 STATEMENTS: tuple[Statement, ...] = ("fail", "undecided", "conditional fail", "conditional pass", "pass")
 """The worst first; undecided is what has no value or no U."""
 
-_KEYS = ("format", "frame", "systematic", "interval_months", "device_interval_months", *OCCASIONS)
+_KEYS = ("format", "frame", "systematic", "interval_months", "device_interval_months", "temperature_degC", *OCCASIONS)
 _FORMS = 'a text such as "5 mg", or a table with min and max, or one with deviation'
 
 
@@ -66,13 +66,15 @@ class Limit:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
     """Acceptance limits of a device type by check and by parameter or kind; its systematic values (SI); months between
-    calibrations, of the type and of devices that have their own."""
+    calibrations, of the type and of devices that have their own; the `temperatures`, °C, between which the limits hold,
+    where they are not those at the reference."""
 
     frame: str
     checks: Mapping[Occasion, Mapping[str, Limit]]
     systematic: Mapping[str, float]
     interval_months: int | None
     device_interval_months: Mapping[str, int]
+    temperatures: tuple[float, float] | None = None
 
     def interval(self, serial: str) -> int | None:
         """Months between calibrations of a device."""
@@ -91,7 +93,9 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LimitJudgement:
-    """A parameter (SI) against its limits; `expanded` is U. A parameter that was not determined has no value."""
+    """A parameter (SI) against its limits; `expanded` is U. A parameter that was not determined has no value. Over
+    temperature it is that `at` the temperature, °C, where it is worst; `beyond` says that not all temperatures were
+    measured."""
 
     name: str
     unit: str
@@ -100,23 +104,43 @@ class LimitJudgement:
     low: float
     high: float
     result: Result
+    at: float | None = None
+    beyond: bool = False
+
+    @property
+    def named(self) -> str:
+        """The parameter, with the temperature at which it is worst."""
+        return self.name if self.at is None else f"{self.name} at {self.at:.1f} °C".replace("at -", "at −")
 
     @property
     def statement(self) -> Statement:
         """The result as one of the four outcomes (ILAC-G8); undecided without a value or without U."""
         unknown = self.value is None or self.expanded is None or math.isnan(self.low) or math.isnan(self.high)
-        if self.result != "undecided" or self.value is None or unknown:
+        if self.result != "undecided" or self.value is None or unknown or self.beyond:
             return self.result
         return "conditional pass" if self.low <= self.value <= self.high else "conditional fail"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """Every parameter that has a limit, judged in the frame of the limits."""
+    """Every parameter that has a limit, judged in the frame of the limits; over the `temperatures`, °C, between which
+    these hold, and what of them was not measured, in words."""
 
     occasion: Occasion
     frame: str
     judgements: tuple[LimitJudgement, ...]
+    temperatures: tuple[float, float] | None = None
+    unmeasured: str = ""
+
+    @property
+    def over(self) -> str:
+        """Between which temperatures a verdict stands, in words; nothing where it is that at the reference."""
+        if self.temperatures is None:
+            return ""
+        low, high = (f"{each:g}".replace("-", "−") for each in self.temperatures)
+        return (
+            f"{'within limits' if self.result == 'pass' else 'not shown to be within limits'} from {low} to {high} °C"
+        )
 
     @property
     def result(self) -> Result:
@@ -131,15 +155,21 @@ class Verdict:
 
     def reasons(self) -> list[str]:
         """Which parameters do not pass, and why, in words."""
+        unmeasured = f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature"
         groups = {
             "outside its limits": [j for j in self.judgements if j.result == "fail"],
-            "within the guard band": [j for j in self.judgements if j.result == "undecided" and j.expanded is not None],
+            "within the guard band": [
+                j for j in self.judgements if j.result == "undecided" and j.expanded is not None and not j.beyond
+            ],
+            unmeasured: [j for j in self.judgements if j.result == "undecided" and j.beyond],
             "without U": [
-                j for j in self.judgements if j.result == "undecided" and j.expanded is None and j.value is not None
+                j
+                for j in self.judgements
+                if j.result == "undecided" and j.expanded is None and j.value is not None and not j.beyond
             ],
             "not determined": [j for j in self.judgements if j.value is None],
         }
-        return [f"{what}: {', '.join(j.name for j in found)}" for what, found in groups.items() if found]
+        return [f"{what}: {', '.join(j.named for j in found)}" for what, found in groups.items() if found]
 
 
 def _is_of(name: str, key: str) -> bool:
@@ -164,16 +194,6 @@ def judge(
     missing += [key for key in own if not any(_is_of(name, key) for name in named)]
     judged += [_not_determined(name, limits.of(name, occasion) or (-math.inf, math.inf)) for name in missing]
     return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judged))
-
-
-def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
-    """What the limits say of a calibration, for each check that they are for.
-
-    Raises CalibrationError where it cannot be taken to the frame of the limits."""
-    if calibration.frame != limits.frame:
-        calibration = calibration.in_frame(limits.frame)
-    rows, unseen = list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable
-    return [found for occasion in OCCASIONS if (found := judge(limits, occasion, rows, unseen)) is not None]
 
 
 def _not_determined(name: str, limits: tuple[float, float]) -> LimitJudgement:
@@ -254,6 +274,7 @@ def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
         systematic={} if systematic is None else _systematic(systematic, frame, name),
         interval_months=None if "interval_months" not in content else _months(content, "interval_months", name),
         device_interval_months=_device_months(content, name),
+        temperatures=_temperatures(content, name),
     )
     _check_relative(limits, name)
     return limits
@@ -324,6 +345,19 @@ def _device_months(content: Mapping[str, Any], name: str) -> Mapping[str, int]:
     if not isinstance(own, dict):
         raise InputError(f"{name}: device_interval_months: expected a table of serial numbers, found {own!r}")
     return {serial: _months(own, serial, f"{name}: device_interval_months") for serial in own}
+
+
+def _temperatures(content: Mapping[str, Any], name: str) -> tuple[float, float] | None:
+    """Between which temperatures, °C, limits hold, where they are not those at the reference."""
+    given = content.get("temperature_degC")
+    if given is None:
+        return None
+    numbers = isinstance(given, list) and all(isinstance(n, int | float) and not isinstance(n, bool) for n in given)
+    if not numbers or len(given) != 2 or not -273.15 <= given[0] < given[1] <= 1000.0:
+        raise InputError(
+            f"{name}: temperature_degC: expected the lowest and the highest, as [-20, 60], found {given!r}"
+        )
+    return float(given[0]), float(given[1])
 
 
 def _systematic(text: str, frame: str, name: str) -> Mapping[str, float]:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from tumble.calibration.coverage import by_gravity
 from tumble.errors import InputError
 from tumble.recording.session import Site
+from tumble.registry.conformity import over_temperature
 from tumble.registry.connect import Registry
 from tumble.registry.limits import Verdict, judge, parse_limits
 from tumble.registry.records import ParameterRow, Record, State, all_parameter_rows
@@ -92,7 +93,10 @@ def verdict_of(
     own = limits[record.limits]
     parsed = parse_limits(own.file, own.systematic, f"limits {own.number}")
     unobservable = json.loads(file_of(registry, record.number))["outcome"].get("unobservable", [])
-    return judge(parsed, record.occasion, rows_in_frame(registry, record, rows, parsed.frame), unobservable)
+    found = judge(parsed, record.occasion, rows_in_frame(registry, record, rows, parsed.frame), unobservable)
+    if found is None or parsed.temperatures is None:
+        return found
+    return over_temperature(found, _in_frame(registry, record, parsed.frame), parsed)
 
 
 # -------------------- frames --------------------

@@ -11,7 +11,8 @@ from tumble.calibration.coverage import remarks
 from tumble.calibration.further import predicted
 from tumble.errors import InputError
 from tumble.export.certificate import Certificate
-from tumble.registry.limits import STATEMENTS, Limits, Statement, Verdict, verdicts
+from tumble.registry.conformity import verdicts
+from tumble.registry.limits import STATEMENTS, Limits, Statement, Verdict
 from tumble.report import certified, compare, limits, over_temperature, recording, result
 from tumble.report.blocks import Block, Document, Facts, Items, Part, Section, Text, Tone
 from tumble.report.numbers import NONE

@@ -7,12 +7,17 @@ from collections.abc import Mapping
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
-from tumble.registry.limits import AGREED_RULE, RULE, LimitJudgement, Limits, verdicts
+from tumble.registry.conformity import verdicts
+from tumble.registry.limits import AGREED_RULE, RULE, LimitJudgement, Limits
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text, Tone
 from tumble.report.numbers import NONE, minus
 from tumble.terminal.text import shown_units
 from tumble.units import engineering, rounded
 
+OVER_TEMPERATURE = (
+    "Biases and scale factors are judged at the temperature where they are worst, with U there; other parameters are "
+    "the same at all temperatures. Beyond what was measured nothing passes."
+)
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 
 
@@ -33,10 +38,17 @@ def section(calibration: Calibration, limits: Limits | None, agreed: str | None 
         reasons = "; ".join(verdict.reasons())
         outcome = verdict.result if agreed is None else verdict.statement
         tone = "doubt" if outcome == "conditional pass" else tone
-        said = f"{check}: {outcome}" + (f" ({reasons})" if reasons else "")
+        said = (
+            f"{check}: {outcome}" + (f", {verdict.over}" if verdict.over else "") + (f" ({reasons})" if reasons else "")
+        )
         rows = tuple(_row(j, units, j.result if agreed is None else j.statement) for j in verdict.judgements)
-        columns = ("parameter", "low", "value", "U", "high", "unit", "verdict")
-        blocks += [Text(text=said + ".", tone=tone), ReportTable(columns=columns, rows=rows, text=(0, 5, 6))]
+        columns: tuple[str, ...] = ("parameter", "low", "value", "U", "high", "unit", "verdict")
+        blocks.append(Text(text=said + ".", tone=tone))
+        if verdict.temperatures is not None:
+            blocks.append(Text(text=OVER_TEMPERATURE))
+            columns = (*columns, "at °C")
+            rows = tuple((*row, _at(j)) for row, j in zip(rows, verdict.judgements, strict=True))
+        blocks.append(ReportTable(columns=columns, rows=rows, text=(0, 5, 6)))
     return Section(title="Limits and verdict", blocks=tuple(blocks))
 
 
@@ -54,3 +66,7 @@ def _row(judgement: LimitJudgement, units: Mapping[str, tuple[float, str]], outc
 
 def _limit(value: float, size: float) -> str:
     return minus(f"{value / size:.6g}") if math.isfinite(value) else NONE
+
+
+def _at(judgement: LimitJudgement) -> str:
+    return NONE if judgement.at is None else minus(f"{judgement.at:.1f}")

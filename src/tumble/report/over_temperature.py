@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import Curve, Range, changing, curve, measured_range, rest_temperatures
+from tumble.calibration.results import RestResult
+from tumble.calibration.temperature_curves import (
+    Curve,
+    Range,
+    changing,
+    curve,
+    measured_range,
+    rest_temperatures,
+    warm_rests,
+)
 from tumble.report.blocks import Block, Figure, ReportTable, Section, Text
 from tumble.report.characters import drawable
 from tumble.report.figures import COLOURS, FAINT, GREY, PAGE, drawn
@@ -43,6 +52,12 @@ def section(calibration: Calibration, name: str) -> Section | None:
         "the foot: temperatures of the rests. Dashed, on grey: not measured."
     )
     blocks.append(Figure(svg=svg, caption=caption))
+    if seen := warm_rests(calibration):
+        said = (
+            "What is left of the specific force at each rest, by its temperature, and how far the rest is from the "
+            "fit, in sigmas. Residuals that follow the temperature are what the coefficients do not hold."
+        )
+        blocks.append(Figure(svg=residuals_picture(f"{name}-left", seen, measured), caption=said))
     return Section(title="Over temperature", blocks=tuple(blocks))
 
 
@@ -89,6 +104,28 @@ def picture(name: str, calibration: Calibration, names: tuple[str, ...], measure
             axes.set_xlabel("°C")
 
     return drawn(name, PAGE, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
+
+
+def residuals_picture(name: str, rests: list[RestResult], measured: Range) -> str:
+    """Residuals of the specific force, and sigmas, of rests over their temperatures."""
+    celsius = np.array([rest.temperature for rest in rests], dtype=float)
+    left = np.array([rest.residual for rest in rests])
+    sigmas = np.array([rest.sigmas for rest in rests])
+
+    def draw(figure: Canvas) -> None:
+        panels = figure.subplots(1, 2)
+        size, unit = engineering("m/s^2", float(np.abs(left).max()))
+        for axes, values, label in zip(panels, (left / size, sigmas), (unit, "sigmas"), strict=True):
+            axes.plot(celsius, values, "o", color=COLOURS[0], markersize=3.0)
+            axes.axhline(0.0, color=GREY, linewidth=0.6)
+            margin = 0.03 * (measured.high - measured.low)
+            axes.set(xlim=(measured.low - margin, measured.high + margin), xlabel="°C", ylabel=drawable(label))
+            axes.grid(axis="y", color=FAINT, linewidth=0.5)
+            axes.set_axisbelow(True)
+        panels[0].set_title("residuals of the specific force")
+        panels[1].set_title("distance from the fit")
+
+    return drawn(name, PAGE, 2.0, draw)
 
 
 def _panel(axes: Axes, calibration: Calibration, members: list[str], measured: Range, reference: float) -> None:

@@ -132,26 +132,26 @@ class _NoisyBlock:
     def mean(self, force: Array, rate: Array, when: Array, seconds: Array, rng: np.random.Generator) -> Array:
         """Mean readings (N, n) in constant forces and rates (N, 3) over so many seconds (N,) about times (N,)."""
         noise = self.white / np.sqrt(seconds)[:, None] * rng.standard_normal(self.bias.shape)
-        return self._read(force, rate, when) + self.bias + noise
+        warmth: Mapping[Variable, Array] = {}
+        if self.climate is not None and self.changes:
+            middle = when + self.middle
+            warmth = self.climate.means(middle - 0.5 * seconds, middle + 0.5 * seconds)
+        return self._read(force, rate, {"time": when, **warmth}) + self.bias + noise
 
     def sampled(self, force: Array, rate: Array, when: Array, first: IntArray) -> Array:
-        """Readings (K, S, n) without white noise in the moves after the rests `first` (K,) about times (K,), for forces
+        """Readings (K, S, n) without white noise in the moves after the rests `first` (K,) at times (K, S), for forces
         (K, S, 3), or (K, S, n, 3) where those at each sensor are others, and rates (K, S, 3) of the body."""
         K, S = rate.shape[:2]
         flat = force.reshape(K * S, *force.shape[2:]), rate.reshape(K * S, 3)
-        return np.asarray(
-            self._read(*flat, np.repeat(when, S)).reshape(K, S, self.block.size) + self.bias[first][:, None]
-        )
+        warmth: Mapping[Variable, Array] = {}
+        if self.climate is not None and self.changes:
+            warmth = self.climate.variables(when.ravel() + self.middle)
+        read = self._read(*flat, {"time": when.ravel(), **warmth})
+        return np.asarray(read.reshape(K, S, self.block.size) + self.bias[first][:, None])
 
-    def _read(self, force: Array, rate: Array, when: Array) -> Array:
-        """Readings (N, n) at times (N,), s, from the middle of the session."""
+    def _read(self, force: Array, rate: Array, now: Mapping[Variable, Array]) -> Array:
+        """Readings (N, n) where what parameters change with is `now` (N,)."""
         out = readings(self.block, self.coefficients, force, rate)
-        if not self.changes:
-            return out
-        now: dict[Variable, Array] = {"time": when}
-        if self.climate is not None:
-            times, at = np.unique(when + self.middle, return_inverse=True)
-            now |= {variable: values[at] for variable, values in self.climate.variables(times).items()}
         for variable, change in self.changes.items():
             out = out + now[variable][:, None] * readings(self.block, change, force, rate)
         return out
@@ -166,12 +166,12 @@ def _rests(
     scenario: Scenario, way: Itinerary, accel: _NoisyBlock, gyro: _NoisyBlock, rng: np.random.Generator
 ) -> Rests:
     start, stop = way.rests.T
-    seconds = stop - start
+    seconds, files, climate = stop - start, np.zeros(len(start), dtype=np.int64), scenario.climate
     force = scenario.site.gravity * way.attitudes[:, 1]
     rate = np.array(earth_rate(scenario.latitude)) @ way.attitudes
     when = way.times
     return Rests(
-        file=np.zeros(len(start), dtype=np.int64),
+        file=files,
         start=start,
         stop=stop,
         accel=accel.mean(force, rate, when, seconds, rng),
@@ -182,7 +182,7 @@ def _rests(
         gyro_covariance=gyro.covariance(seconds, GYRO_FLOOR),
         gyro_drift=np.zeros_like(gyro.bias),
         gyro_noise=np.full_like(gyro.bias, gyro.white),
-        temperature=None if scenario.climate is None else scenario.climate.thermometer(way.rests.mean(axis=1)),
+        temperature=None if climate is None else climate.record.means(files, start, stop).kelvin,
     )
 
 
@@ -197,7 +197,9 @@ def _turns(
     before, after = way.attitudes[first], way.attitudes[first + 1]
     vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
     dt = T / SAMPLES
-    late, when = scenario.instrument.delay(scenario.values), 0.5 * (way.times[first] + way.times[first + 1])
+    late = scenario.instrument.delay(scenario.values)
+    sample = np.arange(SAMPLES + AHEAD) - AHEAD + 0.5
+    when = (way.rests[first, 1] - way.middle)[:, None] + sample * dt[:, None]
     rate = np.repeat((vector / T[:, None])[:, None], SAMPLES + AHEAD, axis=1)
     force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
     sampled = gyro.sampled(force, rate, when, first)

@@ -17,9 +17,17 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import BUILT_IN, Programme
 from tumble.recording.session import Session, session_of, write_session
 from tumble.sensors.model import Block
+from tumble.simulation.climate import Climate
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, OnTable, Scenario, Vibration, itinerary, scenario_of
-from tumble.simulation.temperature_profile import REFERENCE_NAME, TemperatureProfile, draw_thermal, thermometer_column
+from tumble.simulation.temperature_profile import (
+    LAG_NAME,
+    REFERENCE_NAME,
+    TemperatureProfile,
+    draw_lag,
+    draw_thermal,
+    thermometer_column,
+)
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
 LogFormat = Literal["parquet", "csv"]
@@ -40,8 +48,9 @@ def simulate_session(
 
     The same set-up, seed and launch give the same numbers; another launch of a seed is the same device, put on the
     table and turned anew. With a `temperature` profile the log has a thermometer, and biases and scale factors change
-    with it as is usual in the grade. Raises InputError, one line, for a set-up that is impossible, and for a folder
-    that holds a session already.
+    with it as is usual in the grade; in a set-up with all terms the sensors follow it with a lag, and biases have a
+    hysteresis. Raises InputError, one line, for a set-up that is impossible, and for a folder that holds a session
+    already.
 
     >>> import tumble
     >>> tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1).name
@@ -54,7 +63,8 @@ def simulate_session(
         duration = float(itinerary(scenario, geometry).rests[-1, 1])
         blocks = {"accel": scenario.accel, "gyro": scenario.gyro}
         thermal = draw_thermal(setup.further, setup.instrument, blocks, truth)
-        scenario = replace(scenario, truth=dict(scenario.truth) | thermal, climate=temperature.climate(duration))
+        climate = temperature.climate(duration, draw_lag(setup.further, truth))
+        scenario = replace(scenario, truth=dict(scenario.truth) | thermal, climate=climate)
     return write_simulation(Path(folder), scenario, course, log_format=log_format)
 
 
@@ -81,7 +91,7 @@ def write_simulation(
         raise InputError(f"{folder}: expected a new folder, found a session in it; give another one")
     recording = record(scenario, rng)
     truth = {name: scenario.truth[name] for name in scenario.names}
-    truth |= {} if scenario.climate is None else {REFERENCE_NAME: scenario.climate.reference - ZERO_CELSIUS}
+    truth |= _truth_of(scenario.climate)
     try:
         with nothing_left(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -92,6 +102,14 @@ def write_simulation(
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, found: {error.strerror or error}") from None
     return folder
+
+
+def _truth_of(climate: Climate | None) -> dict[str, float]:
+    """What truth.json has of the temperature: the reference, °C, and the lag, s, where there is one."""
+    if climate is None:
+        return {}
+    reference = {REFERENCE_NAME: climate.reference - ZERO_CELSIUS}
+    return reference | ({LAG_NAME: climate.lag} if climate.lag != 0.0 else {})
 
 
 def session_in_memory(scenario: Scenario, rng: np.random.Generator) -> Session:

@@ -2,7 +2,7 @@
 
     "25"            a chamber at 25 °C
     "-10:60"        from −10 to 60 °C over the session, and "-10:60:-10" up in the first half and down in the second
-    "22+15@600"     switched on at 22 °C: T(t) = 22 + 15 (1 − exp(−t / 600 s))
+    "22+15@600"     switched on at 22 °C: T(t) = 22 + 15 (1 − exp(−t / 600 s)); so with a ramp, "-10:60:-10+8@300"
 
 True values are those at `REFERENCE`, whatever the profile, so that sessions of one device at several levels belong
 together; `truth_at` gives them at another temperature.
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.errors import InputError
+from tumble.reduction.thermometer import MOVED
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import FURTHER, ParameterGroup, to_temperature
@@ -28,9 +29,11 @@ REFERENCE = 25.0
 """°C, at which the true parameters of simulated devices have their values."""
 REFERENCE_NAME = "temperature.reference"
 """What truth.json calls it."""
+LAG_NAME = "temperature.lag"
+"""And the lag of the sensors behind the thermometer."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
-_HEATING = re.compile(rf"({_NUMBER})([-+](?:\d+\.?\d*|\.\d+))@({_NUMBER})")
+_HEATING = re.compile(rf"(.+?)([-+](?:\d+\.?\d*|\.\d+))@({_NUMBER})")
 _LOWEST, _HIGHEST = -100.0, 200.0
 _NODES = 2000
 """Straight pieces of an exponential: closer to it than 1e-6 of its rise in a session of three time constants."""
@@ -38,34 +41,41 @@ _NODES = 2000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TemperatureProfile:
-    """Temperatures, °C, at equal steps from the start of a session to its end, one where it stays the same. With a time
-    constant, s, the first is that at power-on, which then goes to the second exponentially."""
+    """Temperatures, °C, at equal steps from the start of a session to its end, one where it stays the same, and on top
+    of them a `heating`, K, from power-on, which is reached exponentially with a time constant, s."""
 
     celsius: tuple[float, ...]
-    time_constant: float | None = None
+    heating: float = 0.0
+    time_constant: float = 600.0
 
-    def climate(self, duration: float) -> Climate:
-        """The temperature of a session that lasts so long, s."""
-        if self.time_constant is None:
-            celsius = np.array(self.celsius if len(self.celsius) > 1 else 2 * self.celsius)
-            time = np.linspace(0.0, duration, len(celsius))
-        else:
-            start, end = self.celsius
-            time = np.linspace(0.0, duration, _NODES + 1)
-            celsius = end + (start - end) * np.exp(-time / self.time_constant)
-        return Climate(time=time, kelvin=celsius + ZERO_CELSIUS, reference=REFERENCE + ZERO_CELSIUS)
+    def climate(self, duration: float, lag: float = 0.0) -> Climate:
+        """The temperature of a session that lasts so long, s, with sensors that follow it with a lag, s."""
+        celsius = np.array(self.celsius if len(self.celsius) > 1 else 2 * self.celsius)
+        time = np.linspace(0.0, duration, len(celsius))
+        if self.heating != 0.0:
+            fine = np.union1d(np.linspace(0.0, duration, _NODES + 1), time)
+            celsius = np.interp(fine, time, celsius) - self.heating * np.expm1(-fine / self.time_constant)
+            time = fine
+        middle, half = 0.5 * float(celsius.min() + celsius.max()), 0.5 * float(np.ptp(celsius))
+        return Climate(
+            time=time,
+            kelvin=celsius + ZERO_CELSIUS,
+            reference=REFERENCE + ZERO_CELSIUS,
+            lag=lag,
+            span=(middle + ZERO_CELSIUS, max(half, MOVED)),
+        )
 
 
 def temperature_profile(text: str) -> TemperatureProfile:
-    """The profile of a text such as "25", "-10:60:-10" or "22+15@600". Raises InputError, one line."""
+    """The profile of a text such as "25", "-10:60:-10", "22+15@600" or "-10:60:-10+8@300". Raises InputError, one
+    line."""
     heating = _HEATING.fullmatch(text.strip())
-    if heating is not None:
-        start, rise, constant = map(float, heating.groups())
-        found = TemperatureProfile(celsius=(start, start + rise), time_constant=constant)
-    else:
-        found = TemperatureProfile(celsius=tuple(map(_number, text.split(":"))))
-    possible = all(_LOWEST <= celsius <= _HIGHEST for celsius in found.celsius)
-    if not possible or (found.time_constant is not None and not found.time_constant > 0.0):
+    course, rise, constant = heating.groups() if heating is not None else (text.strip(), "0", "1")
+    found = TemperatureProfile(
+        celsius=tuple(map(_number, course.split(":"))), heating=float(rise), time_constant=float(constant)
+    )
+    possible = all(_LOWEST <= c <= _HIGHEST for c in found.celsius) and abs(found.heating) <= _HIGHEST
+    if not possible or not found.time_constant > 0.0:
         raise InputError(
             f"temperature: expected {_LOWEST:g} to {_HIGHEST:g} degC, as 25, -10:60, -10:60:-10, or "
             f"START+RISE@SECONDS, such as 22+15@600, found {text!r}"
@@ -87,13 +97,20 @@ def draw_thermal(
     spreads: Mapping[str, float], grade: str, blocks: Mapping[str, Block], rng: np.random.Generator
 ) -> dict[str, float]:
     """True values by name of what changes with temperature, Gaussian with the standard deviations, SI, of a set-up or,
-    where it has none, of its grade."""
+    where it has none, of its grade; and where the set-up has them, of hysteresis."""
     found: dict[str, float] = {}
-    for group in thermal_groups():
+    hysteresis = [group for group in FURTHER if group.variable == "hysteresis" and group.name in spreads]
+    for group in thermal_groups() + hysteresis:
         spread = spreads.get(group.name, group.usual[grade] if grade in GRADES else 0.0)
         names = group.names(blocks[group.kind])
         found |= zip(names, (spread * rng.standard_normal(len(names))).tolist(), strict=True)
     return found
+
+
+def draw_lag(spreads: Mapping[str, float], rng: np.random.Generator) -> float:
+    """The lag of the sensors behind the thermometer, s, the size of a Gaussian number with the standard deviation of a
+    set-up; none where that has none."""
+    return abs(spreads[LAG_NAME] * float(rng.standard_normal())) if LAG_NAME in spreads else 0.0
 
 
 def truth_at(truth: Mapping[str, float], celsius: float | None) -> dict[str, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from tumble.estimation.estimate import GroupFinding
 from tumble.estimation.observability import in_words, sum_in_words
 from tumble.planning.best_positions import Aim, Compared, Next
 from tumble.planning.bounds import Bound
@@ -19,7 +20,7 @@ from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, shown_in
 from tumble.terminal.table import plain_table
-from tumble.units import DEGREE
+from tumble.units import DEGREE, Array
 from tumble.usual_setup import MOVE
 
 LARGEST = 4
@@ -61,26 +62,30 @@ def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
         share = f"{u / spread_of(setup, name):.2%}" if math.isfinite(u) else ""
         group = group_name(name)
         table.add_row(name, _shown(bound, group, u), share, _shown(bound, group, with_all))
-    return Group(*map(Text, lines), Text(""), table, Text(""), _further(whole))
+    return Group(*map(Text, lines), Text(""), table, Text(""), further_table(whole.names, whole.u, whole.further))
 
 
-def _further(whole: Bound) -> RenderableType:
-    """A line for each group beyond the linear model: what is usual, and what the programme finds out about it."""
+def further_table(names: Sequence[str], u: Array, further: Sequence[GroupFinding]) -> RenderableType:
+    """A line for each group beyond the linear model: what is usual, and what is found out about it, from the u of all
+    parameters."""
     table = plain_table()
     table.add_column("group")
     for heading in ("usual", "bound of u", "learned"):
         table.add_column(heading, justify="right")
     table.add_column("")
-    places = positions_by_group(whole.names)
-    for group in whole.further:
-        u, learned = float(whole.u[places[group.name]].max()), min(group.learned)
+    places = positions_by_group(names)
+    for group in further:
+        worst, learned = float(u[places[group.name]].max()), min(group.learned)
         said = "left to what is usual" if learned < LITTLE else "" if learned > MOSTLY else "in part"
-        table.add_row(group.name, *(_in_unit(group.name, value) for value in (group.prior, u)), f"{learned:.1%}", said)
+        cells = [in_unit(group.name, value) for value in (group.prior, worst)]
+        table.add_row(group.name, *cells, f"{learned:.1%}", said)
     return table
 
 
-def _in_unit(name: str, value: float) -> str:
-    """A value in the unit its group is shown in."""
+def in_unit(name: str, value: float) -> str:
+    """A value in the unit its group is shown in; a dash where it is infinite."""
+    if not math.isfinite(value):
+        return "–"
     size, unit = shown_in(name, group_of(name).unit, value)
     return f"{value / size:.3g} {unit}"
 

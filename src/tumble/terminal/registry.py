@@ -112,7 +112,8 @@ def _limits_cells(judgement: LimitJudgement | None, size: float, shown: bool) ->
 def _verdict_line(verdict: Verdict | None) -> str:
     if verdict is None:
         return "no verdict: no limits were in force for this type and check when the record was added"
-    return "\n".join([RULE, *verdict.reasons(), f"verdict: {verdict.result}"])
+    over = f", {verdict.over}" if verdict.over else ""
+    return "\n".join([RULE, *verdict.reasons(), f"verdict: {verdict.result}{over}"])
 
 
 def limits_report(limits: LimitsRecord) -> RenderableType:

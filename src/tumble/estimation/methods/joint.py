@@ -49,7 +49,6 @@ from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, Gr
 from tumble.estimation.likelihood import (
     COMPONENTS,
     NO_PRIOR,
-    OWN,
     Left,
     Linearised,
     Noise,
@@ -61,6 +60,7 @@ from tumble.estimation.likelihood import (
     Step,
     Weights,
     at_reference,
+    instruments_of,
     left,
     linearise,
     noise_of,
@@ -68,12 +68,11 @@ from tumble.estimation.likelihood import (
 )
 from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.estimation.variables import variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray, IntArray
 
 MAX_ITERATIONS = 30
@@ -94,8 +93,14 @@ WIDENING_STEPS = 50
 LAGS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, -25.0, -100.0)
 """s: time constants of the sensors behind the thermometer from which the best is sought."""
 LAG_HELD = 1e-3  # s
-LAG_GRID = np.linspace(-5.0, 8.0, 40)
-"""Lags at which the likelihood is taken, in units of u from the maximum."""
+LAG_GRID = np.linspace(-5.0, 8.0, 20)
+"""Lags at which the likelihood is taken, in units of u from the maximum: of a Gaussian, sums in steps of one u have its
+mean and spread to 1e-8."""
+_APART = np.concatenate([[0.5], 2.0 ** np.arange(0.0, 9.5, 0.5)])
+LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
+"""s: the same from a lag of which Gauss–Newton does not say how well it is known."""
+LESS_LIKELY = 6.0
+"""−2 log of the likelihoods of two lags: the first is taken for a wrong one."""
 WIDENED = 1.01  # λ of a step that counts as settled
 KEPT = 1e-3  # learned fraction of a group that the session says anything of
 LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
@@ -128,24 +133,15 @@ def joint(
     rests and turns that do not fit; their sigmas say which they are. A `quick` one ends after
     QUICK_STEPS, settled or not, and then does not look for what does not fit: it is for a page that follows a session
     and cannot wait for one that contradicts itself."""
-    accel, gyro = observations.accel_block, observations.gyro_block
-    variables, own = set(variables_of(observations)), None
-    if observations.together is not None:
-        variables, own = variables - set(OWN), _of_each(accel, gyro, observations.usual)
-    instrument = instrument or Instrument.of(accel, gyro, observations.usual, variables)
+    usual, own = instruments_of(observations)
+    instrument = instrument or usual
     problem = Problem.of(observations, prior, instrument=instrument, own=own, usual=observations.usual)
     at, first = _started(problem)
     at = _with_lag(problem, at)
-    everything = _fitted(problem, at, _Out.nothing(problem), QUICK_STEPS if quick else ALL_STEPS)
+    everything = _fitted_with_lag(problem, at, QUICK_STEPS if quick else ALL_STEPS)
     fitting = everything if quick and not everything.settled else _fitting(everything)
-    shown = _with_posterior(fitting if robust else everything)
+    shown = _with_posterior(fitting if robust else everything, problem)
     return _estimate(shown, first + shown.increments, _sigmas(fitting, everything.scatter))
-
-
-def _of_each(accel: Block, gyro: Block | None, usual: Mapping[str, float]) -> Instrument:
-    """The groups that each of several sessions has of its own."""
-    every = Instrument.of(accel, gyro, usual, OWN)
-    return replace(every, further=tuple(group for group in every.further if group.variable in OWN))
 
 
 # Which rests and turns count
@@ -477,17 +473,24 @@ def _scored(problem: Problem, rows: Rows, noise: Noise, variance: Array) -> tupl
 
 
 def _with_lag(problem: Problem, at: _At) -> _At:
-    """The start with the best of LAGS. The likelihood of a lag, which multiplies the coefficients over temperature, has
-    several maxima: everything else is found at none, and from there the likelihood of each in one step."""
+    """The start with the best of LAGS. The sum of squares over the lag, which multiplies the coefficients over
+    temperature, has several minima: everything else is found at none, and from there that of each in one step."""
     if problem.lag is None:
         return at
     solved = _iterated(_held(problem, 0.0), at, _Out.nothing(problem), Scatter())
     at = _At.of(problem, solved.point, solved.last.about)
     tried = [_at_lag(problem, at, lag, (_Out.nothing(problem), Scatter())) for lag in LAGS]
-    best = min(range(len(LAGS)), key=lambda i: tried[i][1])
-    step = tried[best][0]
+    best = min(range(len(LAGS)), key=lambda i: tried[i].square + _prior_of_lag(problem, LAGS[i]))
+    step = tried[best]
     point = _point_of(solved.point.moved(step.parameters, step.angles, step.own), problem.lag, LAGS[best])
     return _At.of(problem, point, solved.last.about)
+
+
+def _prior_of_lag(problem: Problem, lag: float) -> float:
+    """What the prior adds to the sum of squares."""
+    assert problem.lag is not None
+    expected, u = (values[1 + problem.lag] for values in problem.measured)
+    return float(((lag - expected) / u) ** 2)
 
 
 def _held(problem: Problem, lag: float) -> Problem:
@@ -495,7 +498,7 @@ def _held(problem: Problem, lag: float) -> Problem:
     assert problem.lag is not None
     expected, u = (values.copy() for values in problem.measured)
     expected[1 + problem.lag], u[1 + problem.lag] = lag, LAG_HELD
-    return replace(problem, measured=(expected, u))
+    return replace(problem, measured=(expected, u), lag_known=True)
 
 
 def _point_of(point: Point, where: int, lag: float) -> Point:
@@ -505,46 +508,71 @@ def _point_of(point: Point, where: int, lag: float) -> Point:
     return replace(point, values=values)
 
 
-def _at_lag(problem: Problem, at: _At, lag: float, noise: tuple[_Out, Scatter]) -> tuple[Step, float]:
-    """The step from a point to the solution with a lag, and −2 log of the likelihood of the lag, whatever the other
-    parameters are, with its prior."""
+def _at_lag(problem: Problem, at: _At, lag: float, noise: tuple[_Out, Scatter]) -> Step:
+    """The step from a point to the solution with a lag."""
     assert problem.lag is not None
     out, scatter = noise
     held = _held(problem, lag)
     rows = linearise(held, _point_of(at.point, problem.lag, lag), at.about)
-    step = solve(held, rows, out.noise(held, rows).weights(scatter))
-    expected, u = (values[1 + problem.lag] for values in problem.measured)
-    return step, step.deviance + ((lag - expected) / u) ** 2
+    return solve(held, rows, out.noise(held, rows).weights(scatter))
 
 
-def _with_posterior(fitted: _Fitted) -> _Fitted:
-    """The fit with the lag at the mean of what is known of it, and its spread in all uncertainties: with g = ∂θ/∂λ,
-
-        C = C(λ) + g gᵀ u_λ²                                                                                     (A5)
-
-    Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
-    maximum. A lag that the session says nothing of stays what it is."""
-    problem, solved = fitted.problem, fitted.solved
+def _fitted_with_lag(problem: Problem, start: _At, most: int) -> _Fitted:
+    """The solution with the scatter that it shows; with the lag of the start where Gauss–Newton has left it for one
+    that is much less likely. In an exponential warm-up the lag shows by its square alone: the steps do not know it."""
+    nothing = _Out.nothing(problem)
+    fitted = _fitted(problem, start, nothing, most)
     if problem.lag is None:
         return fitted
-    where, free = 1 + problem.lag, solved.step.covariance
-    u = float(np.sqrt(free[where, where]))
-    if 1.0 - (u / problem.measured[1][where]) ** 2 < KEPT:
+    at, noise = _At.of(fitted.problem, fitted.solved.point, fitted.solved.last.about), (fitted.out, fitted.scatter)
+    lags = float(start.point.values[problem.lag]), float(fitted.solved.point.values[problem.lag])
+    started, found = (_at_lag(fitted.problem, at, lag, noise).deviance + _prior_of_lag(problem, lag) for lag in lags)
+    return fitted if found < started + LESS_LIKELY else _fitted(_held(problem, lags[0]), start, nothing, most)
+
+
+def _with_posterior(fitted: _Fitted, free: Problem) -> _Fitted:
+    """The fit with the lag at the mean of what is known of it, and its spread in all uncertainties: with the
+    solutions θ(λ), of spread C(λ),
+
+        C = C(λ) + E[(θ(λ) − E θ)(θ(λ) − E θ)ᵀ]                                                                   (A5)
+
+    Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
+    maximum. A lag that the session says nothing of stays what it is. In the problem `free` the lag is an unknown."""
+    solved, noise = fitted.solved, (fitted.out, fitted.scatter)
+    if free.lag is None:
         return fitted
-    lags = solved.point.values[problem.lag] + u * LAG_GRID
-    noise = fitted.out, fitted.scatter
-    at = _At.of(problem, solved.point, solved.last.about)
-    deviance = np.array([_at_lag(problem, at, float(lag), noise)[1] for lag in lags])
-    weight = np.exp(-0.5 * (deviance - deviance.min()))
-    mean = float(weight @ lags / weight.sum())
-    square = float(weight @ (lags - mean) ** 2 / weight.sum())
-    held = _held(problem, mean)
-    start = _At.of(held, _point_of(solved.point, problem.lag, mean), solved.last.about)
+    where, expected = 1 + free.lag, free.measured[1]
+    u = float(np.sqrt(solved.step.covariance[where, where]))
+    if not fitted.problem.lag_known and 1.0 - (u / expected[where]) ** 2 < KEPT:
+        return fitted
+    grid = LAGS_ABOUT if fitted.problem.lag_known else u * LAG_GRID
+    lags = solved.point.values[free.lag] + grid
+    at = _At.of(fitted.problem, solved.point, solved.last.about)
+    deviance, moved_by = np.empty(len(lags)), np.empty((len(lags), len(expected)))
+    for i, lag in enumerate(lags.tolist()):
+        step = _at_lag(fitted.problem, at, lag, noise)
+        deviance[i], moved_by[i] = step.deviance + _prior_of_lag(free, lag), step.parameters
+    moved_by[:, where] = lags
+    weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)
+    weight /= weight.sum()
+    mean = float(weight @ lags)
+    moved_by -= weight @ moved_by
+    held = _held(fitted.problem, mean)
+    start = _At.of(held, _point_of(solved.point, free.lag, mean), solved.last.about)
     there = _iterated(held, start, *noise)
-    g = free[where] / free[where, where]
-    step = replace(there.step, covariance=there.step.covariance + square * np.outer(g, g))
+    step = replace(there.step, covariance=there.step.covariance + (moved_by.T * weight) @ moved_by)
     after = _left(held, there, *noise)
-    return replace(fitted, solved=replace(there, step=step), left=after[0], weights=after[1])
+    problem = replace(fitted.problem, measured=_lag_freed(fitted.problem, free), lag_known=False)
+    return replace(fitted, problem=problem, solved=replace(there, step=step), left=after[0], weights=after[1])
+
+
+def _lag_freed(problem: Problem, free: Problem) -> tuple[Array, Array]:
+    """What was known before of gravity and the parameters, of the lag as in the problem in which it is free."""
+    assert free.lag is not None
+    out = problem.measured[0].copy(), problem.measured[1].copy()
+    for values, others in zip(out, free.measured, strict=True):
+        values[1 + free.lag] = others[1 + free.lag]
+    return out
 
 
 # Priors
@@ -825,7 +853,7 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], sigmas: tuple[Arra
             gravity=observations.site.gravity,
             rate=_usual_rate(last.about),
         ),
-        linearised=None if observations.together is not None else _linearised(fitted),
+        linearised=_linearised(fitted),
         own=_own(fitted),
     )
 

@@ -31,7 +31,11 @@ _TIME_WORDS = {"ms": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "mi
 _COUNTER = re.compile(
     r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$"
 )
-_TEMPERATURE = re.compile(r"(^|_)(t|temp|temperature)(_((deg)?[ckf]|celsius|kelvin|fahrenheit|raw|counts?|lsb|adc))?$")
+_TEMPERATURE = re.compile(
+    r"(^|_)(t|temp|temperature)(_(acc|accel|accelerometers?|gyr|gyros?|gyroscopes?|imu|sensors?|chip|die))?"
+    r"(_((deg_?)?[ckf]|celsius|kelvin|fahrenheit|raw|counts?|lsb|adc))?$"
+)
+_OF_GYROS = re.compile(r"(^|_)gyr")
 _TEMPERATURE_UNITS = {
     "c": "degC", "°c": "degC", "degc": "degC", "celsius": "degC", "k": "K", "kelvin": "K", "degk": "K",
     "f": "degF", "°f": "degF", "degf": "degF", "fahrenheit": "degF",
@@ -102,9 +106,16 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         time_unit=None if time is None else _time_unit(time),
         counter=next((n for n in free if n != time and _COUNTER.search("_".join(_split(n)[0]))), None),
         triads=triads,
-        temperature=next((n for n in names if n != time and _TEMPERATURE.search("_".join(_split(n)[0]))), None),
+        temperature=_thermometer([name for name in names if name != time]),
         others=tuple(others),
     )
+
+
+def _thermometer(names: list[str]) -> str | None:
+    """The column of the temperature: of several that of the gyros, whose biases change most, else the first."""
+    found = [name for name in names if _TEMPERATURE.search("_".join(_split(name)[0]))]
+    of_gyros = [name for name in found if _OF_GYROS.search("_".join(_split(name)[0]))]
+    return next(iter([*of_gyros, *found]), None)
 
 
 def _time_unit(name: str) -> str | None:

@@ -1,0 +1,100 @@
+"""The likelihood of several sessions about their estimate, each session for itself.
+
+A session alone is its rows with what all others say of the parameters that they have in common: the triangle that is
+left of the others once their attitudes and what each has of its own are eliminated. So whatever is asked of one session
+(`tumble.estimation.causes`) is answered with the knowledge of all, at a cost that is linear in their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+
+import numpy as np
+
+from tumble.estimation.elimination import eliminate
+from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows, SessionSpan, whitened_rows
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.reduction.moments import Moments
+from tumble.reduction.together import apart
+from tumble.units import Array
+
+
+def each_session(linearised: Linearised) -> Iterator[Linearised]:
+    """Each of several sessions, in their order; what it has of its own stands after the common parameters."""
+    problem = linearised.problem.warmed(linearised.point)
+    triangles, prior = list(_triangles(linearised)), linearised.rows.prior
+    for s, part in enumerate(problem.parts):
+        others = np.asarray(np.linalg.qr(np.concatenate([prior, *triangles[:s], *triangles[s + 1 :]]), mode="r"))
+        alone, point = _problem(problem, part), linearised.point
+        yield Linearised(
+            problem=alone,
+            point=replace(point, attitudes=point.attitudes[part.rests], own=point.own[s : s + 1]),
+            about=None if alone.observations.turns is None else _turns(linearised.about, part.turns),
+            rows=_rows(linearised.rows, part, others, s, problem.own_known),
+            noise=_noise(linearised.noise, part),
+            scatter=linearised.scatter,
+        )
+
+
+def _triangles(linearised: Linearised) -> Iterator[Array]:
+    """What each session says of gravity and the common parameters, (1 + m + 1, 1 + m + 1)."""
+    problem, rows = linearised.problem, linearised.rows
+    rest, merged = whitened_rows(problem, rows, linearised.noise.weights(linearised.scatter))
+    q, p = len(problem.own_known), len(rows.prior) - 1
+    for part, residual in zip(problem.parts, rows.own, strict=True):
+        wide = np.zeros((q + p + 1, q + p + 1))
+        wide[np.arange(q), np.arange(q)], wide[:q, -1] = 1.0 / problem.own_known, residual
+        factor = np.empty((len(part.link), 3, 7 + q + p))
+        eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor, wide)
+        yield wide[q:, q:].copy()
+
+
+def _problem(problem: Problem, part: SessionSpan) -> Problem:
+    """The problem of a session alone, with the parameters of all."""
+    N, K = len(part.link), part.turns.stop - part.turns.start
+    none = np.zeros(N, dtype=np.int64)
+    single = SessionSpan(rests=slice(0, N), turns=slice(0, K), link=part.link)
+    variables, by_lag = (
+        {name: (at_rest[part.rests], in_turns[part.turns]) for name, (at_rest, in_turns) in of.items()}
+        for of in (problem.variables, problem.by_lag)
+    )
+    return replace(
+        problem,
+        observations=apart(problem.observations, part.rests, part.turns),
+        link=part.link,
+        chain=np.append(0, np.cumsum(part.link[:-1] < 0)),
+        variables=variables,
+        by_lag=by_lag,
+        parts=(single,),
+        of_session=(none, none[:1].repeat(K)),
+    )
+
+
+def _rows(rows: Rows, part: SessionSpan, others: Array, s: int, own_known: Array) -> Rows:
+    """The rows of a session, those of the others as its prior, and of what it has of its own that as well."""
+    p, q = len(others) - 1, len(own_known)
+    prior = np.zeros((p + q + 1, p + q + 1))
+    prior[:p, :p], prior[:p, -1] = others[:p, :p], others[:p, -1]
+    prior[np.arange(p, p + q), np.arange(p, p + q)], prior[p : p + q, -1] = 1.0 / own_known, rows.own[s]
+    return Rows(rest=rows.rest[part.rests], turn=rows.turn[part.turns], prior=prior, bias=rows.bias[part.turns])
+
+
+def _turns(about: TurnsAbout | None, some: slice) -> TurnsAbout | None:
+    """Some of the turns."""
+    if about is None:
+        return None
+    each = {name: getattr(about, name)[some] for name in ("by_phi", "by_velocity", "by_force", "levers", "delay")}
+    rate, force = (of if of.ndim == 2 else of[some] for of in (about.rate, about.force))
+    moments = Moments(**{field.name: getattr(about.moments, field.name)[some] for field in fields(Moments)})
+    return replace(about, rate=rate, force=force, moments=moments, **each)
+
+
+def _noise(noise: Noise, part: SessionSpan) -> Noise:
+    """The noise of the rows of a session."""
+    return Noise(
+        rest=noise.rest[part.rests],
+        merged=noise.merged[part.turns],
+        rest_directions=tuple(Z[part.rests] for Z in noise.rest_directions),
+        merged_directions=tuple(Z[part.turns] for Z in noise.merged_directions),
+    )

@@ -1,0 +1,196 @@
+"""Recordings over temperature that are planned, as the likelihood sees them.
+
+The rows are those of several sessions together (`tumble.estimation.likelihood`) at perfect sensors and the attitudes of
+their programmes, with the thermometer's course in each. Rests and turns are those that a log gives: the segmentation
+takes a margin off each end of a rest, which belongs to the turn, a turn has its ramps, and rests that warm are taken in
+parts where several sessions are one estimate.
+
+A lag λ acts through the slopes, and perfect sensors have none: it is taken to act on a typical instrument, all of whose
+slopes are of the usual size, and which lags by TYPICAL of the usual,
+
+    ∂ŷ/∂λ = Σ_m ∂ŷ/∂θ_m t1_m ∂T/∂λ
+
+so that what it adds to u² is what it adds on the average over instruments. Without any lag a ramp would not show it
+where it begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.estimation.likelihood import Point, Problem, Rows, instruments_of, linearise
+from tumble.planning.bounds import Course, instrument_of, observed
+from tumble.planning.setup import Setup
+from tumble.programme.positions import ANY_MOVE, Programme
+from tumble.reduction.observations import Observations, Together, Turns
+from tumble.reduction.segmentation import MARGIN_FRACTION, MARGIN_SECONDS
+from tumble.reduction.thermometer import Thermometer
+from tumble.reduction.together import HELD, MOST_PARTS, SHORTEST_PART, WARMED
+from tumble.units import Array
+
+TYPICAL = 0.5
+"""The lag of a typical instrument, in parts of the usual size."""
+NO_TIME = 1e-6
+"""s, of what is between the parts of a rest."""
+
+CourseOfTemperature = Callable[[float], tuple[Array, Array]]
+"""From how long a recording takes, s, to times (K,), s, from its start and the temperatures (K,), K, of its
+thermometer, straight between them."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChamberSession:
+    """A recording that is planned: what it is called, the positions it goes through and its temperature."""
+
+    name: str
+    programme: Programme
+    course: CourseOfTemperature
+
+
+def rests_of(programme: Programme, count: int) -> Programme:
+    """The first so many positions of a programme; of more than it has, it begins anew."""
+    positions = [programme.positions[i % len(programme.positions)] for i in range(count)]
+    moves = [*programme.moves, ANY_MOVE]
+    return replace(
+        programme,
+        positions=tuple(positions),
+        moves=tuple(moves[i % len(moves)] for i in range(count - 1)),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Recorded:
+    """A session as its log has it: the course with rests that warm in parts, which nothing turns between, and when each
+    begins and ends (N,), s."""
+
+    course: Course
+    start: Array
+    stop: Array
+
+
+def problem_of(
+    setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Course], *, gyros: bool
+) -> tuple[Problem, Rows]:
+    """The sessions as one problem, and its rows."""
+    recorded = [_recorded(*each, setup, parts=len(sessions) > 1) for each in zip(sessions, courses, strict=True)]
+    course = _one_after_the_other([each.course for each in recorded])
+    bare = replace(instrument_of(setup, gyros), further=())
+    observations = _warmed(observed(course, setup, bare)[0], setup, sessions, recorded)
+    instrument, own = instruments_of(observations)
+    still = np.where(course.seconds > NO_TIME, 0.5 * setup.ramp + _margin(setup), 0.0)
+    fresh, about = observed(course, setup, instrument, still)
+    observations = replace(observations, turns=_held(fresh.turns, course))
+    problem = Problem.of(observations, instrument=instrument, own=own, usual=setup.further)
+    values, of_each = np.zeros(len(instrument.names)), np.zeros((len(problem.parts), len(problem.own_known)))
+    if problem.lag is not None:
+        values[problem.lag] = TYPICAL * setup.further["temperature.lag"]
+    point = Point(values=values, gravity=setup.gravity, attitudes=course.attitudes, own=of_each)
+    return problem, _with_lag(problem.warmed(point), linearise(problem, point, about))
+
+
+def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> _Recorded:
+    """A session with its rests as a log has them, cut off at both ends, in `parts` where several are one estimate."""
+    start, margin = _starts(course, setup), _margin(setup)
+    time, kelvin = session.course(float(start[-1]) + setup.rest)
+    begin, end = start + margin, start + setup.rest - margin
+    change = np.abs(np.interp(end, time, kelvin) - np.interp(begin, time, kelvin))
+    most = max(min(MOST_PARTS, int((setup.rest - 2.0 * margin) / SHORTEST_PART)), 1) if parts else 1
+    count = np.clip(np.ceil(change / WARMED), 1, most).astype(np.int64)
+    last = np.cumsum(count) - 1
+    moves, seconds = np.zeros((count.sum() - 1, 3)), np.full(count.sum() - 1, NO_TIME)
+    at = last[course.first]
+    moves[at], seconds[at] = course.moves, course.seconds
+    still = np.setdiff1d(last[:-1], at)
+    first = np.setdiff1d(np.arange(len(seconds)), still)
+    edges = [np.linspace(a, b, n + 1) for a, b, n in zip(begin, end, count, strict=True)]
+    return _Recorded(
+        course=Course(
+            attitudes=np.repeat(course.attitudes, count, axis=0),
+            first=first,
+            moves=moves[first],
+            seconds=seconds[first],
+        ),
+        start=np.concatenate([each[:-1] for each in edges]),
+        stop=np.concatenate([each[1:] for each in edges]),
+    )
+
+
+def _one_after_the_other(courses: Sequence[Course]) -> Course:
+    """Several courses as one, without a turn from one to the next."""
+    before = np.cumsum([0, *(len(course.attitudes) for course in courses)])
+    return Course(
+        attitudes=np.concatenate([course.attitudes for course in courses]),
+        first=np.concatenate([course.first + n for course, n in zip(courses, before, strict=False)]).astype(np.int64),
+        moves=np.concatenate([course.moves for course in courses]),
+        seconds=np.concatenate([course.seconds for course in courses]),
+    )
+
+
+def _starts(course: Course, setup: Setup) -> Array:
+    """When the rests of a course begin (N,), s."""
+    moved = np.zeros(len(course.attitudes))
+    moved[course.first + 1] = course.seconds + setup.ramp
+    return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))
+
+
+def _margin(setup: Setup) -> float:
+    """What of a rest the segmentation takes off at each end, s."""
+    return float(np.clip(MARGIN_FRACTION * setup.rest, *MARGIN_SECONDS))
+
+
+def _warmed(
+    observations: Observations, setup: Setup, sessions: Sequence[ChamberSession], recorded: Sequence[_Recorded]
+) -> Observations:
+    """The observations of sessions with times of their own and temperatures."""
+    start, stop = (np.concatenate([getattr(each, end) for each in recorded]) for end in ("start", "stop"))
+    counts = [len(each.start) for each in recorded]
+    file = np.repeat(np.arange(len(sessions)), counts)
+    thermometer = Thermometer.of({i: session.course(recorded[i].stop[-1]) for i, session in enumerate(sessions)})
+    longer = (setup.rest / (stop - start))[:, None, None]
+    rests = observations.rests
+    return replace(
+        observations,
+        rests=replace(
+            rests,
+            file=file,
+            start=start,
+            stop=stop,
+            accel_covariance=longer * rests.accel_covariance,
+            gyro_covariance=longer * rests.gyro_covariance,
+            temperature=thermometer.means(file, start, stop).kelvin,
+        ),
+        thermometer=thermometer,
+        together=Together(
+            names=tuple(session.name for session in sessions),
+            session=file,
+            number=np.concatenate([np.arange(count) for count in counts]),
+        )
+        if len(sessions) > 1
+        else None,
+    )
+
+
+def _held(turns: Turns | None, course: Course) -> Turns | None:
+    """The turns with those between the parts of a rest as what they are: of no duration, and known to HELD."""
+    if turns is None:
+        return None
+    held = course.seconds <= NO_TIME
+    covariance = np.where(held[:, None, None], HELD**2 * np.eye(3), turns.covariance)
+    return replace(turns, duration=np.where(held, 0.0, turns.duration), covariance=covariance)
+
+
+def _with_lag(problem: Problem, rows: Rows) -> Rows:
+    """The rows with the derivative by the lag of a typical instrument."""
+    if problem.lag is None:
+        return rows
+    rest, turn = rows.rest.copy(), rows.turn.copy()
+    for by, place in ((rest[:, :, 4:-1], 0), (turn[:, :, 7:-1], 1)):
+        for own, base, variable in problem.changes:
+            if variable == "temperature" and len(by):
+                warmer = problem.by_lag[variable][place][:, None]
+                slopes = problem.measured[1][1:][own]
+                by[:, :, problem.lag] += warmer * (by[:, :, base] @ slopes)
+    return replace(rows, rest=rest, turn=turn)

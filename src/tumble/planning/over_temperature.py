@@ -1,0 +1,288 @@
+"""What recordings over temperature can show at best, before a chamber is booked, and how long it takes.
+
+The rows are those of several sessions together (`tumble.estimation.likelihood`) at perfect sensors and the attitudes of
+their programmes, with the thermometer's course in each, so that the covariance is that which `calibrate_together`, or
+`calibrate` of one session, states: common coefficients over temperature, biases of each launch, drifts of each session,
+all groups with their priors.
+
+A chamber that has changed by ΔT leaves a unit of time constant τ with (ΔT/τ) e^(−t/τ) of drift, and sensors that lag by
+λ with λ times this of error: it soaks until that is SETTLED.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.errors import InputError
+from tumble.estimation.estimate import DETERMINED, GroupFinding
+from tumble.estimation.likelihood import Problem, noise_of, solve
+from tumble.estimation.variables import both_ways, lag_is_sought
+from tumble.planning.bounds import Course, bound_of, course_of, findings, scatter_of
+from tumble.planning.chamber_recordings import ChamberSession, problem_of
+from tumble.planning.setup import Setup, with_all_groups
+from tumble.programme.positions import duration
+from tumble.sensors.parameters import group_of, positions_by_group, quantity_of, to_temperature
+from tumble.units import ZERO_CELSIUS, Array
+from tumble.usual_setup import MOVE
+
+SETTLED = 0.1
+"""K: what sensors may be off their thermometer by where a recording begins."""
+ROOM = 20.0 + ZERO_CELSIUS
+"""K: how warm the unit is before."""
+APART = 1.0
+"""K: recordings whose temperatures are closer are at one level."""
+PASSED = 2.0
+"""K: a recording whose temperature changes by more is a ramp."""
+LITTLE = 0.05
+"""Learned fraction below which a group is left to what is usual."""
+CHANGING = ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale")
+"""The groups that change with temperature."""
+SCALES = ("accel.scale", "gyro.scale")
+"""Those that want more than rests."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Chamber:
+    """How fast the chamber changes, K/s, and the thermal time constant, s, of the unit in it."""
+
+    rate: float = 2.0 / 60.0
+    time_constant: float = 600.0
+
+    @staticmethod
+    def of(*, per_minute: float, time_constant: float) -> Chamber:
+        """The chamber of a rate in K a minute. Raises InputError, one line, for one that is none."""
+        for what, value, unit in (("chamber rate", per_minute, "K a minute"), ("time constant", time_constant, "s")):
+            if not 0.0 < value < math.inf:
+                raise InputError(f"{what}: expected more than 0, in {unit}, found {value:g}")
+        return Chamber(rate=per_minute / 60.0, time_constant=time_constant)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlannedSession:
+    """A recording of `rests` rests between the temperatures `low` and `high`, K, changing by `fastest`, K/s; how long,
+    s, the chamber takes to get there, the unit to soak, and the recording; and `alone`, the u, rms, SI, of the scale
+    factors by group that it would give without the others, infinite where it does not determine them."""
+
+    name: str
+    rests: int
+    low: float
+    high: float
+    fastest: float
+    change: float
+    soak: float
+    recording: float
+    alone: Mapping[str, float]
+
+    @property
+    def seconds(self) -> float:
+        """How long all of it takes, s."""
+        return self.change + self.soak + self.recording
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class ThermalPlan:
+    """The least covariance (m, m), SI, of the parameters at the `reference`, K, from recordings between `low` and
+    `high`, K; `further` says what they find out about each group beyond the linear model, of whose parameters there are
+    `linear`; `notes` what they do not show, and why."""
+
+    setup: Setup
+    sessions: tuple[PlannedSession, ...]
+    reference: float
+    low: float
+    high: float
+    names: tuple[str, ...]
+    linear: int
+    covariance: Array
+    determined: tuple[bool, ...]
+    further: tuple[GroupFinding, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def u(self) -> Array:
+        """Least standard uncertainties (m,) at the reference, SI; infinite where a parameter is not determined."""
+        return self.at(self.reference)
+
+    def at(self, kelvin: float) -> Array:
+        """The same at another temperature, K."""
+        J = to_temperature(self.names, kelvin - self.reference)
+        return np.where(self.determined, np.sqrt(np.einsum("ij,jk,ik->i", J, self.covariance, J)), np.inf)
+
+    def rms(self, group: str, kelvin: float | None = None) -> float:
+        """The u, root mean square, of a group such as "accel.bias" or "accel.bias.t1", SI, at the reference or at a
+        temperature, K. Raises KeyError for a group that is not there."""
+        own = positions_by_group(self.names)[group]
+        return float(np.sqrt(np.mean(self.at(self.reference if kelvin is None else kelvin)[own] ** 2)))
+
+    def worst(self, group: str) -> float:
+        """The largest u, rms, of a group within the range; of coefficients, that at the reference."""
+        if group not in self.groups:
+            return self.rms(group)
+        return max(self.rms(group, kelvin) for kelvin in (self.low, self.reference, self.high))
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The kinds of linear parameters there are, in order."""
+        return tuple(positions_by_group(self.names[: self.linear]))
+
+    @property
+    def seconds(self) -> float:
+        """Chamber time, s."""
+        return sum(session.seconds for session in self.sessions)
+
+
+def plan_over_temperature(
+    setup: Setup, sessions: Sequence[ChamberSession], *, chamber: Chamber | None = None, gyros: bool = True
+) -> ThermalPlan:
+    """The least uncertainty that recordings over temperature allow, of an instrument with all groups of parameters of
+    the usual size, and the time they take in a chamber; the positions are those of the sessions.
+
+    Raises InputError for values that make no sense, and where there is no noise."""
+    if not sessions:
+        raise InputError("temperature: expected at least one recording, found none")
+    setup, chamber = with_all_groups(setup), chamber or Chamber()
+    courses = [course_of(replace(setup, programme=session.programme)) for session in sessions]
+    problem, rows = problem_of(setup, sessions, courses, gyros=gyros)
+    step = solve(problem, rows, noise_of(problem, rows).weights(scatter_of(setup)))
+    covariance = step.covariance[1:, 1:]
+    planned = tuple(_planned(setup, sessions, courses, chamber, gyros=gyros))
+    instrument, kelvin = problem.instrument, problem.observations.rests.temperature
+    assert kelvin is not None
+    linear = instrument.linear_count
+    determined = np.ones(len(covariance), dtype=bool)
+    determined[:linear] = np.sqrt(np.diag(covariance)[:linear]) < problem.spread[:linear] / DETERMINED
+    further = tuple(findings(instrument, setup, np.diag(covariance)))
+    return ThermalPlan(
+        setup=setup,
+        sessions=planned,
+        reference=float(kelvin.mean()),
+        low=float(kelvin.min()),
+        high=float(kelvin.max()),
+        names=instrument.names,
+        linear=linear,
+        covariance=covariance,
+        determined=tuple(determined.tolist()),
+        further=further,
+        notes=tuple(_notes(problem, planned, covariance, further, chamber)),
+    )
+
+
+def wanted_over_temperature(texts: Sequence[str]) -> dict[str, float]:
+    """Wanted accuracies, SI, by group, from texts such as "accel.bias=0.1mg" or "accel.bias.t1=1ug/K". Raises
+    InputError, one line."""
+    wanted: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            wanted[name] = quantity_of(group_of(name), value)
+        except KeyError:
+            known = ", ".join((*CHANGING, *(f"{group}.t1" for group in CHANGING)))
+            raise InputError(f"--want {text}: expected a group such as {known} before '=', found {name!r}") from None
+        except ValueError as error:
+            raise InputError(f"--want {text}: {error}") from None
+    return wanted
+
+
+# The chamber
+
+
+def _planned(
+    setup: Setup, sessions: Sequence[ChamberSession], courses: Sequence[Course], chamber: Chamber, *, gyros: bool
+) -> Iterator[PlannedSession]:
+    """The recordings one after the other, from room temperature."""
+    now, lag = ROOM, setup.further.get("temperature.lag", 0.0)
+    for session, course in zip(sessions, courses, strict=True):
+        takes = duration(session.programme, rest=setup.rest, rate=setup.turn_rate, move=MOVE)
+        time, kelvin = session.course(takes)
+        difference = abs(float(kelvin[0]) - now)
+        alone = bound_of(course, setup, gyros=gyros)
+        yield PlannedSession(
+            name=session.name,
+            rests=len(course.attitudes),
+            low=float(kelvin.min()),
+            high=float(kelvin.max()),
+            fastest=float(np.max(np.abs(np.diff(kelvin) / np.diff(time)))),
+            change=difference / chamber.rate,
+            soak=soak_of(chamber, difference, lag),
+            recording=takes,
+            alone={group: alone.rms(group) for group in SCALES if group in alone.groups},
+        )
+        now = float(kelvin[-1])
+
+
+def soak_of(chamber: Chamber, difference: float, lag: float) -> float:
+    """How long, s, a unit soaks after the chamber has changed by so many K, until what its sensors lag behind their
+    thermometer by is SETTLED: t = τ ln(λ ΔT / (τ · SETTLED))."""
+    ratio = lag * difference / (chamber.time_constant * SETTLED)
+    return chamber.time_constant * math.log(ratio) if ratio > 1.0 else 0.0
+
+
+# What is said
+
+
+def _notes(
+    problem: Problem,
+    planned: Sequence[PlannedSession],
+    covariance: Array,
+    further: Sequence[GroupFinding],
+    chamber: Chamber,
+) -> Iterator[str]:
+    """What the recordings do not show, and why."""
+    observations = problem.observations
+    ramps = [session for session in planned if session.high - session.low > PASSED]
+    left = [g.name for g in further if g.name.endswith((".t1", ".t2")) and max(g.learned) < LITTLE]
+    if left:
+        yield f"left to what is usual: {', '.join(left)}; {_remedy(planned, ramps)}"
+    yield from _scales(planned)
+    if not lag_is_sought(observations):
+        yield (
+            "the temperatures span less than 10 K: neither the lag behind the thermometer nor hysteresis is looked for"
+        )
+    elif ramps and not both_ways(observations):
+        at = problem.lag
+        assert at is not None
+        yield (
+            "no temperature is passed both ways in a recording: a lag behind the thermometer shows only where a ramp "
+            f"begins, a typical one to {math.sqrt(covariance[at, at]):.0f} s, which is in u, and hysteresis not at "
+            "all; ramp there and back in one recording"
+        )
+    elif not ramps:
+        yield (
+            "at levels neither lag nor hysteresis is seen: soak until the thermometer in the unit stands still, and "
+            "come from the same side as in use"
+        )
+    for session in ramps:
+        if session.fastest > chamber.rate:
+            yield (
+                f"{session.name}: the temperature changes faster than the chamber can, {60.0 * chamber.rate:.2g} "
+                "K/min; take longer rests, or more of them"
+            )
+    if len(planned) > 1:
+        yield "a launch each: u of the biases contains what they change by from one power-on to the next"
+
+
+def _remedy(planned: Sequence[PlannedSession], ramps: Sequence[PlannedSession]) -> str:
+    """What would show them."""
+    levels = sorted({round(0.5 * (session.low + session.high) / APART) for session in planned})
+    if ramps:
+        return "take more rests along the ramp, each axis up and down"
+    if len(levels) < 2:
+        return "there is one temperature; take three, or a ramp there and back"
+    if len(levels) < 3:
+        return "at two temperatures slopes are seen and no curvature; take a third between them"
+    return "take temperatures further apart"
+
+
+def _scales(planned: Sequence[PlannedSession]) -> Iterator[str]:
+    """Recordings that say little of scale factors: ten times less than the best of them."""
+    best = {group: min(session.alone.get(group, math.inf) for session in planned) for group in SCALES}
+    for session in planned:
+        poor = [g for g in SCALES if session.alone.get(g, 0.0) > 10.0 * best[g]]
+        if poor:
+            yield (
+                f"{session.name}: its {session.rests} rests determine biases, and {' and '.join(poor)} hardly: these "
+                "want each axis up and down and a turn about each, at every temperature"
+            )

@@ -1,0 +1,50 @@
+"""Temperatures within rests: their means by the record of the thermometer, and the noise of rests that warm."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tumble.reduction.coloured_noise import fit_coloured_noise
+from tumble.reduction.thermometer import Thermometer
+from tumble.reduction.warming import without_warming
+
+
+@pytest.mark.parametrize("lag", [0.0, 40.0])
+def test_means_are_those_of_the_temperature_at_every_instant(lag: float) -> None:
+    """Of a ramp up and down, in stretches that contain its peak, a moment, and what is beyond the record."""
+    time = np.arange(0.0, 601.0)
+    kelvin = 280.0 + 0.1 * np.minimum(time, 600.0 - time)
+    thermometer = Thermometer.of({0: (time, kelvin)})
+    start, stop = np.array([10.0, 250.5, 290.0, 340.0, 595.0]), np.array([70.0, 280.0, 310.0, 340.0, 605.0])
+    found = thermometer.means(np.zeros(5, dtype=np.int64), start, stop, lag)
+    for i, (a, b) in enumerate(zip(start, np.maximum(stop, start + 1.0), strict=True)):
+        fine = np.linspace(a, b, 20001) - (0.5 if start[i] == stop[i] else 0.0)
+        sensors = thermometer.at(np.zeros(len(fine), dtype=np.int64), fine, lag)
+        assert found.kelvin[i] == pytest.approx(sensors.mean(), abs=2e-3)
+        assert found.variance[i] == pytest.approx(sensors.var(), abs=2e-2)
+    came = thermometer.direction(np.zeros(3, dtype=np.int64), np.array([1.0, 200.0, 400.0]))
+    np.testing.assert_array_equal(came, [0.0, 1.0, -1.0])
+    np.testing.assert_array_equal(np.sign(found.hysteresis[[0, 1, 4]]), [1.0, 1.0, -1.0])
+    x = (thermometer.at(np.zeros(1, dtype=np.int64), np.array([340.0]), lag)[0] - 295.0) / 15.0
+    assert abs(found.hysteresis[3]) == pytest.approx(1.0 - x**2, abs=1e-3)
+
+
+def test_noise_of_rests_that_warm_is_that_of_their_sensors() -> None:
+    """Slopes and curvatures of biases and scale factors, as MEMS units have them, leave it as it is."""
+    rng = np.random.default_rng(4)
+    kelvin = [300.0 + 4.0 * (i + 1.0 - np.exp(-np.linspace(0.0, 3.0, 120))) for i in range(12)]
+    force = 9.8 * rng.uniform(-1.0, 1.0, (12, 3))
+    noise = [1e-3 * rng.standard_normal((120, 3)) for _ in kelvin]
+    warmer = [(each - 320.0)[:, None] for each in kelvin]
+    series = [
+        (1.0 + 1.5e-4 * w + 2.5e-6 * w**2) * f + 3e-3 * w + 5e-5 * w**2 + e
+        for w, f, e in zip(warmer, force, noise, strict=True)
+    ]
+    quiet = without_warming(series, kelvin)
+    np.testing.assert_allclose([q.mean(axis=0) for q in quiet], [s.mean(axis=0) for s in series], rtol=1e-12)
+    white = 1e-3**2 / 120.0
+    np.testing.assert_allclose(fit_coloured_noise(quiet).variance_of_mean(120), white, rtol=0.15)
+    assert np.all(fit_coloured_noise(series).variance_of_mean(120) > 2.0 * white)
+    assert without_warming(series, None)[3] is series[3]
+    assert without_warming(series, [np.full(120, 300.0)] * 12)[3] is series[3]
