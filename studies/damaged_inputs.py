@@ -168,7 +168,8 @@ def tree_changed(content: Any, rng: Rng) -> Any:
         elif kind == 2 and isinstance(part, dict):
             part[str(VALUES[rng.integers(len(VALUES))])] = part.pop(key)
         elif kind == 3 and isinstance(part[key], int | float) and not isinstance(part[key], bool):
-            part[key] = part[key] * 10.0 ** rng.integers(-9, 10) * (-1) ** rng.integers(0, 2)
+            factor = 10.0 ** rng.integers(-9, 10) * (-1) ** rng.integers(0, 2)
+            part[key] = part[key] * factor if abs(part[key]) < 10**300 else -part[key]
         else:
             part[key] = json.loads(json.dumps(VALUES[rng.integers(len(VALUES))]))
     return content
@@ -186,7 +187,7 @@ def toml_changed(text: bytes, rng: Rng) -> bytes:
     """A TOML file with its tree changed, as far as TOML can say it."""
     try:
         return tomli_w.dumps(tree_changed(tomllib.loads(text.decode()), rng)).encode("utf-8", "surrogatepass")
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return words_changed(text, rng)
 
 
@@ -225,19 +226,19 @@ TARGETS = (
     ),
     Target(
         file="csv/log.csv",
-        weight=3.0,
+        weight=0.8,
         log=True,
         commands=("calibrate {}/csv --terms linear --out {out}/c.json",),
     ),
     Target(
         file="rate/log.csv",
-        weight=2.0,
+        weight=0.5,
         log=True,
         commands=("calibrate {}/rate --terms linear --out {out}/c.json",),
     ),
     Target(
         file="csv/log.csv",
-        weight=2.0,
+        weight=0.8,
         commands=(
             "new {out}/new {}/csv/log.csv",
             "inspect {}/csv",
@@ -245,10 +246,10 @@ TARGETS = (
             "noise {}/csv/log.csv --accel ax,ay,az --time t",
         ),
     ),
-    Target(file="messung.txt", weight=2.0, commands=("new {out}/new {}/messung.txt --latitude 50",)),
+    Target(file="messung.txt", weight=0.5, commands=("new {out}/new {}/messung.txt --latitude 50",)),
     Target(file="parquet/log.parquet", commands=("inspect {}/parquet", "new {out}/new {}/parquet/log.parquet")),
-    Target(file="imu.mat", commands=("new {out}/new {}/imu.mat",)),
-    Target(file="imu.h5", commands=("new {out}/new {}/imu.h5",)),
+    Target(file="imu.mat", weight=0.6, commands=("new {out}/new {}/imu.mat",)),
+    Target(file="imu.h5", weight=0.5, commands=("new {out}/new {}/imu.h5",)),
     Target(file="log.csv.gz", commands=("new {out}/new {}/log.csv.gz",)),
     Target(file="log.csv.zst", commands=("new {out}/new {}/log.csv.zst",)),
     Target(
@@ -269,15 +270,16 @@ TARGETS = (
     Target(file="calibration.json", weight=0.05, commands=("report {}/calibration.json -o {out}/r.html",)),
     Target(
         file="csv/truth.json",
+        weight=0.6,
         commands=("calibrate {}/csv --terms linear --truth {}/csv/truth.json --out {out}/c.json",),
     ),
     Target(
         file="limits.toml", weight=2.0, commands=("registry limits BCHE-501 {}/limits.toml --registry {out}/r.sqlite",)
     ),
     Target(file="certificate.toml", commands=(CERTIFY,)),
-    Target(file="campaign.toml", weight=0.5, commands=("campaign {}/campaign.toml --serial -o {out}/campaign",)),
-    Target(file="manifest.csv", weight=0.5, commands=("fleet {}/manifest.csv --serial -o {out}/fleet",)),
-    Target(file="manifest.txt", weight=0.5, commands=("fleet {}/manifest.txt --serial -o {out}/fleet",)),
+    Target(file="campaign.toml", weight=0.25, commands=("campaign {}/campaign.toml --in-process -o {out}/campaign",)),
+    Target(file="manifest.csv", weight=0.3, commands=("fleet {}/manifest.csv --in-process -o {out}/fleet",)),
+    Target(file="manifest.txt", weight=0.2, commands=("fleet {}/manifest.txt --in-process -o {out}/fleet",)),
     Target(
         file="readings.csv",
         weight=2.0,
@@ -287,7 +289,7 @@ TARGETS = (
         ),
     ),
     Target(
-        file="registry.jsonl", weight=2.0, commands=("registry import {}/registry.jsonl --registry {out}/r.sqlite",)
+        file="registry.jsonl", weight=1.0, commands=("registry import {}/registry.jsonl --registry {out}/r.sqlite",)
     ),
 )
 OPTIONS = (
@@ -346,7 +348,7 @@ name = "A. Person"
 """
 
 
-def _written(folder: Path) -> None:
+def write_inputs(folder: Path) -> None:
     """All inputs, below a folder."""
     for name, launch, seed in (("csv", 1, 7), ("other", 2, 7), ("parquet", 1, 8)):
         form = "parquet" if name == "parquet" else "csv"
@@ -452,7 +454,7 @@ class Inputs:
     def __init__(self, folder: Path) -> None:
         self.folder, self.out = folder / "in", folder / "out"
         self.folder.mkdir()
-        _written(self.folder)
+        write_inputs(self.folder)
         self.clean = {target.file: (self.folder / target.file).read_bytes() for target in TARGETS}
         self.weights = np.array([*(t.weight for t in TARGETS), 2.0])
         self.said = {log: self._calibrated(log) for log in ("csv", "rate")}

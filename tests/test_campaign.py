@@ -310,17 +310,17 @@ FIGURES: dict[str, Any] = {"bias": 0.0, "scatter": 1.0, "rms": 1.0, "to_bound": 
 def test_the_command_writes_rows_summary_and_picture_and_resumes(tmp_path: Path) -> None:
     file, out = tmp_path / "campaign.toml", tmp_path / "out"
     file.write_text("trials = 2\n[grid]\ntable_error_deg = [1, 3]\n")
-    first = cli(file, "--serial", "-o", out)
+    first = cli(file, "--in-process", "-o", out)
     assert first.exit_code == 0, first.output
     assert {path.name for path in out.iterdir()} == {"manifest.json", "rows.parquet", "summary.csv", "rms.svg"}
     assert "gyro.axis" in first.stdout
     assert pl.read_csv(out / "summary.csv")["rms"].len() == 12
     changed = (out / "rows.parquet").stat().st_mtime_ns
-    again = cli(file, "--serial", "-o", out)
+    again = cli(file, "--in-process", "-o", out)
     assert again.stdout == first.stdout
     assert (out / "rows.parquet").stat().st_mtime_ns == changed
     file.write_text("trials = 3\n[grid]\ntable_error_deg = [1, 3]\n")
-    refused = cli(file, "--serial", "-o", out)
+    refused = cli(file, "--in-process", "-o", out)
     assert refused.exit_code == 2
     assert "was begun by another job" in refused.stderr
     assert refused.stderr.strip().count("\n") == 0

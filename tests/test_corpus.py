@@ -106,6 +106,9 @@ CASES: dict[str, Case] = {
         worth=(G, DEG),
     ),
     "VectorNav": Case(write=d.named(VECTORNAV, time=1e9), said=("in ns (by its name)",)),
+    "VectorNav, sentences": Case(write=d.vectornav_sentences, words=("--rate", "50"), said=("sentences $VNYMR",)),
+    "Sensor Logger, uncalibrated": Case(write=d.sensor_logger, said=("Metadata.csv has no rows of readings",)),
+    "SBG, its logger": Case(write=d.sbg_logger, said=("in us (by its name)",)),
     "Xsens MT Manager": Case(write=d.xsens, said=("ticks of 0.0001 s", GOOD)),
     "Movella DOT": Case(
         write=d.movella_dot,

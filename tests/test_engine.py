@@ -264,8 +264,8 @@ def test_everything_listens_on_the_loopback_and_not_at_the_port_of_a_dashboard(p
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"serial": True, "workers": 2}, "--serial: expected neither --cluster nor --workers"),
-        ({"serial": True, "cluster": "tcp://127.0.0.1:1"}, "--serial: expected neither"),
+        ({"serial": True, "workers": 2}, "--in-process: expected neither --cluster nor --workers"),
+        ({"serial": True, "cluster": "tcp://127.0.0.1:1"}, "--in-process: expected neither"),
         ({"cluster": "tcp://127.0.0.1:1", "workers": 2}, "--workers: expected none with --cluster"),
         ({"cluster": "nonsense://x"}, "expected the scheduler of a dask cluster at nonsense://x"),
         ({"cluster": "tcp://127.0.0.1:1"}, "found none that answers"),
@@ -281,7 +281,9 @@ def test_places_that_cannot_be_are_refused(options: dict[str, Any], said: str, m
 def test_without_distributed_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(MissingExtraError, match=r"install it with: pip install 'tumble\[cluster\]', or give --serial"),
+        pytest.raises(
+            MissingExtraError, match=r"install it with: pip install 'tumble\[cluster\]', or give --in-process"
+        ),
         executor_for(workers=2),
     ):
         pass

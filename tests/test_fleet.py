@@ -127,6 +127,9 @@ def test_sessions_at_urls_give_the_rows_of_the_folders(yard: Path, serial: pl.Da
     found = pl.read_parquet(run_fleet(sessions, tmp_path / "out", method="staged"))
     assert found.drop("session", "error").equals(serial.drop("session", "error"))
     assert found["error"].to_list()[1].startswith("memory:///fleet-of-the-test/b/session.toml: log.file")
+    memory.pipe_file("/fleet-of-the-test/bad.txt", b"file:///etc\n")
+    with pytest.raises(InputError, match="expected sessions at memory://fleet-of-the-test, where the manifest is"):
+        sessions_of("memory://fleet-of-the-test/bad.txt")
     memory.pipe_file("/fleet-of-the-test/some.txt", b"a\nc\n")
     assert sessions_of("memory://fleet-of-the-test/some.txt") == [f"memory://fleet-of-the-test/{n}" for n in "ac"]
 
@@ -165,13 +168,13 @@ def test_without_fsspec_the_message_says_what_to_install(monkeypatch: pytest.Mon
 
 def test_the_command_counts_and_says_why_and_resumes(yard: Path, tmp_path: Path) -> None:
     for _ in range(2):
-        result = fleet(f"{yard}/*", "--serial", "-o", tmp_path / "out")
+        result = fleet(f"{yard}/*", "--in-process", "-o", tmp_path / "out")
         assert result.exit_code == 1
         assert result.stdout == "5 sessions: 2 accepted, 1 not accepted, 2 failed\n"
         assert f"not accepted: {yard}/d: " in result.stderr
         assert f"failed: {yard}/b: " in result.stderr
-    other = fleet(f"{yard}/[ac]", "--serial", "-o", tmp_path / "out")
+    other = fleet(f"{yard}/[ac]", "--in-process", "-o", tmp_path / "out")
     assert other.exit_code == 2
     assert "was begun by another job" in other.stderr
-    good = fleet(f"{yard}/[ac]", "--serial", "-o", tmp_path / "good")
+    good = fleet(f"{yard}/[ac]", "--in-process", "-o", tmp_path / "good")
     assert good.exit_code == 0

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -106,3 +108,16 @@ def test_a_requirement_that_cannot_be_read_is_refused(arguments: tuple[str, ...]
     result = run("require", *arguments)
     assert result.exit_code == 2
     assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_plans_and_requirements_are_data_too() -> None:
+    plan = json.loads(run("plan", "--grade", "mems", "--json").stdout)
+    assert plan["bound"]["rank"] == plan["bound"]["of"] == len(plan["parameters"]) == 21
+    assert all(p["u"] <= p["u_with_all_groups"] * 2.0 for p in plan["parameters"])
+    assert plan["positions"][1]["turn"]["angle"] == pytest.approx(np.pi)
+    budget = json.loads(run("budget", "--grade", "mems", "--method", "staged", "--json").stdout)
+    assert {row["method"] for row in budget["rows"]} == {"staged"}
+    assert all(row["bound"] < row["error"] * 1.5 for row in budget["rows"])
+    require = json.loads(run("require", "--want", "accel.scale=100ppm", "--grade", "mems", "--json").stdout)
+    assert require["feasible"]
+    assert require["rows"][0]["wanted"] == pytest.approx(1e-4)

@@ -16,6 +16,7 @@ from tumble.errors import ProgrammeError
 from tumble.programme.positions import (
     ANY_MOVE,
     BUILT_IN,
+    TRIPLES,
     Move,
     Programme,
     attitude,
@@ -369,3 +370,22 @@ def test_an_impossible_pace_is_one_line(asked: dict[str, float], said: str) -> N
     with pytest.raises(ProgrammeError) as caught:
         duration(programme("nine"), **({"rest": 60.0, "rate": 0.2, "move": 30.0} | asked))
     assert str(caught.value) == said
+
+
+@pytest.mark.parametrize("signs", ["+X+Y+Z", "+X-Y-Z", "-X+Y-Z"])
+def test_a_corner_has_a_name(signs: str) -> None:
+    up = attitude(f"corner {signs}")[1]
+    assert np.allclose(up, [float(f"{s}1") / np.sqrt(3.0) for s in signs[::2]], atol=1e-15)
+    turned = attitude(f"corner {signs} U+120")
+    assert np.allclose(turned[1], up, atol=1e-15)
+    assert any(np.allclose(turned, attitude(f"{letters} N+45 E+35.26438968275465"), atol=1e-12) for letters in TRIPLES)
+
+
+@pytest.mark.parametrize("code", ["corner", "corner XYZ", "corner +X+Y", "corner +X+Y+Z+"])
+def test_a_corner_that_is_none_is_named(code: str) -> None:
+    with pytest.raises(ProgrammeError, match=r"such as corner \+X-Y\+Z, found"):
+        attitude(code)
+
+
+def test_codes_of_cubes_have_no_decimals() -> None:
+    assert not any("." in p.attitude for p in programme("cube-26").positions)

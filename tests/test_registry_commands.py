@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
@@ -208,3 +209,25 @@ def test_the_extra_is_named_where_it_is_missing(folder: Path) -> None:
     said = "tumble: the registry needs sqlalchemy; install it with: pip install 'tumble[registry]'\n"
     assert done.stderr == said
     assert json.loads((folder / "new.json").read_text())["format"] == 1
+
+
+@pytest.mark.usefixtures("filled")
+def test_what_the_registry_shows_is_data_too() -> None:
+    listed = data("list")["devices"]
+    serial = listed[0]["serial"]
+    assert len(data("list", serial)["records"]) == listed[0]["calibrations"]
+    shown = data("show", 1)
+    assert shown["record"]["number"] == 1
+    assert {"name", "value", "u", "unit", "launch", "dof"} == set(shown["parameters"][0])
+    assert {p["name"] for p in data("trend", serial)["parameters"]} >= {"accel.bias.x"}
+    assert data("due", "--on", "2030-01-01")["on"] == "2030-01-01"
+    assert all(own["in_force"] in (True, False) for own in data("limits")["limits"])
+
+
+def data(*words: object) -> dict[str, Any]:
+    return dict(json.loads(run(*words, "--json").stdout))
+
+
+def test_an_export_is_written_to_a_file(filled: Path) -> None:
+    assert run("export", "-o", filled / "all.jsonl").stdout == ""
+    assert (filled / "all.jsonl").read_text(encoding="utf-8") == run("export").stdout

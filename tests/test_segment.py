@@ -402,3 +402,20 @@ def test_two_files_are_two_logs_with_one_set_of_thresholds() -> None:
     np.testing.assert_array_equal(rates, two.gyro[:100])
     np.testing.assert_array_equal(forces, two.accel[:100])
     np.testing.assert_array_equal(intervals, np.full(100, two.time[0]))
+
+
+@pytest.mark.parametrize("rest", [1.5, 2.0])
+def test_short_rests_are_used_where_there_are_no_longer_ones(rest: float) -> None:
+    request = Setup.of(grade="mems", positions=16, rest=rest, sample_rate=100.0, rate_deg_s=90.0)
+    recording = recorded(replace(request, first_rest=rest), 4)
+    assert len(found(recording.time, recording.accel, recording.gyro).rests) == 16
+
+
+def test_short_stretches_beside_long_rests_are_no_rests() -> None:
+    """As before there were short ones, whatever else lies still for a moment."""
+    long = recorded(Setup.of(grade="mems", positions=8, rest=5.0, sample_rate=100.0, rate_deg_s=90.0), 4)
+    request = Setup.of(grade="mems", positions=12, rest=1.5, sample_rate=100.0, rate_deg_s=90.0)
+    short = recorded(replace(request, first_rest=1.5), 5)
+    time = np.concatenate([long.time, long.time[-1] + short.time - short.time[0] + 0.01])
+    both = found(time, np.vstack([long.accel, short.accel]), np.vstack([long.gyro, short.gyro]))
+    assert len(both.rests) == 8

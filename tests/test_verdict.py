@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from tumble.estimation.causes import Projection, weighted_chance
-from tumble.estimation.diagnosis import gravity_said, verdict
+from tumble.estimation.diagnosis import gravity_said, listed, verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.likelihood import Scatter
 from tumble.estimation.methods.joint import joint
@@ -208,3 +208,10 @@ def test_chances_of_weighted_squares() -> None:
     draws = (np.random.default_rng(7).standard_normal((400_000, 5)) ** 2) @ weights
     for limit in (10.0, 20.0):
         assert weighted_chance(limit, weights) == pytest.approx(np.mean(draws > limit), rel=0.15)
+
+
+def test_parameters_are_listed_by_name_or_where_they_are_many_counted() -> None:
+    few = ("accel.axis.yx", "accel.axis.zx")
+    assert listed(few) == "accel.axis.yx, accel.axis.zx"
+    many = (*(f"accel.bias.{i}" for i in range(12)), *(f"accel.scale.{i}" for i in range(16)))
+    assert listed(many) == "accel.bias (12), accel.scale (16)"

@@ -6,14 +6,17 @@ from __future__ import annotations
 import errno
 import os
 import platform
+import signal
 import sys
+import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib import import_module
 from importlib.metadata import version
 from pkgutil import iter_modules
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -46,6 +49,9 @@ def _in_one_line() -> Iterator[None]:
             raise  # no arguments: the help
         command = error.ctx.command_path if error.ctx else "tumble"
         raise _Refused(f"{error.format_message().rstrip('.')}; see `{command} --help`") from None
+    except KeyboardInterrupt:
+        click.echo("tumble: stopped", err=True)
+        raise SystemExit(128 + signal.SIGINT) from None
     except OSError as error:
         if error.errno == errno.EPIPE:
             raise
@@ -134,9 +140,22 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     if not record() and not quiet:
         click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)
+    context.call_on_close(_ended_in_order())
     if verbose:
         started = time.monotonic()
         context.call_on_close(lambda: _say_what_it_took(time.monotonic() - started))
+
+
+def _ended_in_order() -> Callable[[], object]:
+    """Ends the command where the system asks it to (SIGTERM) as an error does: nothing half written is left. Gives a
+    function that undoes this."""
+
+    def end(number: int, _frame: object) -> NoReturn:
+        raise SystemExit(128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        return lambda: None
+    return partial(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, end))
 
 
 def _say_what_it_took(seconds: float) -> None:

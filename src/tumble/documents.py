@@ -29,6 +29,8 @@ _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 def text_of_document(path: Path) -> str:
     """The text of a document. Raises OSError, UnicodeDecodeError, and InputError for one that is too large."""
+    if "\0" in str(path):
+        raise InputError(f"{path}: expected the name of a file, found a null byte in it")
     size = path.stat().st_size
     if size > LARGEST_DOCUMENT:
         raise InputError(f"{path}: expected at most {LARGEST_DOCUMENT >> 20} MB, found {size >> 20} MB")

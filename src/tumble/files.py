@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import re
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,18 +18,59 @@ def whole_file(path: Path) -> Iterator[Path]:
     """A temporary file beside `path`, of the same ending, which becomes `path` when the block ends without an error: a
     reader sees the old file or the new one.
 
-    Raises OSError for a folder that is not there or cannot be written to."""
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
-    os.close(descriptor)
-    temporary = Path(name)
+    Raises OSError that names `path` for a folder that is not there or cannot be written to, and for a disk that is
+    full, also where a library says so in words of its own."""
+    temporary = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix}")
     try:
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.chmod(0o666 & ~_umask())
-        temporary.replace(path)
+        with _errors_of(path, temporary):
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+            yield temporary
+            with temporary.open("rb+") as file:
+                os.fsync(file.fileno())
+            temporary.chmod(0o666 & ~_umask())
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _errors_of(path: Path, temporary: Path) -> Iterator[None]:
+    """Errors of writing as OSError that names the file that was asked for. Those of other files stay."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None and Path(os.fsdecode(error.filename)) != temporary:
+            raise
+        raise OSError(error.errno, _said(error), str(path)) from None
+    except Exception as error:
+        number = _NUMBER.search(str(error))
+        if number is None:
+            raise
+        raise OSError(int(number[1]), os.strerror(int(number[1])), str(path)) from None
+
+
+_NUMBER = re.compile(r"\(os error (\d+)\)")
+"""What libraries written in Rust say of an error of the system."""
+
+
+def _said(error: OSError) -> str:
+    return os.strerror(error.errno) if error.errno else str(error)
+
+
+@contextmanager
+def nothing_left(folder: Path) -> Iterator[None]:
+    """Where the block fails, the folder is as it was: not there, or without the files that were written into it."""
+    absent = [place for place in (folder, *folder.parents) if not place.exists()]
+    before = set(folder.iterdir()) if folder.is_dir() else set()
+    try:
+        yield
+    except BaseException:
+        for file in set(folder.iterdir()) - before if folder.is_dir() else ():
+            file.unlink(missing_ok=True)
+        for place in absent:
+            if place.is_dir():
+                place.rmdir()
+        raise
 
 
 def _umask() -> int:

@@ -9,6 +9,8 @@ from __future__ import annotations
 import gzip
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import numpy as np
@@ -393,3 +395,34 @@ def counter_of(bits: int, unit: float, name: str) -> Callable[[pl.DataFrame, Pat
         )
 
     return write
+
+
+def vectornav_sentences(log: pl.DataFrame, folder: Path) -> str:
+    """Asynchronous output of a VectorNav: no time, and a checksum behind every line."""
+    lines = []
+    for row in log.select(NAMES[1:]).iter_rows():
+        numbers = ",".join(f"{v:+010.6f}" for v in row)
+        body = f"VNYMR,-009.283,-007.204,-008.681,+01.0640,-00.2531,+03.0614,{numbers}"
+        lines.append(f"${body}*{reduce(xor, body.encode()):02X}\r\n")
+    (folder / "vn100.txt").write_text("".join(lines), encoding="ascii", newline="")
+    return "vn100.txt"
+
+
+def sensor_logger(log: pl.DataFrame, folder: Path) -> str:
+    """A folder of a phone: metadata, and sensors apart, z first."""
+    (folder / "phone").mkdir()
+    for name, columns in (("AccelerometerUncalibrated", ACCEL), ("GyroscopeUncalibrated", GYRO)):
+        rows = [["time", "seconds_elapsed", "z", "y", "x"]]
+        for t, x, y, z in log.select("t", *columns).iter_rows():
+            rows.append([str(1683195142000000000 + round(t * 1e9)), f"{t:.9f}", f"{z:.7g}", f"{y:.7g}", f"{x:.7g}"])
+        written(folder / "phone" / f"{name}.csv", rows)
+    (folder / "phone" / "Metadata.csv").write_text("version,device name\n3,phone\n", encoding="utf-8")
+    return "phone"
+
+
+def sbg_logger(log: pl.DataFrame, folder: Path) -> str:
+    """The text log of SBG's logger: units in a line of their own, and a status word."""
+    rows = [["timestamp", "status", "accelX", "accelY", "accelZ", "gyroX", "gyroY", "gyroZ", "temp"]]
+    rows.append(["(us)", "(na)", *["(m.s^-2)"] * 3, *["(rad.s^-1)"] * 3, "(degC)"])
+    rows += [[t, "0x0000013F", *read, "31.2"] for t, *read in table(log, NAMES, time=1e6, digits=8)[1:]]
+    return written(folder / "imu.txt", rows, delimiter="\t")

@@ -128,6 +128,15 @@ class _SensorOutcomeKeys(_Keys):
     remarks: list[Text]
 
 
+def _unit_length(axis: list[float]) -> list[float]:
+    if not abs(float(np.linalg.norm(axis)) - 1.0) < 1e-6:
+        raise ValueError("expected a unit vector, found one of another length")
+    return axis
+
+
+_Direction = Annotated[list[Number], Field(min_length=3, max_length=3), AfterValidator(_unit_length)]
+
+
 class _OutcomeKeys(_Keys):
     reasons: list[Text]
     unobservable: list[Text] = []
@@ -300,7 +309,7 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     outcome: _OutcomeKeys
     groups: list[_GroupKeys] = Field(default=[], max_length=MOST_PARAMETERS)
     prediction: _PredictionKeys | None = None
-    axes: dict[Text, list[Annotated[list[Number], Field(min_length=3, max_length=3)]]] = {}
+    axes: dict[Text, list[_Direction]] = {}
     temperature: _TemperatureKeys = _TemperatureKeys()
     iterations: list[_IterationKeys]
     sample_rate: Rate | None = None

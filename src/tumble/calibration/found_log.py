@@ -124,9 +124,10 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
-    logs = [_found(file, folder) for file in files]
+    logs, left = _those_with_rows(files, folder)
     if len(logs) > 1 and not any(log.columns.triads for log in logs):
-        return _of_sensors_apart(logs, folder)
+        apart = _of_sensors_apart(logs, folder)
+        return replace(apart, said=(*apart.said, *left))
     logs = [_by_data(log) if ACCEL not in log.columns.triads else log for log in logs]
     first = logs[0]
     for log in logs[1:]:
@@ -140,8 +141,29 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
                 "sessions of their own"
             )
     _check_has_accelerometers(first)
-    said = first.said + ((f"{len(files)} files, each a recording of its own",) if len(files) > 1 else ())
+    said = first.said + ((f"{len(logs)} files, each a recording of its own",) if len(logs) > 1 else ()) + left
     return replace(first, files=tuple(file for log in logs for file in log.files), said=said)
+
+
+class _NoRowsError(InputError):
+    """A text file without rows of readings."""
+
+
+def _those_with_rows(files: Sequence[Path], folder: Path) -> tuple[list[FoundLog], tuple[str, ...]]:
+    """What the files are, and what is said of those left out: text without rows of readings beside logs that have
+    some, as the metadata that a phone writes."""
+    logs: list[FoundLog] = []
+    without: list[_NoRowsError] = []
+    said: list[str] = []
+    for file in files:
+        try:
+            logs.append(_found(file, folder))
+        except _NoRowsError as error:
+            without.append(error)
+            said.append(f"{file.name} has no rows of readings and is left out")
+    if not logs:
+        raise without[0]
+    return logs, tuple(said)
 
 
 def _found(file: Path, folder: Path) -> FoundLog:
@@ -159,7 +181,7 @@ def _found(file: Path, folder: Path) -> FoundLog:
     if dialect_and_top is None:
         if max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]:
             raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
-        raise InputError(f"{file}: expected rows of readings below the names of the columns, found none")
+        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
     return _found_text(file, seen, *dialect_and_top)
 
 
@@ -168,7 +190,7 @@ def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog
     lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + _SAMPLE_ROWS]
     rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     if len(rows) < 2:
-        raise InputError(f"{file}: expected rows of readings below the names of the columns, found none")
+        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
     log = FoundLog(
         files=(file,),
@@ -425,6 +447,7 @@ _KINDS = {
     ACCEL: re.compile(r"acc|beschl|ускор|加速度", re.IGNORECASE),
     GYRO: re.compile(r"gyr|angular|dreh|гиро|角速度|陀螺", re.IGNORECASE),
 }
+_UNCALIBRATED = re.compile(r"acc.*uncal", re.IGNORECASE)
 _NOT_ACCEL = re.compile(r"linear|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
 
@@ -436,6 +459,9 @@ def _of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
         kind = next((k for k, pattern in _KINDS.items() if pattern.search(name)), None)
         if kind is not None and not (kind == ACCEL and _NOT_ACCEL.search(name)):
             by_kind.setdefault(kind, log)
+    uncalibrated = next((log for log in logs if _UNCALIBRATED.search(log.files[0].stem)), None)
+    if ACCEL not in by_kind and uncalibrated is not None:
+        by_kind[ACCEL] = uncalibrated
     if ACCEL not in by_kind:
         _check_has_accelerometers(logs[0])
     accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None

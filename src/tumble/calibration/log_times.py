@@ -6,6 +6,7 @@ rows are then the better clock (`regular`).
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -72,6 +73,8 @@ def times_of_column(stamps: Stamps) -> Times | None:
     if len(values) < 3 or not values[-1] - values[0] > _SHORTEST:
         return None
     typical = _typical_step(values)
+    if not 0.0 < typical < math.inf:
+        return None
     taken, how, sure = _unit(stamps, typical)
     interval = typical * (1.0 if stamps.clock else TIME_UNITS[taken])
     keys: dict[str, Any] = {"time": stamps.column}

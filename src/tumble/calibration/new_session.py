@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from tumble.calibration.observed import Progress, inspect_session
 from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor
 from tumble.errors import InputError, TumbleError
 from tumble.estimation.diagnosis import fitting_gyro_unit
-from tumble.files import FilePath, whole_file
+from tumble.files import FilePath, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.autopilot import sensors_content
@@ -117,22 +116,6 @@ def new_session(
         with whole_file(path) as temporary:
             temporary.write_text(_text(draft, folder, given), encoding="utf-8")
     return draft, faults
-
-
-@contextmanager
-def nothing_left(folder: Path) -> Iterator[None]:
-    """Where the block fails, the folder is as it was: not there, or without the files that were written into it."""
-    absent = [place for place in (folder, *folder.parents) if not place.exists()]
-    before = set(folder.iterdir()) if folder.is_dir() else set()
-    try:
-        yield
-    except BaseException:
-        for file in set(folder.iterdir()) - before if folder.is_dir() else ():
-            file.unlink(missing_ok=True)
-        for place in absent:
-            if place.is_dir():
-                place.rmdir()
-        raise
 
 
 # -------------------- what is known from names and first numbers --------------------

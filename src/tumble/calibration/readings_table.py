@@ -318,7 +318,8 @@ def _polarity(table: ReadingsTable, sizes: Array, known: Mapping[int, Array], *,
     for position, direction in known.items():
         if not 1 <= position <= len(seen):
             raise InputError(f"--position: expected a position from 1 to {len(seen)} of the table, found {position}")
-        stated = direction / np.linalg.norm(direction)
+        stated = direction / np.abs(direction).max()
+        stated = stated / np.linalg.norm(stated)
         for p in np.flatnonzero((np.abs(stated) > TELLING) & (np.abs(seen[position - 1]) > TELLING)):
             sign = np.sign(stated[p] * seen[position - 1, p])
             column = table.columns[p]

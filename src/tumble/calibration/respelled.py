@@ -1,5 +1,5 @@
-"""Text logs that are no table, as one: `ax=0.01 ay=-0.02 …`, `acc: 0.1, 0.2, 9.8; gyro: …`, and lines that end in a
-carriage return alone.
+"""Text logs that are no table, as one: `ax=0.01 ay=-0.02 …`, `acc: 0.1, 0.2, 9.8; gyro: …`, sentences `$VNYMR,…`, and
+lines that end in a carriage return alone.
 
 What is written is a CSV file in the session's folder, a row for each line, with the names before the signs. A name with
 three numbers behind it is three columns. A line with other names is left as it is, for the reader to report.
@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+from tumble.calibration.sentences import FIELDS, sentence_of, values_of
 from tumble.files import whole_file
 from tumble.recording.dialect import encoding_of, is_clock
 from tumble.recording.readers import opened, readable
@@ -33,7 +34,8 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
     text = seen.decode(encoding, errors="replace")
     old = text.count("\r") > 2 and "\n" not in text
     lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
-    names = _names_of(lines)
+    kind = sentence_of(lines)
+    names = _names_of(lines) if kind is None else FIELDS[kind]
     if names is None and not old:
         return None
     target = folder / f"{file.name.partition('.')[0]}.csv"
@@ -44,9 +46,15 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
         if names is not None:
             out.write(f"{','.join(names)}\n".encode())
         for line in _lines(iter(lambda: stream.read(1 << 16), b"")):
-            out.write(_row(line, names).encode() + b"\n")
-    what = "lines that end in a carriage return" if names is None else f"names before the numbers ({', '.join(names)})"
-    return target, f"text: {what}: copied to {target.name} as a table"
+            row = _row(line, names) if kind is None else ",".join(values_of(line, kind)) or line.replace(",", " ")
+            out.write(row.encode() + b"\n")
+    return target, f"text: {_what(kind, names)}: copied to {target.name} as a table"
+
+
+def _what(kind: str | None, names: tuple[str, ...] | None) -> str:
+    if kind is not None:
+        return f"sentences ${kind}"
+    return "lines that end in a carriage return" if names is None else f"names before the numbers ({', '.join(names)})"
 
 
 def _lines(pieces: Iterator[bytes]) -> Iterator[str]:

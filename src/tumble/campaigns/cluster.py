@@ -53,7 +53,7 @@ def executor_for(
     Raises InputError for a contradiction or an address at which nobody answers, MissingExtraError
     without distributed."""
     if serial and (cluster or workers):
-        raise InputError("--serial: expected neither --cluster nor --workers with it, found one; leave one out")
+        raise InputError("--in-process: expected neither --cluster nor --workers with it, found one; leave one out")
     if cluster and workers:
         raise InputError("--workers: expected none with --cluster, whose workers are there already; leave it out")
     if serial:
@@ -127,7 +127,7 @@ def _imported() -> tuple[Any, Any]:
     except ModuleNotFoundError as error:
         raise MissingExtraError(
             "work on several processes needs distributed; install it with: pip install 'tumble[cluster]', or give "
-            "--serial to compute in this process"
+            "--in-process to compute in this process"
         ) from error
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

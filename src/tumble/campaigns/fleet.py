@@ -116,22 +116,40 @@ def sessions_of(pattern: str) -> list[str]:
 def _listed(manifest: str) -> list[str]:
     text = _text(manifest)
     if manifest.lower().endswith(".csv"):
-        table = csv.DictReader(io.StringIO(text))
-        if COLUMN not in (table.fieldnames or ()):
-            raise InputError(f"{manifest}: expected a column {COLUMN!r}, found {', '.join(table.fieldnames or ())}")
-        lines = [row[COLUMN] or "" for row in table]
+        lines = _column(manifest, csv.DictReader(io.StringIO(text)))
     else:
         lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     return [_from(manifest, line.strip()) for line in lines if line.strip()]
 
 
+def _column(manifest: str, table: csv.DictReader[str]) -> list[str]:
+    try:
+        if COLUMN not in (table.fieldnames or ()):
+            raise InputError(f"{manifest}: expected a column {COLUMN!r}, found {', '.join(table.fieldnames or ())}")
+        return [row[COLUMN] or "" for row in table]
+    except csv.Error as error:
+        raise InputError(f"{manifest}: expected rows of a CSV table, found in row {table.line_num}: {error}") from None
+
+
 def _from(manifest: str, session: str) -> str:
-    """A session of a manifest; a relative one starts at the manifest's folder."""
+    """A session of a manifest; a relative one starts at the manifest's folder. A manifest at a URL lists what is at its
+    own place alone: it does not make this machine open its own files, or those of its network."""
     if _is_url(session):
+        if _is_url(manifest) and _place(session) != _place(manifest):
+            raise InputError(
+                f"{manifest}: expected sessions at {'://'.join(_place(manifest))}, where the manifest is, found "
+                f"{session}; copy the manifest to this machine if it is meant"
+            )
         return session
     if _is_url(manifest):
         return f"{manifest.rpartition('/')[0]}/{session}"
     return str(Path(manifest).absolute().parent / session)
+
+
+def _place(url: str) -> tuple[str, str]:
+    """Protocol and host, or bucket, of a URL."""
+    kind, _, rest = url.partition("://")
+    return kind.lower(), rest.partition("/")[0].lower()
 
 
 def _text(manifest: str) -> str:

@@ -130,7 +130,7 @@ def cluster_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options that say where many tasks are computed, and into which folder."""
     for option in reversed(
         [
-            click.option("--serial", is_flag=True, help="Compute in this process."),
+            click.option("--in-process", "serial", is_flag=True, help="Compute in this process."),
             click.option("--cluster", metavar="tcp://HOST:PORT", help="Compute on a dask cluster that is there."),
             click.option("--workers", type=click.IntRange(min=1), help="Processes here; default: one a core."),
             click.option("-o", "--out", type=FOLDER, required=True, help="Folder for the results; resumed if begun."),

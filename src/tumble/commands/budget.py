@@ -6,22 +6,29 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import BUDGETED_METHODS, say, setup_of, setup_options
+from tumble.commands.arguments import BUDGETED_METHODS, JSON, say, setup_of, setup_options
 
 
 @click.command()
 @setup_options
 @click.option("--method", "methods", type=click.Choice(BUDGETED_METHODS), multiple=True, help="Default: all; repeat.")
 @click.option("--iterations", type=click.IntRange(1, 5), default=2, show_default=True, help="Passes.")
-def budget(methods: tuple[str, ...], iterations: int, **options: Any) -> None:
+@JSON
+def budget(methods: tuple[str, ...], iterations: int, as_json: bool, **options: Any) -> None:
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
     from tumble.terminal.budget import budget_report
+    from tumble.terminal.data import print_data
+    from tumble.terminal.planning_data import budget_data
     from tumble.terminal.text import print_report
 
     setup = setup_of(options)
     expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]
-    print_report(budget_report(expected, None if options["noiseless"] else bound(setup)))
+    least = None if options["noiseless"] else bound(setup)
+    if as_json:
+        print_data(budget_data(expected, least))
+    else:
+        print_report(budget_report(expected, least))
     for remark in expected.remarks:
         say(f"note: {remark}")

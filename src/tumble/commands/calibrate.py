@@ -160,7 +160,8 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
 @contextmanager
 def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
     """The folder of a session made of a log, which is there no more where the block fails."""
-    from tumble.calibration.new_session import new_session, nothing_left
+    from tumble.calibration.new_session import new_session
+    from tumble.files import nothing_left
 
     if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
         raise InputError(

@@ -29,6 +29,9 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, as_js
     from tumble.terminal.text import print_report
 
     found = check_calibration(calibration, session)
+    written = out is not None and found.result.explained
+    if out is not None and written:
+        found.updated().write(out, force=force)
     if as_json:
         print_data(field_check_data(found))
     else:
@@ -37,7 +40,6 @@ def check(calibration: Path, session: Path, out: Path | None, force: bool, as_js
         say(f"note: {note}")
     for reason in found.reasons:
         warn(f"changed: {reason}")
-    if out is not None and found.result.explained:
-        found.updated().write(out, force=force)
+    if written:
         say(f"written to {out}")
     sys.exit(0 if found.valid else 1)

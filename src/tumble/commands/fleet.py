@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import METHOD_NAMES, cluster_options, say, task_progress, warn
+from tumble.commands.arguments import JSON, METHOD_NAMES, cluster_options, say, task_progress, warn
 
 SHOWN = 20
 
@@ -17,20 +17,30 @@ SHOWN = 20
 @click.option(
     "--method", type=click.Choice(METHOD_NAMES), default=METHOD_NAMES[0], show_default=True, help="How to estimate."
 )
+@JSON
 @cluster_options
-def fleet(sessions: str, method: str, serial: bool, cluster: str | None, workers: int | None, out: Path) -> None:
+def fleet(
+    sessions: str, method: str, as_json: bool, serial: bool, cluster: str | None, workers: int | None, out: Path
+) -> None:
     """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.
 
     A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
     where it was when the same command is given again.
     """
     from tumble.campaigns.run import fleet
+    from tumble.terminal.data import print_data
+    from tumble.terminal.planning_data import fleet_data
 
     with task_progress("sessions") as progress:
         result = fleet(sessions, out, method=method, serial=serial, cluster=cluster, workers=workers, progress=progress)
     ended = result.tally
     refused, failed = len(ended.refused), len(ended.failed)
-    click.echo(f"{len(result.sessions)} sessions: {ended.accepted} accepted, {refused} not accepted, {failed} failed")
+    if as_json:
+        print_data(fleet_data(len(result.sessions), ended, result.rows))
+    else:
+        click.echo(
+            f"{len(result.sessions)} sessions: {ended.accepted} accepted, {refused} not accepted, {failed} failed"
+        )
     said = [f"not accepted: {session}: {why}" for session, why in ended.refused.items()]
     said += [f"failed: {session}: {why}" for session, why in ended.failed.items()]
     for line in said[:SHOWN]:

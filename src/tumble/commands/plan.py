@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from tumble.commands.arguments import say, setup_of, setup_options, warn
+from tumble.commands.arguments import JSON, say, setup_of, setup_options, warn
 
 if TYPE_CHECKING:
     from tumble.planning.setup import Setup
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 @click.option("--criterion", type=click.Choice(["A", "D"]), default="A", show_default=True, help="What is best.")
 @click.option("--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. accel.scale=3.5ppm; repeat.")
 @click.option("--axes", metavar="N,U,E", help="Turns about these alone, the device staying as it is mounted.")
+@JSON
 @click.option("--step", type=float, default=45.0, show_default=True, help="Where the table stops: multiples, °.")
 @click.option("--temperature", metavar="RECORDINGS", help="Over temperature, °C: -20/4,20,60/4 or -20:60:-20/30.")
 @click.option("--time-constant", type=float, default=600.0, show_default=True, help="Of the unit in a chamber, s.")
@@ -34,6 +35,7 @@ def plan(
     wanted: tuple[str, ...],
     axes: str | None,
     step: float,
+    as_json: bool,
     temperature: str | None,
     time_constant: float,
     chamber_rate: float,
@@ -46,7 +48,9 @@ def plan(
     from tumble.planning.reachable_attitudes import TurnTable
     from tumble.planning.requirements import wanted_of
     from tumble.programme.positions import from_attitudes
+    from tumble.terminal.data import print_data
     from tumble.terminal.plan import plan_report, short_of
+    from tumble.terminal.planning_data import plan_data
     from tumble.terminal.text import print_report
 
     setup = setup_of(options)
@@ -55,13 +59,18 @@ def plan(
     if temperature is not None:
         if positions is not None:
             raise click.UsageError("--positions: expected none with --temperature, found one; plan the positions first")
+        if as_json:
+            raise click.UsageError("--json: expected none with --temperature, whose plan is a table alone")
         _over_temperature(setup, temperature, (chamber_rate, time_constant), wanted, gyros=not accel_only)
     wishes = wanted_of(wanted, None, setup) if wanted else {}
     aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
     table = TurnTable.of(axes, step)
     found = best(setup, positions=positions, aim=aim, table=table)
-    print_report(plan_report(found, aim))
     reasons = short_of(found.bound, aim, found.setup)
+    if as_json:
+        print_data(plan_data(found, reasons))
+    else:
+        print_report(plan_report(found, aim))
     for reason in reasons:
         say(reason)
     sys.exit(1 if reasons else 0)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import FILE, say, warn
+from tumble.commands.arguments import FILE, JSON, say, warn
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ def registry() -> None:
 @click.option("--date", "day", type=_DAY, help="When it was performed; default: when recorded, or the file made.")
 @click.option("--supersedes", metavar="NUMBER", type=_NUMBER, help="The record that this one corrects.")
 @click.option("--reason", help="Why it is corrected.")
+@JSON
 @_place
 def add(
     calibration: Path,
@@ -62,6 +63,7 @@ def add(
     day: datetime | None,
     supersedes: int | None,
     reason: str | None,
+    as_json: bool,
     place: str | None,
 ) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
@@ -83,21 +85,27 @@ def add(
         number = added.record.number
         said = "added as" if added.new else "the same calibration is there already:"
         say(f"{said} record {number} in {opened.name}")
-        passed = _print_record(opened, added.record, parameters_of(opened, [number])[number])
+        passed = _print_record(opened, added.record, parameters_of(opened, [number])[number], as_json)
     sys.exit(0 if passed else 1)
 
 
-def _print_record(opened: Any, record: Record, rows: list[ParameterRow]) -> bool:
+def _print_record(opened: Any, record: Record, rows: list[ParameterRow], as_json: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
     from tumble.registry.series import rows_in_frame, verdict_of
     from tumble.registry.store import launches_of, limits_records
+    from tumble.terminal.data import print_data
     from tumble.terminal.registry import record_report
+    from tumble.terminal.registry_data import record_data
     from tumble.terminal.text import print_report
 
     verdict = verdict_of(opened, record, rows, {own.number: own for own in limits_records(opened)})
     with opened.reading() as connection:
         launches = launches_of(connection, record.number)
-    print_report(record_report(record, launches, rows_in_frame(opened, record, rows, record.frame), verdict))
+    shown = rows_in_frame(opened, record, rows, record.frame)
+    if as_json:
+        print_data(record_data(record, launches, shown, verdict))
+    else:
+        print_report(record_report(record, launches, shown, verdict))
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
@@ -107,25 +115,36 @@ def _print_record(opened: Any, record: Record, rows: list[ParameterRow]) -> bool
 
 @registry.command("list")
 @click.argument("serial", required=False)
+@JSON
 @_place
-def list_(serial: str | None, place: str | None) -> None:
+def list_(serial: str | None, as_json: bool, place: str | None) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from collections import Counter
 
     from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
     from tumble.registry.store import records
+    from tumble.terminal.data import print_data
     from tumble.terminal.registry import devices_table, records_table
+    from tumble.terminal.registry_data import devices_data, records_data
     from tumble.terminal.text import print_report
 
     with open_registry(place) as opened:
         found = records(opened, serial)
         if serial is not None:
-            print_report(records_table(found, _verdicts(opened, found)))
+            said = _verdicts(opened, found)
+            if as_json:
+                print_data(records_data(found, said))
+            else:
+                print_report(records_table(found, said))
             return
         counts = Counter(record.serial for record in found if record.superseded_by is None)
         latest = sorted(due_of(opened), key=lambda item: item.record.serial)
-        print_report(devices_table(latest, counts, _verdicts(opened, [item.record for item in latest])))
+        said = _verdicts(opened, [item.record for item in latest])
+        if as_json:
+            print_data(devices_data(latest, counts, said))
+        else:
+            print_report(devices_table(latest, counts, said))
 
 
 def _verdicts(opened: Any, found: list[Record]) -> dict[int, str]:
@@ -150,8 +169,9 @@ def _verdicts(opened: Any, found: list[Record]) -> dict[int, str]:
 @registry.command()
 @click.argument("number", type=_NUMBER)
 @click.option("-o", "--out", type=FILE, help="Write the calibration file of the record, as it was added.")
+@JSON
 @_place
-def show(number: int, out: Path | None, place: str | None) -> None:
+def show(number: int, out: Path | None, as_json: bool, place: str | None) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
     from tumble.files import whole_file
     from tumble.registry.connect import open_registry
@@ -165,7 +185,7 @@ def show(number: int, out: Path | None, place: str | None) -> None:
             with whole_file(out) as temporary:
                 temporary.write_text(file_of(opened, number), encoding="utf-8")
             say(f"written to {out}")
-        passed = _print_record(opened, found, parameters_of(opened, [number])[number])
+        passed = _print_record(opened, found, parameters_of(opened, [number])[number], as_json)
     sys.exit(0 if passed else 1)
 
 
@@ -173,8 +193,9 @@ def show(number: int, out: Path | None, place: str | None) -> None:
 @click.argument("serial")
 @click.argument("parameter", required=False)
 @click.option("-o", "--out", type=FILE, help="Draw control charts into this .html or .svg; needs matplotlib.")
+@JSON
 @_place
-def trend(serial: str, parameter: str | None, out: Path | None, place: str | None) -> None:
+def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, place: str | None) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
     Exit status 1 if the device has changed since the calibration before by more than chance makes (0.001), in a
@@ -183,7 +204,9 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
     from tumble.registry.connect import open_registry
     from tumble.registry.monitor import monitored
     from tumble.report.control_chart import write_chart
+    from tumble.terminal.data import print_data
     from tumble.terminal.registry import history_report, trend_report
+    from tumble.terminal.registry_data import trend_data
     from tumble.terminal.text import print_report
 
     with open_registry(place) as opened:
@@ -191,7 +214,10 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
     if out is not None:
         write_chart(out, found)
         say(f"written to {out}")
-    print_report(trend_report(found) if parameter is None else history_report(found))
+    if as_json:
+        print_data(trend_data(found))
+    else:
+        print_report(trend_report(found) if parameter is None else history_report(found))
     changed = found.changed()
     if changed:
         say(f"changed: {', '.join(changed)}")
@@ -201,8 +227,9 @@ def trend(serial: str, parameter: str | None, out: Path | None, place: str | Non
 @registry.command()
 @click.argument("model", required=False)
 @click.argument("file", type=FILE, required=False)
+@JSON
 @_place
-def limits(model: str | None, file: Path | None, place: str | None) -> None:
+def limits(model: str | None, file: Path | None, as_json: bool, place: str | None) -> None:
     """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
 
     Without FILE those of MODEL are shown, without MODEL those of all types are listed.
@@ -210,7 +237,9 @@ def limits(model: str | None, file: Path | None, place: str | None) -> None:
     from tumble.registry.connect import open_registry
     from tumble.registry.limits import read_limits
     from tumble.registry.store import limits_in_force, limits_records, set_limits
+    from tumble.terminal.data import print_data
     from tumble.terminal.registry import limits_report, limits_table
+    from tumble.terminal.registry_data import limits_data
     from tumble.terminal.text import print_report
 
     given = None if file is None else read_limits(file)
@@ -221,31 +250,39 @@ def limits(model: str | None, file: Path | None, place: str | None) -> None:
             say(f"limits {own.number} {said} {own.model} in {opened.name}")
             return
         in_force = limits_in_force(opened)
-        if model is None:
-            print_report(limits_table(limits_records(opened), in_force))
-            return
-        if model not in in_force:
+        if model is not None and model not in in_force:
             raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
-        print_report(limits_report(in_force[model]))
+        if as_json:
+            print_data(limits_data(limits_records(opened) if model is None else [in_force[model]], in_force))
+        elif model is None:
+            print_report(limits_table(limits_records(opened), in_force))
+        else:
+            print_report(limits_report(in_force[model]))
 
 
 @registry.command()
 @click.option("--on", "day", type=_DAY, help="As on this day; default: today.")
+@JSON
 @_place
-def due(day: datetime | None, place: str | None) -> None:
+def due(day: datetime | None, as_json: bool, place: str | None) -> None:
     """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
 
     The most urgent first. Exit status 1 if anything is overdue.
     """
     from tumble.registry.connect import open_registry
     from tumble.registry.due import due as due_of
+    from tumble.terminal.data import print_data
     from tumble.terminal.registry import due_table
+    from tumble.terminal.registry_data import due_data
     from tumble.terminal.text import print_report
 
     today = datetime.now(UTC).date() if day is None else day.date()
     with open_registry(place) as opened:
         found = due_of(opened)
-    print_report(due_table(found, today))
+    if as_json:
+        print_data(due_data(found, today))
+    else:
+        print_report(due_table(found, today))
     overdue = [item.record.serial for item in found if (item.day or date.max) < today]
     if overdue:
         warn(f"overdue: {', '.join(overdue)}")
@@ -253,15 +290,22 @@ def due(day: datetime | None, place: str | None) -> None:
 
 
 @registry.command()
+@click.option("-o", "--out", type=FILE, help="File to write; default: standard output.")
 @_place
-def export(place: str | None) -> None:
-    """Everything in the registry as JSON lines on standard output."""
+def export(out: Path | None, place: str | None) -> None:
+    """Everything in the registry as JSON lines."""
+    from tumble.files import whole_file
     from tumble.registry.connect import open_registry
     from tumble.registry.exchange import export_lines
 
     with open_registry(place) as opened:
-        for line in export_lines(opened):
-            click.echo(line)
+        if out is None:
+            for line in export_lines(opened):
+                click.echo(line)
+            return
+        with whole_file(out) as temporary, temporary.open("w", encoding="utf-8") as file:
+            file.writelines(f"{line}\n" for line in export_lines(opened))
+    say(f"written to {out}")
 
 
 @registry.command("import")

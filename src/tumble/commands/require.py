@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import BUDGETED_METHODS, setup_of, setup_options
+from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_options
 
 
 @click.command()
@@ -23,16 +23,28 @@ from tumble.commands.arguments import BUDGETED_METHODS, setup_of, setup_options
     show_default=True,
     help="From all rests, or from one with the axis vertical or along the Earth's axis.",
 )
+@JSON
 def require(
-    wanted: tuple[str, ...], relative: float | None, method: str, iterations: int, gyro_bias: str, **options: Any
+    wanted: tuple[str, ...],
+    relative: float | None,
+    method: str,
+    iterations: int,
+    gyro_bias: str,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """The table, the mounting and the rests that a wanted accuracy needs; what no table can give is named."""
     from tumble.planning.requirements import require, wanted_of
     from tumble.terminal.budget import requirements_report
+    from tumble.terminal.data import print_data
+    from tumble.terminal.planning_data import requirements_data
     from tumble.terminal.text import print_report
 
     setup = setup_of(options)
     asked = wanted_of(wanted, relative, setup)
     needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)  # type: ignore[arg-type]
-    print_report(requirements_report(needs))
+    if as_json:
+        print_data(requirements_data(needs))
+    else:
+        print_report(requirements_report(needs))
     sys.exit(0 if needs.feasible else 1)

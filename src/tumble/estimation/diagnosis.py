@@ -6,7 +6,8 @@ the vertical from rest to rest, and `verdict` turns an estimate into an outcome.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from itertools import permutations, product
 
 import numpy as np
@@ -257,6 +258,11 @@ def sense_faults(observations: Observations, session: Session, rate: float) -> l
         suspects += ["log.rate_hz"] if session.log.rate is not None else []
         seen = f"the gyros read about {ratio:.3g} times what they should"
         return [f"{said}; {seen}" + (f": {' or '.join(suspects)} is {_times(ratio)}" if suspects else "")]
+    if _raw(channels) and np.all(channels.scale == 1.0):
+        return [
+            f"{said}: log.gyro.scale is 1, as if the numbers were no raw ones; write the counts per deg/s of the data "
+            "sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find them from the turns"
+        ]
     per_half_turn = miss / np.maximum(1.0, _turned(observations, assumed) / np.pi)
     if np.median(per_half_turn) < CARRIED:
         lost = [_lost(observations, int(k), float(miss[k])) for k in np.flatnonzero(per_half_turn >= EVIDENT)]
@@ -441,11 +447,11 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     unknown = {name.split(".")[0] for name in missing}
     if missing and not both:
         lists = {frozenset({"accel"}): of_accel, frozenset({"gyro"}): of_gyro}
-        said = f"not observable in this session: {', '.join(missing)}; {_most_helpful(estimate, observations)}"
+        said = _and(f"not observable in this session: {listed(missing)}", _most_helpful(estimate, observations))
         lists.get(frozenset(unknown), both).append(said)
         first = (said,)
     elif not missing and not both and (weak := _weak_combinations(estimate, observations)):
-        both.append(f"poorly observable in this session: {'; '.join(weak)}; {_remedy(estimate, observations)}")
+        both.append(_and(f"poorly observable in this session: {'; '.join(weak)}", _remedy(estimate, observations)))
     if not missing and not estimate.converged:
         both.append(
             "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
@@ -469,6 +475,23 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
         of_accel=(*of_accel, *(remark for concerns, remark in remarks if concerns == "accel")),
         of_gyro=(*of_gyro, *(remark for concerns, remark in remarks if concerns == "gyro")),
     )
+
+
+def _and(*parts: str) -> str:
+    """What there is to say, separated by semicolons."""
+    return "; ".join(part for part in parts if part)
+
+
+MOST_LISTED = 21
+"""Parameters that are named one by one."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Parameters by name, or where they are many by group: "accel.axis (12), accel.scale (6)"."""
+    if len(names) <= MOST_LISTED:
+        return ", ".join(names)
+    counted = Counter(group_name(name) for name in names)
+    return ", ".join(f"{group} ({count})" for group, count in counted.items())
 
 
 def _scattering_rests(estimate: Estimate) -> Iterator[str]:
@@ -526,9 +549,12 @@ def _misfits(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """Rests and turns beyond FIT_SIGMAS."""
     rests = observations.rests
     for i in np.flatnonzero(estimate.rest_sigmas > FIT_SIGMAS):
+        by_gyros = len(estimate.gyro_rest_sigmas) > 0 and estimate.gyro_rest_sigmas[i] == estimate.rest_sigmas[i]
         yield (
-            f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) does not fit: "
-            f"{estimate.rest_sigmas[i]:.1f} sigma, residual {estimate.rest_residual[i]:.2g} m/s^2"
+            f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) does not fit"
+            + (" by its gyros" if by_gyros else "")
+            + f": {estimate.rest_sigmas[i]:.1f} sigma"
+            + ("" if by_gyros else f", residual {estimate.rest_residual[i]:.2g} m/s^2")
         )
     if observations.turns is None:
         return

@@ -7,7 +7,7 @@ names it; when they do not fit, the outcome says which rest or turn, and by how 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -110,11 +110,12 @@ class Outcome(Judgement):
     def from_content(content: Mapping[str, Any]) -> Outcome:
         """The outcome of what `content` gave."""
         accel, gyro = ({*content[kind]["reasons"], *content[kind]["remarks"]} for kind in ("accel", "gyro"))
-        said = (*content["reasons"], *content["remarks"])
+        remarks = tuple(content.get("remarks", ()))
+        said = (*content["reasons"], *remarks)
         return Outcome(
             reasons=tuple(content["reasons"]),
-            remarks=tuple(content["remarks"]),
-            unobservable=tuple(content["unobservable"]),
+            remarks=remarks,
+            unobservable=tuple(content.get("unobservable", ())),
             of_accel=tuple(each for each in said if each not in gyro),
             of_gyro=tuple(each for each in said if each not in accel),
         )
@@ -198,6 +199,8 @@ class Estimate:
     """Degrees of freedom (m,) behind the u of the parameters, where the method knows them."""
     prediction: Prediction | None = None
     """What corrected readings are known to."""
+    gyro_rest_sigmas: Array = field(default_factory=lambda: np.empty(0))
+    """How far the gyros alone are from the fit at each rest (N,); empty where the method does not judge them."""
     linearised: Linearised | None = None
     """The likelihood about the estimate, where the method has one."""
     own: OwnEstimate | None = None
@@ -264,4 +267,4 @@ def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
         return z
     z2 = np.minimum(z**2, degrees * (1.0 - 1e-9))
     studentised = np.sqrt(z2 * (degrees - 1.0) / (degrees - z2))
-    return np.asarray(-special.ndtri(special.stdtr(degrees - 1.0, -studentised)))
+    return np.asarray(0.0 - special.ndtri(special.stdtr(degrees - 1.0, -studentised)))

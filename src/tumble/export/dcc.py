@@ -26,6 +26,7 @@ from scipy.special import chdtri, fdtri
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
 from tumble.calibration.results import coverage_factor
+from tumble.errors import InputError
 from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
 from tumble.export.larger_model import NOT_IN_MATRIX, not_held
@@ -85,6 +86,8 @@ def d_si(*units: str) -> str:
     """The product of units as D-SI writes it: d_si("m/s^2") is \\metre\\second\\tothe{-2}."""
     powers: Counter[str] = Counter()
     for unit in units:
+        if unit not in _DIMENSIONS:
+            raise InputError(f"calibration: expected the SI unit of a parameter, found {unit!r}; calibrate again")
         powers.update(_DIMENSIONS[unit])
     parts = [f"\\{name}" + ("" if power == 1 else f"\\tothe{{{power}}}") for name, power in powers.items() if power]
     return "".join(parts) or "\\one"

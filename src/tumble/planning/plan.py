@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from tumble.planning.best_positions import Aim, Compared, Next, compared, next_positions, of_the_literature, optimised
 from tumble.planning.bounds import Bound, bound
 from tumble.planning.reachable_attitudes import ANY, TurnTable
-from tumble.planning.setup import Setup, with_all_groups
+from tumble.planning.setup import Setup, check_setup, with_all_groups
 
 FOR_ALL = Aim()
 """The mean uncertainty of all parameters in units of their spreads, gyros included."""
@@ -37,6 +37,7 @@ def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, tabl
     >>> len(found.following), found.bound.groups[0]
     (5, 'accel.bias')
     """
+    check_setup(setup, 1)
     if positions is None:
         best, whole = bound(setup, gyros=aim.gyros), bound(with_all_groups(setup), gyros=aim.gyros)
         return PlanResult(

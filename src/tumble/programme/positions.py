@@ -2,7 +2,8 @@
 
 An attitude code says where body X, Y, Z point, as three of N S E W U D, and then how the body is turned from
 there: "NUE N+45" is X north, Y up, Z east, turned by +45° about north. Turns are about the geographic axes N,
-U, E by the right-hand rule (N × U = E) and are applied in order.
+U, E by the right-hand rule (N × U = E) and are applied in order. A block on its corner is "corner +X-Y+Z", the body
+axes above (+) and below (−) the horizon by 35.26° each; in which azimuth, turns may say: "corner +X-Y+Z U+120".
 
 The rough-table programme is programme "A" of the turntable method, §6.3; its directions of rotation are not
 in the paper. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors. The body turns
@@ -32,6 +33,9 @@ _DIRECTIONS = _AXES | {"S": -_AXES["N"], "D": -_AXES["U"], "W": -_AXES["E"]}
 _OPPOSITE = dict(zip("NSUDEW", "SNDUWE", strict=True))
 _TURN = re.compile(r"([NUE])([+-](?:[0-9]+\.?[0-9]*|\.[0-9]+))")
 _FULL_TURN_DEG = 360.0
+CORNER = "corner"
+"""What the code of a block on its corner begins with."""
+_SIGNS = re.compile(r"[+-]X[+-]Y[+-]Z")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -76,8 +80,10 @@ def attitude(code: str) -> Array:
 
     Raises ProgrammeError if the letters are not a right-handed triple or a turn is not like N+45."""
     code = " ".join(code.split())
+    if code.startswith(CORNER):
+        code = _corners().get(code, code)  # to the last digit the same as its turns
     letters, *turns = code.split(" ")
-    matrix = _pointing(code, letters)
+    matrix = _on_corner(code, turns.pop(0) if turns else "") if letters == CORNER else _pointing(code, letters)
     for turn in turns:
         axis, angle = _turn(code, turn)
         matrix = rotation_matrix(angle * axis) @ matrix
@@ -104,6 +110,17 @@ def _pointing(code: str, letters: str) -> Array:
             f'with this X and Y it is "{mirrored}"'
         )
     return matrix
+
+
+def _on_corner(code: str, signs: str) -> Array:
+    """Body → geographic of a block that stands on a corner, its axes above and below the horizon as `signs` says."""
+    if _SIGNS.fullmatch(signs) is None:
+        raise ProgrammeError(
+            f'attitude "{code}": expected the axes above (+) and below (-) the horizon, such as corner +X-Y+Z, found '
+            f'"{signs}"'
+        )
+    up = np.array([float(f"{sign}1") for sign in signs[::2]])
+    return attitude(_codes(up, _ON_CORNER)[0])
 
 
 def _turn(code: str, turn: str) -> tuple[Array, float]:
@@ -228,15 +245,41 @@ def _cube(name: str, *kinds: int) -> Programme:
     return _listed(name, [_standing(np.array(s, dtype=float), k) for k, s in enumerate(signs)], ordered=False)
 
 
+_ON_EDGE, _ON_CORNER = " N+45", f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"
+
+
 def _standing(signs: Array, choice: int) -> str:
     """A code with the vertical along `signs`, body components 1, 0 or −1: from a right-handed triple, +45°
     about N lifts the axes that pointed U and W, and atan(1/√2) about E lifts the one that pointed N. The two to
     four triples that do so differ in azimuth; `choice` goes round them."""
-    lifts = {1: "", 2: " N+45", 3: f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"}
-    lift = lifts[int(np.count_nonzero(signs))]
+    lifts = {1: "", 2: _ON_EDGE, 3: _ON_CORNER}
+    codes = _codes(signs, lifts[int(np.count_nonzero(signs))])
+    code = codes[choice % len(codes)]
+    return _corner_name(signs, attitude(code) @ attitude(codes[0]).T) if np.all(signs) else code
+
+
+def _codes(signs: Array, lift: str) -> list[str]:
+    """The codes of lifted triples with the vertical along `signs` in the body."""
     up = signs / np.linalg.norm(signs)
-    codes = [code for code, vertical_b in _lifted(lift).items() if np.abs(vertical_b - up).max() < _SAME]
-    return codes[choice % len(codes)]
+    return [code for code, vertical_b in _lifted(lift).items() if np.abs(vertical_b - up).max() < _SAME]
+
+
+@cache
+def _corners() -> dict[str, str]:
+    """The code in turns of every corner of a cube in three azimuths, by its name."""
+    every = {signs: _codes(np.array(signs), _ON_CORNER) for signs in product((1.0, -1.0), repeat=3)}
+    return {
+        _corner_name(np.array(signs), attitude(code) @ attitude(codes[0]).T): code
+        for signs, codes in every.items()
+        for code in codes
+    }
+
+
+def _corner_name(signs: Array, turned: Array) -> str:
+    """The code of a block on its corner, `turned` (3, 3) about the vertical."""
+    axes = "".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip(signs, "XYZ", strict=True))
+    azimuth = round(math.degrees(math.atan2(turned[0, 2], turned[0, 0])))
+    return f"{CORNER} {axes}" + (f" U{azimuth:+d}" if azimuth else "")
 
 
 _SAME = 1e-9

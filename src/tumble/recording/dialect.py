@@ -168,8 +168,9 @@ def _names(cells: Sequence[str], width: int, dialect: Dialect) -> tuple[str, ...
 
 
 _UNIT_WORDS = re.compile(
-    r"s|sec|seconds?|ms|us|µs|μs|ns|g|mg|m/s/s|m/s\W?[2²]?|m\W?s\W{0,3}[2²]|rad|rad/s(ec)?|deg|deg/s(ec)?|dps|mdps|°/s|°/h|°|"
-    r"deg/h|lsb|counts?|raw|°?c|degc|ut|µt|μt|nt|gauss|-|1|#|hz|v|м/с\W?[2²]?|рад/с|град/с|°/с|с|мс|мкс|hpa|pa|k|%",
+    r"s|sec|seconds?|ms|us|µs|μs|ns|g|mg|m/s/s|m/s\W?[2²]?|m\W?s\W{0,3}[2²]|rad|rad/s(ec)?|rad\W?s\W{0,3}1|deg|"
+    r"deg/s(ec)?|dps|mdps|°/s|°/h|°|"
+    r"deg/h|lsb|counts?|raw|°?c|degc|ut|µt|μt|nt|gauss|-|1|#|hz|v|м/с\W?[2²]?|рад/с|град/с|°/с|с|мс|мкс|hpa|pa|k|%|n/?a",
     re.IGNORECASE,
 )
 

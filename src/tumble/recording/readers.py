@@ -14,6 +14,7 @@ import gzip
 import io
 import re
 import sys
+import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ import polars as pl
 from tumble.errors import LogError
 from tumble.recording.clock import date_of, day_of, seconds_of
 from tumble.recording.dialect import BLANKS, LINE_BYTES, Dialect, Recoded, head_lines, top_of
+from tumble.recording.panic import LAST_WORDS, without_panic
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec
 from tumble.units import Array
@@ -170,15 +172,17 @@ class _Frame:
 
     @classmethod
     def of(cls, path: Path, scan: Callable[[], pl.LazyFrame]) -> _Frame:
-        types = dict(scan().collect_schema())
-        return cls(path=path, types=types, rows=scan().select(pl.len()).collect().item(), scan=scan)
+        with without_panic():
+            types = dict(scan().collect_schema())
+            rows = scan().select(pl.len()).collect().item()
+        return cls(path=path, types=types, rows=rows, scan=scan)
 
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(self.types)
 
     def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
-        with readable(self.path):
+        with readable(self.path), without_panic():
             table = self._scan([column], column if clock else None).head(rows).collect()
         self._check_no_nulls(table, 1)
         return table[column].to_numpy()
@@ -192,12 +196,16 @@ class _Frame:
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
         first = 1
         with readable(self.path):
-            for table in self._scan(columns, clock).collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True):
+            batches = iter(self._scan(columns, clock).collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
+            while (table := _next(batches, self.rows - first + 1)) is not None:
                 self._check_no_nulls(table, first)
                 first += table.height
                 yield table, []
         if first - 1 != self.rows:
-            raise LogError(f"{self.path}: expected {self.rows} rows, found {first - 1}; copy or record it again")
+            raise LogError(
+                f"{self.path}: expected {self.rows} rows, found {first - 1} that can be read: the file is damaged; "
+                "copy or record it again"
+            )
 
     def _scan(self, columns: Sequence[str], clock: str | None) -> pl.LazyFrame:
         for column in columns:
@@ -221,7 +229,7 @@ class _Frame:
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
         # in slices: as one scan a file would stay mapped, and count, as a whole
         for first in range(0, self.rows, _SLICE_ROWS):
-            with readable(self.path):
+            with readable(self.path), without_panic():
                 table = self.scan().slice(first, _SLICE_ROWS).collect()
             with rows_of_numbers(self.path):
                 yield table.with_columns(pl.col(numbers).cast(pl.Float64))
@@ -233,6 +241,15 @@ class _Frame:
 
     def place(self, row: int, column: str | None = None) -> str:
         return f"{self.path}: row {row}" + _in_column(column)
+
+
+def _next(batches: Iterator[pl.DataFrame], rows: int) -> pl.DataFrame | None:
+    """The next table, or None, while so many rows are to come."""
+    with without_panic():
+        table = next(batches, None)
+        if table is None and rows:
+            time.sleep(LAST_WORDS)
+        return table
 
 
 def _open_parquet(path: Path) -> _Frame:

@@ -45,6 +45,9 @@ SCATTER_FACTOR = 10.0
 QUIET_FACTOR = 2.0
 EDGE_SIGMAS = 4.0
 MIN_REST_SECONDS = 2.0
+SHORT_REST_SECONDS, SHORT_REST_SAMPLES, FEWEST_SHORT = 0.6, 40, 9
+"""Between its margins, of a rest in a recording that has so many of them and hardly a longer one; from so many samples
+the noise is known to 11 %."""
 LEVEL_SPREAD = 0.5 * DEGREE
 """rad/s: how far the level of a gyro at rest may be from that in another attitude."""
 STAYS = 0.05 * DEGREE
@@ -270,14 +273,15 @@ def _assemble(
 ) -> Segmentation:
     """Extend the stretches found, take the margins off, and keep those that are long enough."""
     rests: list[RestSpan] = []
-    for k, (f, force, found) in enumerate(zip(reduction.files, specific_force, spans, strict=True)):
+    whole = []
+    for k, (force, found) in enumerate(zip(specific_force, spans, strict=True)):
         signals = [(force, coarse[0])] if rates is None else [(force, coarse[0]), (rates[k], coarse[1])]
-        for first, last in _merged([_extended(signals, i, j, window) for i, j in found]):
-            duration = float(f.edges[last] - f.edges[first])
-            margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
-            before = margin if first > 0 else 0.0
-            after = margin if last < len(f.edges) - 1 else 0.0
-            if duration - before - after < MIN_REST_SECONDS:
+        whole.append(_merged([_extended(signals, i, j, window) for i, j in found]))
+    least = _least_seconds(reduction, whole)
+    for f, force, found in zip(reduction.files, specific_force, whole, strict=True):
+        for first, last in found:
+            duration, before, after = _with_margins(f, first, last)
+            if duration - before - after < least:
                 if duration > 0.5:
                     reason = f"{duration:.1f} s is too short: rests must be {STILL_SECONDS} s"
                     rejected.append(_rejected(f, first, last, "duration", reason))
@@ -294,6 +298,24 @@ def _assemble(
         rate_limit=rate_limit,
         scatter_limit=scatter_limit,
     )
+
+
+def _with_margins(f: FileBlocks, first: int, last: int) -> tuple[float, float, float]:
+    """How long a stretch is, and what is taken off at its beginning and end, s."""
+    duration = float(f.edges[last] - f.edges[first])
+    margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
+    return duration, margin if first > 0 else 0.0, margin if last < len(f.edges) - 1 else 0.0
+
+
+def _least_seconds(reduction: Reduction, found: list[list[Span]]) -> float:
+    """How long a rest must be between its margins. A recording whose rests are nearly all short was made so: they are
+    taken as far as their noise is known then."""
+    stretches = [_with_margins(f, i, j) for f, each in zip(reduction.files, found, strict=True) for i, j in each]
+    lengths = np.array([duration - before - after for duration, before, after in stretches])
+    short = max(SHORT_REST_SECONDS, SHORT_REST_SAMPLES / reduction.rate)
+    many = int(((lengths >= short) & (lengths < MIN_REST_SECONDS)).sum())
+    long = int((lengths >= MIN_REST_SECONDS).sum())
+    return short if many >= FEWEST_SHORT and many > 2 * long else MIN_REST_SECONDS
 
 
 def _rejected(

@@ -56,7 +56,7 @@ class Registry:
     @contextmanager
     def _transaction(self, options: Mapping[str, Any]) -> Iterator[Connection]:
         with (
-            _in_one_line(self.name),
+            in_one_line(self.name),
             self.engine.connect() as connection,
             connection.execution_options(**options).begin(),
         ):
@@ -89,14 +89,18 @@ def _connected(place: str | None, create: bool) -> Registry:
 
     url = _url(place)
     file = Path(url.database or "") if _is_file(url) else None
+    new = file if file is not None and not file.exists() else None
     name = str(file) if file else url.render_as_string(hide_password=True)
     if file is not None:
         _prepare(file, create, default=place is None)
     registry = Registry(name=name, engine=_engine(url, name))
     try:
-        bring_up_to_date(registry, create)
+        with in_one_line(name):
+            bring_up_to_date(registry, create)
     except BaseException:
         registry.engine.dispose()
+        if new is not None and new.is_file() and new.stat().st_size == 0:
+            new.unlink()
         raise
     return registry
 
@@ -188,14 +192,16 @@ def _begin_postgresql(connection: Connection) -> None:
 
 
 @contextmanager
-def _in_one_line(name: str) -> Iterator[None]:
-    """Errors of the database as InputError."""
+def in_one_line(name: str) -> Iterator[None]:
+    """Errors of the database as InputError, those of SQLite's own module too."""
+    import sqlite3
+
     from sqlalchemy.exc import DBAPIError
 
     try:
         yield
-    except DBAPIError as error:
-        said = " ".join(str(error.orig).split())
+    except (DBAPIError, sqlite3.Error) as error:
+        said = " ".join(str(getattr(error, "orig", error)).split())
         busy = "database is locked" in said or "lock timeout" in said
         advice = f"another writer has held it for {PATIENCE:.0f} s; try again" if busy else said
         raise InputError(f"{name}: the registry cannot be used: {advice}") from error

@@ -65,7 +65,7 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
     Raises InputError, one line, if the scenario is impossible or too long."""
     geometry, noise = rng.spawn(2)
     way = itinerary(scenario, geometry)
-    samples = way.rests[-1, 1] * scenario.profile.sample_rate
+    samples = float(way.rests[-1, 1]) * float(scenario.profile.sample_rate)
     if not samples <= _MAX_SAMPLES:
         raise InputError(f"session: expected at most {_MAX_SAMPLES:g} samples, found {samples:.3g}")
     time, accel, gyro = _readings(scenario, way.attitudes, way.moves, way.rests, noise)

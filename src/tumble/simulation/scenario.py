@@ -273,6 +273,9 @@ def _timetable(profile: Profile, moves: Array) -> Array:
 
 # -------------------- checks --------------------
 
+MOST_POSITIONS = 100_000
+"""By hand, of one session."""
+
 
 def _check(scenario: Scenario) -> None:
     """Raise InputError if a scenario is one nothing can be recorded of."""
@@ -293,6 +296,8 @@ def _check(scenario: Scenario) -> None:
     if isinstance(scenario.course, HandHeld):
         if scenario.course.positions < 1:
             raise InputError(f"positions: expected at least 1, found {scenario.course.positions}")
+        if scenario.course.positions > MOST_POSITIONS:
+            raise InputError(f"positions: expected at most {MOST_POSITIONS}, found {scenario.course.positions:.6g}")
     else:
         _expect("table error", scenario.course.table_error / DEGREE, "deg", zero=True)
         _expect("mounting error", scenario.course.mounting_error / DEGREE, "deg", zero=True)

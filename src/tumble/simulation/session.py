@@ -12,7 +12,7 @@ import numpy as np
 
 from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
-from tumble.files import FilePath, whole_file
+from tumble.files import FilePath, nothing_left, whole_file
 from tumble.planning.setup import Setup
 from tumble.programme.positions import BUILT_IN, Programme
 from tumble.recording.session import Session, session_of, write_session
@@ -90,16 +90,17 @@ def write_simulation(
     if (folder / "session.toml").exists():
         raise InputError(f"{folder}: expected a new folder, found a session in it; give another one")
     recording = record(scenario, rng)
+    truth = {name: scenario.truth[name] for name in scenario.names}
+    truth |= _truth_of(scenario.climate)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _write_log(folder / f"log.{log_format}", scenario, recording)
-        truth = {name: scenario.truth[name] for name in scenario.names}
-        truth |= _truth_of(scenario.climate)
-        with whole_file(folder / TRUTH_FILE) as temporary:
-            temporary.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+        with nothing_left(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            _write_log(folder / f"log.{log_format}", scenario, recording)
+            with whole_file(folder / TRUTH_FILE) as temporary:
+                temporary.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+            write_session(folder, _content(scenario, log_format))
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, found: {error.strerror or error}") from None
-    write_session(folder, _content(scenario, log_format))
     return folder
 
 

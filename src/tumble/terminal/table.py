@@ -21,15 +21,15 @@ class PlainTable(Table):
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The table, or the tables that it is set as."""
-        if _together(self.columns) <= options.max_width:
-            yield from super().__rich_console__(console, options)
-            return
-        narrow = [_narrow(column) for column in self.columns]
-        for number, columns in enumerate(_groups(narrow, options.max_width)):
+        fits = _together(self.columns) <= options.max_width
+        columns = self.columns if fits else [_narrow(column) for column in self.columns]
+        for number, group in enumerate(_groups(columns, options.max_width)):
             if number:
                 yield Text("")
-            part = Table(*(replace(column, _cells=[]) for column in columns), box=None, pad_edge=False)
-            for row in zip_longest(*(column.cells for column in columns), fillvalue=""):
+            widths = _widths(group, options.max_width)
+            sized = (replace(column, _cells=[], width=width) for column, width in zip(group, widths, strict=True))
+            part = Table(*sized, box=None, pad_edge=False)
+            for row in zip_longest(*(column.cells for column in group), fillvalue=""):
                 part.add_row(*row)
             yield part
 
@@ -62,6 +62,23 @@ def _together(columns: Sequence[Column]) -> int:
 def _width(column: Column) -> int:
     """Of its widest line; where it may be broken between words, of its widest word."""
     return max((cell_len(line) for cell in (column.header, *column.cells) for line in _lines(cell, column)), default=0)
+
+
+def _widths(columns: Sequence[Column], width: int) -> list[int]:
+    """Widths of columns side by side: none is narrower than its widest word, and what is left goes to where words would
+    have to be broken into lines."""
+    widths = [_width(column) for column in columns]
+    whole = [max(map(cell_len, _whole_lines(column)), default=0) for column in columns]
+    spare = width - _together(columns) + 2  # no blank at the edges
+    while spare > 0 and any(now < most for now, most in zip(widths, whole, strict=True)):
+        neediest = max(range(len(widths)), key=lambda i: whole[i] - widths[i])
+        widths[neediest] += 1
+        spare -= 1
+    return widths
+
+
+def _whole_lines(column: Column) -> Iterator[str]:
+    return (line for cell in (column.header, *column.cells) for line in str(cell).split("\n"))
 
 
 def _lines(cell: object, column: Column) -> Sequence[str]:

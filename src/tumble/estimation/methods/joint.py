@@ -144,7 +144,7 @@ def joint(
     most = (QUICK_LEFT_OUT if everything.settled else 0) if quick else MOST_LEFT_OUT
     fitting = _fitting(everything, most)
     shown = _with_posterior(fitting if robust else everything, problem)
-    return _estimate(shown, first + shown.increments, *_sigmas(fitting, everything.scatter))
+    return _estimate(shown, first + shown.increments, _sigmas(fitting, everything.scatter))
 
 
 # Which rests and turns count
@@ -754,10 +754,10 @@ def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tupl
     return fall, count
 
 
-def _sigmas(fitted: _Fitted, scatter: Scatter) -> tuple[Array, Array]:
-    """How far each rest (N,) and turn (K,) is from the fit, in sigmas: a rest by the worse of its blocks. Groups that
-    have a `scatter` when nothing is left out are judged by their own scale: that they have none without some of them
-    may be by choice of these."""
+def _sigmas(fitted: _Fitted, scatter: Scatter) -> tuple[Array, Array, Array]:
+    """How far each rest is from the fit by its accelerometers and by its gyros (N,), and each turn (K,), in sigmas.
+    Groups that have a `scatter` when nothing is left out are judged by their own scale: that they have none without
+    some of them may be by choice of these."""
     out, found = fitted.out, []
     judged = _judged(fitted, fitted.left, fitted.weights)
     scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
@@ -768,9 +768,9 @@ def _sigmas(fitted: _Fitted, scatter: Scatter) -> tuple[Array, Array]:
         k = np.maximum(count, 1)
         others = np.maximum(degrees - k * max(1, left_out.sum()), 1.0)  # what was chosen has taken the largest with it
         chance = special.fdtrc(k, others, fall / k) if scale > 0.0 else special.chdtrc(k, fall)
-        found.append(-special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
+        found.append(0.0 - special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
     accel, gyro, turn = found
-    return np.maximum(accel, gyro), turn
+    return accel, gyro, turn
 
 
 def _suspect(fitted: _Fitted) -> _Out | None:
@@ -808,7 +808,8 @@ def _fitting(everything: _Fitted, most: int) -> _Fitted:
         fitted = _again(everything.problem, fitted, suspect)
     if fitted is everything:
         return everything
-    rest, turn = _sigmas(fitted, everything.scatter)
+    by_accel, by_gyro, turn = _sigmas(fitted, everything.scatter)
+    rest = np.maximum(by_accel, by_gyro)
     confirmed = _Out(rest=fitted.out.rest & (rest > FIT_SIGMAS), turn=fitted.out.turn & (turn > FIT_SIGMAS))
     count = confirmed.rest.sum() + confirmed.turn.sum()
     if count == 0:
@@ -826,7 +827,8 @@ def _again(problem: Problem, fitted: _Fitted, out: _Out) -> _Fitted:
 # The estimate
 
 
-def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array, turn_sigmas: Array) -> Estimate:
+def _estimate(fitted: _Fitted, increments: tuple[Array, ...], sigmas: tuple[Array, Array, Array]) -> Estimate:
+    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas
     problem, instrument = fitted.problem, fitted.problem.instrument
     observations, linear = problem.observations, instrument.linear_count
     values, last = fitted.solved.point.values, fitted.solved.last
@@ -850,7 +852,8 @@ def _estimate(fitted: _Fitted, increments: tuple[Array, ...], rest_sigmas: Array
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
         rest_residual=np.linalg.norm(_force(fitted), axis=1) - observations.site.gravity,
-        rest_sigmas=rest_sigmas,
+        rest_sigmas=np.maximum(accel_sigmas, gyro_sigmas),
+        gyro_rest_sigmas=gyro_sigmas,
         turn_sigmas=turn_sigmas,
         increments=increments,
         fits=fitted.fits,

@@ -30,7 +30,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     ]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
     triads: dict[str, Sensors] = {}
-    if len(read) >= _FEWEST_ROWS:
+    if runs and len(read) >= _FEWEST_ROWS:
         quiet = _quiet(read[:, numbers])
         used: set[int] = set()
         for run in runs:

@@ -60,6 +60,7 @@ def _estimate(observations: Observations, accel: Accelerometers, residual: Array
         rest_residual=residual,
         rest_sigmas=rest_sigmas,
         turn_sigmas=turn_sigmas,
+        gyro_rest_sigmas=np.empty(0) if gyro is None else gyro.rest_sigmas,
         increments=increments,
         fits=fits,
         converged=converged,

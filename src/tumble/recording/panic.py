@@ -1,0 +1,46 @@
+"""What polars prints of itself where a file is damaged, kept off the terminal.
+
+Threads of polars that stop at a damaged Parquet file print where in its sources they did so, past Python, while the
+caller gets too few rows, or an error. One line of ours says it then.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from threading import Lock
+
+_ONE_AT_A_TIME = Lock()
+_STANDARD_ERROR = 2
+LAST_WORDS = 0.1
+"""How long other threads that stop at a damaged file may take to print so: s."""
+_MARK = b" panicked at "
+
+
+@contextmanager
+def without_panic() -> Iterator[None]:
+    """Whatever is written to standard error while the block runs appears after it, unless it tells of a panic."""
+    with _ONE_AT_A_TIME, ExitStack() as stack:
+        try:
+            held = stack.enter_context(tempfile.TemporaryFile())
+            kept = os.dup(_STANDARD_ERROR)
+        except OSError:  # standard error is closed, or there is no place for temporary files
+            yield
+            return
+        os.dup2(held.fileno(), _STANDARD_ERROR)
+        try:
+            yield
+        except BaseException:
+            time.sleep(LAST_WORDS)
+            raise
+        finally:
+            os.dup2(kept, _STANDARD_ERROR)
+            os.close(kept)
+            held.seek(0)
+            said = held.read()
+            if said and _MARK not in said:
+                with suppress(OSError):
+                    os.write(_STANDARD_ERROR, said)

@@ -1,0 +1,79 @@
+"""Files are written whole or not at all, and what fails is said of the file that was asked for."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from tumble.errors import LogError
+from tumble.files import nothing_left, whole_file
+from tumble.recording.readers import source_of
+
+
+def test_a_file_that_fails_leaves_the_one_that_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text("old")
+
+    def stopped() -> None:
+        with whole_file(path) as temporary:
+            temporary.write_text("half")
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left on device") as raised:
+        stopped()
+    assert raised.value.filename == str(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
+    assert path.read_text() == "old"
+
+
+def test_an_error_of_the_system_in_the_words_of_a_library_is_one_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "x.parquet"
+    said = "parquet: File out of specification: underlying IO error: No space left on device (os error 28)"
+    with pytest.raises(OSError, match="No space left") as raised, whole_file(path):
+        raise pl.exceptions.ComputeError(said)
+    assert (raised.value.errno, raised.value.filename) == (errno.ENOSPC, str(path))
+
+
+def test_errors_of_other_files_and_of_other_kinds_stay(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as raised, whole_file(tmp_path / "x.csv"):
+        (tmp_path / "input.csv").read_text()
+    assert raised.value.filename == str(tmp_path / "input.csv")
+    with pytest.raises(ValueError, match="other"), whole_file(tmp_path / "x.csv"):
+        raise ValueError("other")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_named_by_the_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as raised, whole_file(tmp_path / "no" / "x.csv"):
+        pass
+    assert raised.value.filename == str(tmp_path / "no" / "x.csv")
+
+
+def test_nothing_is_left_of_a_folder_that_fails(tmp_path: Path) -> None:
+
+    def stopped() -> None:
+        with nothing_left(tmp_path / "a" / "b"):
+            (tmp_path / "a" / "b").mkdir(parents=True)
+            (tmp_path / "a" / "b" / "file").write_text("")
+            raise ValueError("stop")
+
+    with pytest.raises(ValueError, match="stop"):
+        stopped()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_panics_at_a_damaged_parquet_file_stay_off_the_terminal(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "log.parquet"
+    columns = {name: [float(i) for i in range(2000)] for name in ("t", "ax", "ay", "az")}
+    pl.DataFrame(columns).write_parquet(path, compression="uncompressed", statistics=False)
+    content = path.read_bytes()
+    path.write_bytes(content[:500] + content[30_500:])  # rows are gone that the end of the file tells of
+    with pytest.raises(LogError) as raised:
+        list(source_of(path).tables(["t", "ax"]))
+    assert "\n" not in str(raised.value)
+    assert capfd.readouterr().err == ""
