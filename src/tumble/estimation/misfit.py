@@ -39,6 +39,9 @@ MANY = 30.0
 NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5}
 """m/s², rad/s, rad: scatter that no use of an inertial unit would notice, however small the noise of the log."""
 
+LOST_PROBABILITY = 0.05
+"""With less, turns that scatter by themselves lack samples sooner than that the device moved."""
+
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
 
@@ -130,14 +133,12 @@ def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concern
     makes turns scatter and not, or much less, the gyros at rest is random itself, so that nothing systematic need fit
     well: it comes first."""
     likely = [c for c in found if c.concerns in {*concerned, "both"}]
-    random = [cause for cause in likely if cause.name == "lost samples"] if "turn" in ratios else []
-    if random and random[0].probability > 0.05:
-        random.insert(0, _movement())
-    elif random:
-        random.append(_movement())
-    others = [c for c in likely if c.probability < NAMED_PROBABILITY and c not in random]
-    at_rest = TURNS_MORE * ratios.get("gyro", 0.0) >= ratios.get("turn", 0.0)
-    return others + random if "gyro" in ratios and at_rest else random + others
+    standing = [c for c in likely if c.probability < NAMED_PROBABILITY]
+    if ratios.get("turn", 0.0) <= TURNS_MORE * ratios.get("gyro", 0.0):
+        return standing
+    lost = [c for c in likely if c.name == "lost samples"]
+    random = [_movement(), *lost] if lost and lost[0].probability > LOST_PROBABILITY else [*lost, _movement()]
+    return random + [c for c in standing if c not in lost]
 
 
 def group_chances(linearised: Linearised) -> list[float]:
