@@ -9,7 +9,6 @@ import json
 import math
 import os
 import stat
-import tempfile
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -511,10 +510,13 @@ def test_a_folder_that_is_a_file_is_said_in_one_line(session: Path, tmp_path: Pa
 def test_a_folder_that_may_not_be_written_is_said_in_one_line(
     session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def forbidden(*_: object, **__: object) -> None:
-        raise PermissionError(errno.EACCES, "Permission denied")
+    def forbidden(path: str, flags: int, mode: int = 0o777) -> int:
+        if flags & os.O_EXCL:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(path, flags, mode)
 
-    monkeypatch.setattr(tempfile, "mkstemp", forbidden)
+    opened = os.open
+    monkeypatch.setattr(os, "open", forbidden)
     result = command(session, "--out", tmp_path / "out.json")
     assert result.exit_code == 2
     assert (
