@@ -25,8 +25,10 @@ from functools import cached_property
 import numpy as np
 
 from tumble.reduction.array_motion import ArrayMoments
+from tumble.rotation import skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import PAIRS
 from tumble.units import G_STANDARD, Array, IntArray
 
 ROUNDS = 15
@@ -42,10 +44,9 @@ LEVER_FLOOR, DELAY_FLOOR = 5e-5, 5e-5  # m, s
 """No lever arm and no delay is taken to be better known: the delay is of first order, real filters are no pure delays,
 and forces change between the instants at which the sensors of a real array are read."""
 OUT_OF_RANGE = 1e-12
-_PAIRS = tuple(zip(*(i.tolist() for i in np.triu_indices(3)), strict=True))
-_PAIR = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-_CROSS = np.zeros((3, 3, 3))
-_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], _CROSS[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = 1.0, -1.0
+_FIRST, _SECOND = np.array(PAIRS).T
+_PAIR = np.zeros((3, 3), dtype=np.int64)
+_PAIR[_FIRST, _SECOND] = _PAIR[_SECOND, _FIRST] = np.arange(len(PAIRS))
 
 
 def _squares() -> Array:
@@ -60,7 +61,7 @@ def _squares() -> Array:
 def _by_rate_error() -> Array:
     """∂(ω_i ω_j)/∂E_kl (3, 3, 6, 6) as combinations of the products."""
     out = np.zeros((3, 3, 6, 6))
-    for m, (i, j) in enumerate(_PAIRS):
+    for m, (i, j) in enumerate(PAIRS):
         for k in range(3):
             out[i, k, m, _PAIR[j, k]] += 1.0
             out[j, k, m, _PAIR[i, k]] += 1.0
@@ -89,9 +90,10 @@ class ArrayLevers:
         if delay is not None:
             here[count], by[count, delay] = values[delay][0], 1.0
         own, to_rate = instrument.own(gyro), np.linalg.pinv(gyro.axes)
-        right = np.eye(3) + _rate_error(instrument, values)
+        error = _rate_error(instrument, values)
+        right = np.eye(3) + error
         of_matrix = np.einsum("ik,kp,pbm,bj->ijm", right, to_rate, gyro.jacobian(values[own])[:, :3], right)
-        here[count + 1 :], by[count + 1 :, own] = _rate_error(instrument, values).ravel(), -of_matrix.reshape(9, -1)
+        here[count + 1 :], by[count + 1 :, own] = error.ravel(), -of_matrix.reshape(9, -1)
         return np.column_stack([self.root @ by, self.excess - self.root @ (here - self.about)])
 
 
@@ -177,10 +179,10 @@ def _linear(moments: ArrayMoments, K: Array, at: _Place) -> _LinearRows:
     turning[:, where["turning"]] = np.eye(3)
     own = np.zeros((len(K), len(OWN) + 3, width))
     own[:, 0, where["one"]], own[:, 1:4] = 1.0, seen[:3]
-    own[:, 4, where["forces"]] = [[(1.0 if i == j else 2.0) * k[i] * k[j] for i, j in _PAIRS] for k in K]
+    own[:, 4, where["forces"]] = np.where(_FIRST == _SECOND, 1.0, 2.0) * K[:, _FIRST] * K[:, _SECOND]
     own[:, 5, where["jerk"]] = -K
     own[:, 6:, where["products"]], own[:, 6:, where["change"]] = squares @ turned, -at.delay * squares
-    own[:, 6:] += np.einsum("pi,ikj,kc->pjc", K, _CROSS, seen[3:] if placed else turning)
+    own[:, 6:] += np.einsum("pi,kij,kc->pjc", K, skew(np.eye(3)), seen[3:] if placed else turning)
     common = np.zeros((COMMON, len(K), width))
     common[0][:, where["change"]] = -whirl
     common[1:, :, where["products"]] = np.einsum("pm,eml->epl", whirl, _BY_RATE_ERROR.reshape(9, 6, 6))

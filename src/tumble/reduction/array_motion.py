@@ -24,6 +24,7 @@ import numpy as np
 
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.sensors.model import Block, beyond_body
+from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, BoolArray
 
 FEWEST = 7
@@ -39,7 +40,7 @@ UNEVEN = 0.1
 """Intervals that differ by more than this part from the usual one have no derivatives."""
 DISAGREE = 0.1
 """Gyros that differ by more than this part of the rate from what they have in common: one is clipped, or late."""
-_FIRST, _SECOND = np.triu_indices(3)
+_FIRST, _SECOND = np.array(PAIRS).T
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -111,8 +112,8 @@ def _in_motion(samples: MotionSamples, parts: list[tuple[int, int]], accel: Bloc
 
 def _functions(samples: MotionSamples, start: int, stop: int, accel: Block, at_rest: Array) -> Array:
     """x (m, c) of the samples that move, can be used, and have one before and after that can."""
-    rates, forces, intervals = samples.read(start, stop)
-    spare, rates = samples.spare(start, stop), rates - at_rest
+    rates, forces, intervals, spare = samples.read_with_spare(start, stop)
+    rates = rates - at_rest
     products = rates[:, _FIRST] * rates[:, _SECOND]
     span = (0.5 * intervals[:-2] + intervals[1:-1] + 0.5 * intervals[2:])[:, None]
     readings = forces @ accel.axes.T + spare[:, : accel.size - 3] @ beyond_body(accel.axes)

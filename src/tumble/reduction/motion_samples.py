@@ -54,16 +54,13 @@ class MotionSamples:
 
     def read(self, start: int, stop: int) -> tuple[Array, Array, Array]:
         """Rates (m, 3), forces (m, 3) and intervals (m,) of samples start … stop − 1."""
-        rows = self._rows(start, stop)
-        return rows[:, :3], rows[:, 3:6], rows[:, 6]
+        return self.read_with_spare(start, stop)[:3]
 
-    def spare(self, start: int, stop: int) -> Array:
-        """What is spare (m, ·) of these samples."""
-        return self._rows(start, stop)[:, 7:]
-
-    def _rows(self, start: int, stop: int) -> Array:
+    def read_with_spare(self, start: int, stop: int) -> tuple[Array, Array, Array, Array]:
+        """The same, and what is spare (m, ·)."""
         with self._lock:
-            return self._in_memory(start, stop) if self._file is None else self._in_file(self._file, start, stop)
+            rows = self._in_memory(start, stop) if self._file is None else self._in_file(self._file, start, stop)
+        return rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7:]
 
     def _in_memory(self, start: int, stop: int) -> Array:
         first, last = bisect_right(self._starts, start) - 1, bisect_left(self._starts, stop)
