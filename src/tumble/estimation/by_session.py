@@ -12,8 +12,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from tumble.estimation.elimination import eliminate
-from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows, SessionSpan, whitened_rows
+from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows, SessionSpan, eliminated, whitened_rows
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.moments import Moments
 from tumble.reduction.together import apart
@@ -40,14 +39,11 @@ def each_session(linearised: Linearised) -> Iterator[Linearised]:
 def _triangles(linearised: Linearised) -> Iterator[Array]:
     """What each session says of gravity and the common parameters, (1 + m + 1, 1 + m + 1)."""
     problem, rows = linearised.problem, linearised.rows
-    rest, merged = whitened_rows(problem, rows, linearised.noise.weights(linearised.scatter))
-    q, p = len(problem.own_known), len(rows.prior) - 1
+    whitened = whitened_rows(problem, rows, linearised.noise.weights(linearised.scatter))
+    q, nothing = len(problem.own_known), np.zeros_like(rows.prior)
     for part, residual in zip(problem.parts, rows.own, strict=True):
-        wide = np.zeros((q + p + 1, q + p + 1))
-        wide[np.arange(q), np.arange(q)], wide[:q, -1] = 1.0 / problem.own_known, residual
-        factor = np.empty((len(part.link), 3, 7 + q + p))
-        eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor, wide)
-        yield wide[q:, q:].copy()
+        factor = np.empty((len(part.link), 3, 6 + q + len(nothing)))
+        yield eliminated(problem, part, residual, whitened, factor, nothing)[q:, q:].copy()
 
 
 def _problem(problem: Problem, part: SessionSpan) -> Problem:

@@ -722,10 +722,7 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
     N, p, q = len(rest), len(rows.prior) - 1, len(problem.own_known)
     factor, triangle, heads = np.empty((N, 3, 7 + q + p)), rows.prior, []
     for part, residual in zip(problem.parts, rows.own, strict=True):
-        wide = np.zeros((q + p + 1, q + p + 1))
-        wide[np.arange(q), np.arange(q)], wide[:q, -1] = 1.0 / problem.own_known, residual
-        wide[q:, q:] = triangle
-        eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor[part.rests], wide)
+        wide = eliminated(problem, part, residual, (rest, merged), factor[part.rests], triangle)
         heads.append(wide[:q].copy())
         triangle = wide[q:, q:]
     parameters, covariance = _solved(triangle)
@@ -746,6 +743,25 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
         whitened=(rest, merged),
         shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
     )
+
+
+def eliminated(
+    problem: Problem,
+    part: SessionSpan,
+    residual: Array,
+    whitened: tuple[Array, Array],
+    factor: Array,
+    triangle: Array,
+) -> Array:
+    """What a session, the attitudes eliminated, and a triangle (1 + p, 1 + p) say of what it has of its own, with the
+    `residual` (q,) of its prior, and of gravity and the common parameters: (q + 1 + p, q + 1 + p), a triangle. The
+    rows of the attitudes go into `factor` (N, 3, ·)."""
+    q, (rest, merged) = len(problem.own_known), whitened
+    wide = np.zeros((q + len(triangle), q + len(triangle)))
+    wide[np.arange(q), np.arange(q)], wide[:q, -1] = 1.0 / problem.own_known, residual
+    wide[q:, q:] = triangle
+    eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor, wide)
+    return wide
 
 
 def whitened_rows(problem: Problem, rows: Rows, weight: Weights) -> tuple[Array, Array]:
