@@ -26,9 +26,9 @@ from tumble.planning.bounds import Course, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
 from tumble.reduction.observations import Observations, Together, Turns
-from tumble.reduction.segmentation import MARGIN_FRACTION, MARGIN_SECONDS
+from tumble.reduction.segmentation import margin_of
 from tumble.reduction.thermometer import Thermometer
-from tumble.reduction.together import HELD, MOST_PARTS, SHORTEST_PART, WARMED
+from tumble.reduction.together import MOST_PARTS, SHORTEST_PART, WARMED, held
 from tumble.units import Array
 
 TYPICAL = 0.5
@@ -80,9 +80,9 @@ def problem_of(
     bare = replace(instrument_of(setup, gyros), further=())
     observations = _warmed(observed(course, setup, bare)[0], setup, sessions, recorded)
     instrument, own = instruments_of(observations)
-    still = np.where(course.seconds > NO_TIME, 0.5 * setup.ramp + _margin(setup), 0.0)
+    still = np.where(course.seconds > NO_TIME, 0.5 * setup.ramp + margin_of(setup.rest), 0.0)
     fresh, about = observed(course, setup, instrument, still)
-    observations = replace(observations, turns=_held(fresh.turns, course))
+    observations = held(replace(observations, turns=_without_time(fresh.turns, course)))
     problem = Problem.of(observations, instrument=instrument, own=own, usual=setup.further)
     values, of_each = np.zeros(len(instrument.names)), np.zeros((len(problem.parts), len(problem.own_known)))
     if problem.lag is not None:
@@ -93,7 +93,7 @@ def problem_of(
 
 def _recorded(session: ChamberSession, course: Course, setup: Setup, *, parts: bool) -> _Recorded:
     """A session with its rests as a log has them, cut off at both ends, in `parts` where several are one estimate."""
-    start, margin = _starts(course, setup), _margin(setup)
+    start, margin = _starts(course, setup), margin_of(setup.rest)
     time, kelvin = session.course(float(start[-1]) + setup.rest)
     begin, end = start + margin, start + setup.rest - margin
     change = np.abs(np.interp(end, time, kelvin) - np.interp(begin, time, kelvin))
@@ -136,11 +136,6 @@ def _starts(course: Course, setup: Setup) -> Array:
     return np.asarray(setup.rest * np.arange(len(moved)) + np.cumsum(moved))
 
 
-def _margin(setup: Setup) -> float:
-    """What of a rest the segmentation takes off at each end, s."""
-    return float(np.clip(MARGIN_FRACTION * setup.rest, *MARGIN_SECONDS))
-
-
 def _warmed(
     observations: Observations, setup: Setup, sessions: Sequence[ChamberSession], recorded: Sequence[_Recorded]
 ) -> Observations:
@@ -173,13 +168,11 @@ def _warmed(
     )
 
 
-def _held(turns: Turns | None, course: Course) -> Turns | None:
-    """The turns with those between the parts of a rest as what they are: of no duration, and known to HELD."""
+def _without_time(turns: Turns | None, course: Course) -> Turns | None:
+    """The turns with those between the parts of a rest as what they are: of no duration."""
     if turns is None:
         return None
-    held = course.seconds <= NO_TIME
-    covariance = np.where(held[:, None, None], HELD**2 * np.eye(3), turns.covariance)
-    return replace(turns, duration=np.where(held, 0.0, turns.duration), covariance=covariance)
+    return replace(turns, duration=np.where(course.seconds > NO_TIME, turns.duration, 0.0))
 
 
 def _with_lag(problem: Problem, rows: Rows) -> Rows:

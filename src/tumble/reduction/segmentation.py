@@ -300,10 +300,15 @@ def _assemble(
     )
 
 
+def margin_of(duration: float) -> float:
+    """What is taken off at each end of a stretch that lasts so long, s, where it borders on movement."""
+    return float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
+
+
 def _with_margins(f: FileBlocks, first: int, last: int) -> tuple[float, float, float]:
     """How long a stretch is, and what is taken off at its beginning and end, s."""
     duration = float(f.edges[last] - f.edges[first])
-    margin = float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
+    margin = margin_of(duration)
     return duration, margin if first > 0 else 0.0, margin if last < len(f.edges) - 1 else 0.0
 
 
