@@ -193,12 +193,18 @@ def of_common_gravity(moved: float) -> tuple[Calibration, Calibration]:
     one = calibration()
     scales = [p.name.startswith("accel.scale") for p in one.parameters]
     change = np.where(scales, -(1.0 + np.array([p.value for p in one.parameters])) * 20e-6, 0.0)
-    own = np.where(scales, 1.2e-6, np.array([p.u for p in one.parameters], dtype=float))
+    return of_common(replace(one, site=site), change, "accel.scale.x", moved)
+
+
+def of_common(one: Calibration, change: np.ndarray, name: str, moved: float) -> tuple[Calibration, Calibration]:
+    """A calibration with an error that changes its parameters by `change`, 1.2 ppm of their own in those that it
+    changes, and the same with one parameter moved."""
+    own = np.where(change != 0.0, 1.2e-6, np.array([p.u for p in one.parameters], dtype=float))
     covariance = np.diag(own**2) + np.outer(change, change)
     u = np.sqrt(np.diag(covariance)).tolist()
     parameters = tuple(replace(p, u=each) for p, each in zip(one.parameters, u, strict=True))
-    first = replace(one, parameters=parameters, covariance=covariance, site=site)
-    other = tuple(replace(p, value=p.value + moved) if p.name == "accel.scale.x" else p for p in parameters)
+    first = replace(one, parameters=parameters, covariance=covariance)
+    other = tuple(replace(p, value=p.value + moved) if p.name == name else p for p in parameters)
     return first, replace(first, parameters=other)
 
 
@@ -217,13 +223,7 @@ def of_common_time_base(moved: float) -> tuple[Calibration, Calibration]:
     """The same of the gyros, whose time base is known to 20 ppm."""
     one = calibration()
     change = np.where([p.name.startswith("gyro.scale") for p in one.parameters], 20e-6, 0.0)
-    own = np.where(change > 0.0, 1.2e-6, np.array([p.u for p in one.parameters], dtype=float))
-    covariance = np.diag(own**2) + np.outer(change, change)
-    u = np.sqrt(np.diag(covariance)).tolist()
-    parameters = tuple(replace(p, u=each) for p, each in zip(one.parameters, u, strict=True))
-    first = replace(one, parameters=parameters, covariance=covariance, clock_u=20e-6)
-    other = tuple(replace(p, value=p.value + moved) if p.name == "gyro.scale.y" else p for p in parameters)
-    return first, replace(first, parameters=other)
+    return of_common(replace(one, clock_u=20e-6), change, "gyro.scale.y", moved)
 
 
 def test_a_common_error_of_the_time_base_hides_no_step_of_a_scale_factor() -> None:
