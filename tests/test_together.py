@@ -60,7 +60,9 @@ def ramp(*celsius: float, lag: float = 0.0) -> Climate:
     """Temperatures that are passed through at a constant rate."""
     kelvin = np.array(celsius) + ZERO_CELSIUS
     span = 0.5 * (kelvin.min() + kelvin.max()), max(0.5 * float(np.ptp(kelvin)), 1.0)
-    return Climate(time=np.linspace(0.0, LONG, len(kelvin)), kelvin=kelvin, reference=REFERENCE, lag=lag, span=span)
+    return Climate(
+        time=np.linspace(0.0, LONG, len(kelvin)), kelvin=kelvin[:, None], reference=REFERENCE, lag=lag, span=span
+    )
 
 
 def together(scenario: Scenario, climates: list[Climate], seed: int = 2) -> Observations:

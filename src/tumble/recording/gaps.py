@@ -103,7 +103,7 @@ def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogRows:
     """Rows of a file in order: their numbers (m,), times (m,), s, and the numbers of accelerometers (m, na), gyros
-    (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them. `unread`: what was found in rows of which
+    (m, ng), magnetometer (m, 3) and temperatures (m, T) as the file has them. `unread`: what was found in rows of which
     something could not be read, by the number of the row."""
 
     numbers: IntArray
@@ -148,7 +148,7 @@ def rows_of(source: LogSource, spec: LogSpec, file: int, grid: Grid | None, gaps
     groups = [spec.accel.columns]
     groups += [spec.gyro.columns] if spec.gyro else []
     groups += [spec.magnetometer.columns] if spec.magnetometer else []
-    groups += [(spec.temperature.column,)] if spec.temperature else []
+    groups += [spec.temperature.columns] if spec.temperature else []
     sieve = _Sieve(source=source, spec=spec, file=file, grid=grid, gaps=gaps)
     first = 1
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):

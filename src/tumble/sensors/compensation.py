@@ -55,7 +55,7 @@ def _solved(
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
     biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about a reference,
-    °C, where there is one; the sensors follow the thermometer with the time constant `lag`, s. Lever arms (n, 3), m,
+    °C, where there is one; the sensors follow their thermometers with the time constant `lag`, s. Lever arms (n, 3), m,
     need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
 
     accel: Block
@@ -113,6 +113,12 @@ class Compensator:
         """Whether anything changes with temperature."""
         return bool(self.slopes or self.curvatures)
 
+    @property
+    def several_thermometers(self) -> bool:
+        """Whether not all sensors have the same thermometer."""
+        blocks = (self.accel, self.gyro)
+        return len({int(t) for block in blocks if block is not None for t in block.thermometer}) > 1
+
     def model(self, kind: str) -> SensorModel:
         """Matrix and bias of a kind of sensors, without what is beyond them."""
         block, K = (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
@@ -129,12 +135,12 @@ class Compensator:
         return np.asarray(readings - np.einsum("npk,pk->np", added, self.accel_coefficients[:, FORCE]))
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
-        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C, of the sensors."""
+        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N, n) or (N, 1), °C, of the sensors."""
         change = self._change(self.accel, self.accel_coefficients, temperature)
         return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)), change)
 
     def rate(self, readings: Array, force: Array, temperature: Array | None = None) -> Array:
-        """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures (N,), °C."""
+        """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures likewise."""
         assert self.gyro is not None
         change = self._change(self.gyro, self.gyro_coefficients, temperature)
         return _solved(self.gyro, self.gyro_coefficients, RATE, readings, force, change)
@@ -143,7 +149,7 @@ class Compensator:
         """Changes (N, n) of the biases from the reference temperature, and factors (N, n) of the sensitivities."""
         if temperature is None or self.reference is None or not self.warm:
             return None
-        warmer = (temperature - self.reference)[:, None]
+        warmer = temperature - self.reference
         bias, scale = (
             sum(
                 (by.get(f"{block.kind}.{what}", 0.0) * warmer**power)

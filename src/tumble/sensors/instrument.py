@@ -73,6 +73,15 @@ class Instrument:
         further = tuple(group.unit for group in self.further for _ in group.names(self.block(group)))
         return self.accel.units + (self.gyro.units if self.gyro is not None else ()) + further
 
+    @cached_property
+    def thermometers(self) -> IntArray:
+        """The number of the thermometer (m,) that each parameter goes with, where it is the change of another with
+        temperature."""
+        out = np.zeros(len(self.names), dtype=np.int64)
+        for group in self.further:
+            out[self.members[group.name]] = group.thermometers(self.block(group))
+        return out
+
     def block(self, group: ParameterGroup) -> Block:
         """The sensors that have a group."""
         found = self.accel if group.kind == "accel" else self.gyro

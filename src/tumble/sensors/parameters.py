@@ -78,6 +78,11 @@ class ParameterGroup:
         stem, ending = (self.name, "") if self.base is None else (self.base, f".{_ENDINGS[self.variable]}")
         return tuple(f"{stem}.{suffix}{ending}" if suffix else f"{stem}{ending}" for suffix in self.suffixes(block))
 
+    def thermometers(self, block: Block) -> tuple[int, ...]:
+        """The numbers of the thermometers of the sensors that its parameters are of."""
+        of = dict(zip(block.sensors, block.thermometer[block.channels].tolist(), strict=True))
+        return tuple(of.get(s[:1] if block.triad else s.partition(".")[0], 0) for s in self.suffixes(block))
+
 
 _ENDINGS: dict[Variable | None, str] = {
     "time": "drift",
