@@ -285,7 +285,7 @@ def test_the_unit_of_a_thermometer_is_found_or_asked_for(
     thermometer = session.log.temperature
     assert (thermometer is None) == (found is None)
     if thermometer is not None:
-        assert {"columns": [thermometer.column], "unit": thermometer.unit_name} == found
+        assert {"columns": list(thermometer.columns), "unit": thermometer.unit_name} == found
     assert said in printed
 
 

@@ -534,7 +534,7 @@ def test_units_of_a_log_become_si(tmp_path: Path) -> None:
     np.testing.assert_allclose(samples["accel"][199], expected, rtol=1e-15)
     rate = np.array(row[4:7]) / 0.01 * math.pi / 180
     np.testing.assert_allclose(samples["gyro"][199], rate, rtol=1e-12)
-    assert samples["temperature"][199] == row[7] + 273.15
+    assert samples["temperature"][199, 0] == row[7] + 273.15
 
 
 @pytest.mark.parametrize(
@@ -579,7 +579,7 @@ def check_ramp(samples: dict[str, Array], rows: int = ROWS) -> None:
         np.testing.assert_allclose(samples["accel"][:, j], RAMP[name][0] + RAMP[name][1] * k, rtol=0, atol=1e-6)
     for j, name in enumerate(("gx", "gy", "gz")):
         np.testing.assert_allclose(samples["gyro"][:, j], RAMP[name][0] + RAMP[name][1] * k, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(samples["temperature"], 298.15 + 0.01 * k, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(samples["temperature"][:, 0], 298.15 + 0.01 * k, rtol=0, atol=1e-6)
 
 
 def test_not_finite_numbers_are_bridged_and_reported(tmp_path: Path) -> None:
