@@ -411,7 +411,7 @@ def test_the_command_writes_the_calibration(made: tuple[Scenario, list[Session],
             readings = np.concatenate([getattr(chunk, stem) for chunk in whole])
             columns |= {f"{stem[0]}{x}": column for x, column in zip("xyz", readings.T, strict=True)}
         kelvin = np.concatenate([chunk.temperature for chunk in whole if chunk.temperature is not None])
-        pl.DataFrame(columns | {"T": kelvin - ZERO_CELSIUS}).write_parquet(tmp_path / name / "log.parquet")
+        pl.DataFrame(columns | {"T": kelvin[:, 0] - ZERO_CELSIUS}).write_parquet(tmp_path / name / "log.parquet")
         content = described(CUBE)
         write_session(tmp_path / name, content | {"log": {"file": "log.parquet"} | content["log"]})
     folders, out = [str(tmp_path / "cold"), str(tmp_path / "hot")], tmp_path / "out.json"

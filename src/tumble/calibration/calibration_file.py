@@ -245,7 +245,8 @@ class Calibration:
         content: dict[str, Any] = {"reference": self.reference_temperature, "range": self.temperature_range}
         if self.thermometers:
             content["thermometers"] = {kind: list(of) for kind, of in self.thermometers.items()}
-        return content | {"lag": p.value for p in self.parameters if p.name == "temperature.lag"}
+        lag = [p.value for p in self.parameters if p.name == "temperature.lag"]
+        return content | ({"lag": lag[0]} if lag else {})
 
     def _with_further(self, kind: str, content: dict[str, Any] | None) -> dict[str, Any] | None:
         """The model of a kind of sensor, and beside it the values of the groups beyond it."""

@@ -48,6 +48,7 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
 
     losses = (
         *found.losses(offsets),
+        *found.shared(["accel", "gyro"]),
         *found.held.losses,
         *([ESTIMATED_ANEW] if "gyro" in found.slopes else []),
         *whose(calibration, imu),

@@ -45,6 +45,8 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None, im
 
     losses = (
         *found.losses(offsets),
+        *found.shared(["accel"]),
+        *found.shared(["gyro"]),
         _in_steps(found),
         *held.losses,
         *too_small(held),

@@ -9,17 +9,28 @@ the ends of what was measured. Scale factors have one value each, that at the re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import Range, changing, coefficients, measured_range, model_at
+from tumble.calibration.results import RestResult
+from tumble.calibration.temperature_curves import (
+    Range,
+    changing,
+    coefficients,
+    measured_range,
+    model_at,
+    warm_rests,
+)
 from tumble.errors import InputError
 from tumble.export.autopilot import Diagonal, diagonal
 from tumble.export.exported import example, shown, worst
 from tumble.export.larger_model import session_rate
+from tumble.sensors.model import SensorKind
 from tumble.units import DEGREE, G_STANDARD, Array
 
 HELD = ("accel.bias.t1", "accel.bias.t2", "gyro.bias.t1", "gyro.bias.t2")
@@ -43,6 +54,19 @@ class Thermal:
     reference: float
     measured: Range
     slopes: dict[str, Array]
+
+    def shared(self, kinds: Sequence[SensorKind]) -> list[str]:
+        """What is lost because these kinds of sensors have one temperature in the target."""
+        names = dict.fromkeys(chain(*(self.calibration.thermometers.get(kind, ()) for kind in kinds)))
+        if len(names) < 2:
+            return []
+        apart = max(map(partial(_apart, kinds=kinds), warm_rests(self.calibration)), default=0.0)
+        steepest = dict(zip(("accel", "gyro"), self.steepest(), strict=True))
+        sizes = [_in_field_units(kind, apart * steepest[kind]) for kind in kinds if kind in self.slopes]
+        return [
+            f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests they "
+            f"differ by up to {apart:.1f} K, an error of up to {' and '.join(sizes)}"
+        ]
 
     def losses(self, offsets: Offsets) -> tuple[str, ...]:
         """What is lost over temperature, and how much of it within the measured range; `offsets` are the target's."""
@@ -150,10 +174,32 @@ def warm_end(measured: Range) -> float:
     return math.floor(10.0 * measured.high) / 10.0
 
 
+def own_thermometers(calibration: Calibration) -> list[str]:
+    """Which thermometer the temperature of each sensor is that of, where there are several."""
+    if len(set(chain(*calibration.thermometers.values()))) < 2:
+        return []
+    each = (
+        f"{kind} that of {own[0]}" if len(set(own)) == 1 else f"{kind} those of {', '.join(own)}, one a sensor"
+        for kind, own in calibration.thermometers.items()
+    )
+    return [f"the temperature of each sensor is that of its own thermometer: of {'; of '.join(each)}"]
+
+
+def _apart(rest: RestResult, kinds: Sequence[SensorKind]) -> float:
+    """By how much the temperatures of sensors of these kinds differ at a rest, K."""
+    own = [getattr(rest, kind) for kind in kinds]
+    celsius = [t for sensors in own if sensors is not None for t in sensors.temperature]
+    return max(celsius) - min(celsius) if celsius else 0.0
+
+
 def said(accel: float, gyro: float | None) -> str:
     """Errors of accelerometers, m/s², and gyros, rad/s, in mg and deg/s, rounded up."""
-    in_mg = f"{_at_most(accel / (1e-3 * G_STANDARD))} mg"
-    return in_mg if gyro is None else f"{in_mg} and {_at_most(gyro / DEGREE)} deg/s"
+    in_mg = _in_field_units("accel", accel)
+    return in_mg if gyro is None else f"{in_mg} and {_in_field_units('gyro', gyro)}"
+
+
+def _in_field_units(kind: SensorKind, error: float) -> str:
+    return f"{_at_most(error / (1e-3 * G_STANDARD))} mg" if kind == "accel" else f"{_at_most(error / DEGREE)} deg/s"
 
 
 def _at_most(value: float) -> str:

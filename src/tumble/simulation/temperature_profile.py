@@ -136,6 +136,7 @@ def truth_at(truth: Mapping[str, float], celsius: float | None) -> dict[str, flo
 
 
 def thermometer_columns(climate: Climate, time: Array) -> dict[str, Array]:
-    """Readings (N,), °C, of the thermometers at times (N,), s: T, or T0, T1 … where there are several."""
+    """Readings (N,), °C, of the thermometers at times (N,), s: T; T_accel and T_gyro; or T0, T1, … of the sensors."""
     celsius = climate.thermometers(time).T - ZERO_CELSIUS
-    return dict(zip(["T"] if len(celsius) == 1 else [f"T{t}" for t in range(len(celsius))], celsius, strict=True))
+    names = {1: ["T"], 2: ["T_accel", "T_gyro"]}.get(len(celsius), [f"T{t}" for t in range(len(celsius))])
+    return dict(zip(names, celsius, strict=True))
