@@ -28,6 +28,7 @@ import polars as pl
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.correction import at_one_point, corrected, true_force, true_rate
 from tumble.calibration.observed import inspect_session
+from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import InputError, LogError
 from tumble.estimation.variables import sensors_at
 from tumble.files import FilePath
@@ -200,28 +201,13 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...
             f"{session.name}: expected the device of the calibration, {calibration.serial!r}, found "
             f"{session.device.serial!r}; calibrate that device"
         )
-    _check_thermometers(calibration, session)
+    check_thermometers(calibration, session)
     parts = [_part("accel", calibration.accel, session.log.accel, session)]
     if session.log.gyro is not None:
         parts.append(_part("gyro", calibration.gyro, session.log.gyro, session))
     if session.log.magnetometer is not None and calibration.mag is not None:
         parts.append(_magnetometer_part(calibration, calibration.mag, session.log.magnetometer, session))
     return tuple(parts)
-
-
-def _check_thermometers(calibration: Calibration, session: Session) -> None:
-    """Sensors share thermometers as they did when the calibration was made."""
-    known, compensator = session.log.temperature, calibration.compensator
-    if known is None or not compensator.warm:
-        return
-    pairs = ((compensator.accel, session.accel_block), (compensator.gyro, session.gyro_block))
-    for made, now in pairs:
-        if made is not None and now is not None and not np.array_equal(made.thermometer, now.thermometer):
-            raise InputError(
-                f"{session.name}: log.temperature.columns: expected thermometers as those of the calibration, "
-                f"{', '.join(calibration.thermometers.get(made.kind, ()))} of its sensors {made.kind}, found "
-                f"{', '.join(known.names(made.kind))}"
-            )
 
 
 def _part(kind: str, model: SensorModel | None, channels: Channels, session: Session) -> _Correction:

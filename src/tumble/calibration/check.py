@@ -30,6 +30,7 @@ from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter
+from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
@@ -156,6 +157,7 @@ def _check_given(calibration: Calibration, session: Session) -> None:
                 f"{session.name}: log.{block.kind}: expected the {len(model.bias)} sensors of the calibration, found "
                 f"{block.size}"
             )
+    check_thermometers(calibration, session)
     for kind, now in readings_of_session(session).items():
         then = calibration.readings.get(kind)
         raw = then is not None and (now.unit in _RAW or then.unit in _RAW)

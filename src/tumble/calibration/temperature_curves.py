@@ -45,9 +45,22 @@ def warm_rests(calibration: Calibration) -> list[RestResult]:
     return [rest for rest in rests if rest.temperature is not None]
 
 
-def rest_temperatures(calibration: Calibration) -> list[float]:
-    """Their temperatures, °C."""
-    return [rest.temperature for rest in warm_rests(calibration) if rest.temperature is not None]
+def temperature_of(rest: RestResult, kind: str) -> float:
+    """The mean temperature, °C, of the sensors of a kind at a rest; that of the rest where they are not known."""
+    sensors = rest.accel if kind == "accel" else rest.gyro
+    own = () if sensors is None else sensors.temperature
+    return math.nan if rest.temperature is None else float(np.mean(own or rest.temperature))
+
+
+def own_thermometers(calibration: Calibration) -> list[str]:
+    """Which thermometer the temperature of each sensor is that of, where there are several."""
+    if len(set(chain(*calibration.thermometers.values()))) < 2:
+        return []
+    each = (
+        f"{kind} that of {own[0]}" if len(set(own)) == 1 else f"{kind} those of {', '.join(own)}, one a sensor"
+        for kind, own in calibration.thermometers.items()
+    )
+    return [f"the temperature of each sensor is that of its own thermometer: of {'; of '.join(each)}"]
 
 
 def measured_range(calibration: Calibration) -> Range | None:

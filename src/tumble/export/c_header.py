@@ -27,10 +27,9 @@ from itertools import pairwise
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import changing, coefficients, measured_range
+from tumble.calibration.temperature_curves import changing, coefficients, measured_range, own_thermometers
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
-from tumble.export.thermal import own_thermometers
 from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear

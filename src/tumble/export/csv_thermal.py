@@ -13,10 +13,10 @@ import math
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import Curve, Range, changing, curve, model_at
+from tumble.calibration.temperature_curves import Curve, Range, changing, curve, model_at, own_thermometers
 from tumble.export.exported import Exported, example, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
-from tumble.export.thermal import own_thermometers, range_of, said, warm_end
+from tumble.export.thermal import range_of, said, warm_end
 from tumble.sensors.parameters import group_name, named_group
 from tumble.units import Array
 

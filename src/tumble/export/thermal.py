@@ -174,17 +174,6 @@ def warm_end(measured: Range) -> float:
     return math.floor(10.0 * measured.high) / 10.0
 
 
-def own_thermometers(calibration: Calibration) -> list[str]:
-    """Which thermometer the temperature of each sensor is that of, where there are several."""
-    if len(set(chain(*calibration.thermometers.values()))) < 2:
-        return []
-    each = (
-        f"{kind} that of {own[0]}" if len(set(own)) == 1 else f"{kind} those of {', '.join(own)}, one a sensor"
-        for kind, own in calibration.thermometers.items()
-    )
-    return [f"the temperature of each sensor is that of its own thermometer: of {'; of '.join(each)}"]
-
-
 def _apart(rest: RestResult, kinds: Sequence[SensorKind]) -> float:
     """By how much the temperatures of sensors of these kinds differ at a rest, K."""
     own = [getattr(rest, kind) for kind in kinds]
