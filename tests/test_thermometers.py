@@ -20,6 +20,7 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.check import check_calibration
 from tumble.calibration.results import SensorsAtRest
 from tumble.calibration.temperature_curves import measured_range, model_at
+from tumble.calibration.verify import positions_of, verify_calibration
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.planning.setup import Setup
@@ -67,7 +68,8 @@ def test_one_column_is_of_all_sensors_two_are_of_the_kinds_and_more_of_a_sensor_
     scale = {name: 2.0 + i for i, name in enumerate(dict.fromkeys(columns))}
     raw = {name: scale[name] * (20.0 + i) + 5.0 for i, name in enumerate(scale)}
     table = pl.DataFrame(rows | {name: np.full(100, value) for name, value in raw.items()})
-    given = {"columns": columns, "unit": "raw", "scale": [scale[name] for name in columns], "offset": 5.0}
+    per_degree = [scale[name] for name in columns]
+    given: dict[str, object] = {"columns": columns, "unit": "raw", "scale": per_degree, "offset": 5.0}
     session = read_session(session_of(tmp_path / "s", table.write_csv(), log_table(**given)))
     found = session.log.temperature
     assert found is not None
@@ -80,7 +82,7 @@ def test_one_column_is_of_all_sensors_two_are_of_the_kinds_and_more_of_a_sensor_
     np.testing.assert_allclose(each[0, 3:] - each[0, 0], [found.columns.index(t) for t in gyro.split()])
     described = description_of(session)["log"]["temperature"]
     assert described["columns"] == columns
-    np.testing.assert_allclose(described["scale"], given["scale"])
+    np.testing.assert_allclose(described["scale"], per_degree)
     np.testing.assert_allclose(described["offset"], 5.0)
 
 
@@ -109,7 +111,7 @@ def test_arrays_have_temperatures_by_kind_or_by_sensor() -> None:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of every sample in which each kind of sensors has a thermometer."""
     setup = Setup.of(grade="mems", programme="nine", rest=10.0, rate_deg_s=60.0, sample_rate=25.0)
-    place, profile = tmp_path_factory.mktemp("thermometers") / "s", temperature_profile("10:30+3@60+12@120")
+    place, profile = tmp_path_factory.mktemp("thermometers") / "s", temperature_profile("20+2@60+8@120")
     return simulate_session(place, setup, seed=2, temperature=profile)
 
 
@@ -134,7 +136,7 @@ def test_the_calibration_names_the_thermometer_of_each_sensor(folder: Path, made
     rest = again.rests[-1]
     assert rest.accel is not None
     assert rest.gyro is not None
-    assert rest.gyro.temperature[0] - rest.accel.temperature[0] > 4.0
+    assert rest.gyro.temperature[0] - rest.accel.temperature[0] > 3.0
     own = [[getattr(r, kind).temperature[0] for r in again.rests] for kind in ("accel", "gyro")]
     found = measured_range(again)
     assert found is not None
@@ -158,6 +160,17 @@ def test_a_session_with_one_thermometer_is_not_for_a_calibration_with_two(
         check_calibration(made, other)
     with pytest.raises(InputError, match="expected those of the thermometers of the calibration by kind of sensors"):
         made.apply(np.ones((2, 3)), np.ones((2, 3)), temperature=np.full(2, 300.0))
+
+
+def test_positions_are_verified_at_the_temperature_of_their_sensors(made: Calibration, tmp_path: Path) -> None:
+    """Of another launch, 20 K warmer; without its thermometers the same readings are refused."""
+    setup = Setup.of(grade="mems", programme="nine", rest=10.0, rate_deg_s=60.0, sample_rate=25.0)
+    hot = simulate_session(tmp_path / "hot", setup, seed=2, launch=2, temperature=temperature_profile("40+2@60+8@120"))
+    positions = positions_of(hot, made)
+    assert positions.celsius is not None
+    assert positions.celsius.min() > 40.0
+    assert verify_calibration(made, positions).reasons == ()
+    assert verify_calibration(made, replace(positions, celsius=None)).reasons
 
 
 # -------------------- what is made of it --------------------
@@ -223,6 +236,7 @@ def test_autopilots_say_which_thermometers_they_have_no_place_for() -> None:
     (said,) = (said for said in losses["ardupilot-thermal"] if "thermometers" in said)
     assert "(Ta, Tg): the target has one for these sensors; at the rests they differ by up to 4.0 K" in said
     ends = made.temperature_range
+    assert ends is not None
     assert ends == pytest.approx((-18.5 + 2.0, 57.25 - 2.0))
     bias = [model_at(made, "accel", T).bias for T in (ends[1], ends[1] - 1e-3, ends[0] + 1e-3, ends[0])]
     steepest = np.abs([(bias[0] - bias[1]) / 1e-3, (bias[2] - bias[3]) / 1e-3]).max()
