@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
+from tumble.calibration.calibrate import references_of
 from tumble.estimation.methods.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -25,7 +26,7 @@ from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.simulation.temperature_profile import REFERENCE, REFERENCE_NAME, TemperatureProfile, draw_thermal, truth_at
-from tumble.units import ZERO_CELSIUS, Array
+from tumble.units import Array
 
 PROFILE = TemperatureProfile(celsius=(5.0, 35.0, 5.0), heating=((3.0, 200.0), (12.0, 500.0)))
 LAG = 60.0
@@ -62,9 +63,9 @@ def with_one(observations: Observations, t: int) -> Observations:
 
 def errors(scenario: Scenario, observations: Observations) -> dict[str, Array]:
     """Errors over u by kind of sensors, with Student's t taken to the normal distribution."""
-    found, kelvin = joint(observations), observations.rests.temperature
-    assert kelvin is not None
-    true = truth_at(dict(scenario.truth) | {REFERENCE_NAME: REFERENCE}, float(kelvin.mean()) - ZERO_CELSIUS)
+    found, references = joint(observations), references_of(observations)
+    given = dict(scenario.truth) | {REFERENCE_NAME: REFERENCE}
+    true = truth_at(given, REFERENCE, lambda name: references[name.partition(".")[0]][0] if "." in name else REFERENCE)
     own = {kind: [i for i, n in enumerate(found.names) if n in true and _is_of(n, kind)] for kind in KINDS}
     degrees = np.full(len(found.names), np.inf) if found.degrees is None else found.degrees
     z = {k: np.array([(found.values[i] - true[found.names[i]]) / found.u[i] for i in at]) for k, at in own.items()}

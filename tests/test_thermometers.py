@@ -124,7 +124,7 @@ def test_the_calibration_names_the_thermometer_of_each_sensor(folder: Path, made
     assert read_session(folder).log.columns[-2:] == ("T_accel", "T_gyro")
     assert made.outcome.accepted
     assert dict(made.thermometers) == {"accel": 3 * ("T_accel",), "gyro": 3 * ("T_gyro",)}
-    true = truth_at(read_truth(folder / "truth.json"), made.reference_temperature)
+    true = truth_at(read_truth(folder / "truth.json"), made.reference_temperature, made.reference_of)
     z = [(p.value - true[p.name]) / p.u for p in made.parameters if p.u and p.name in true]
     assert np.sqrt(np.mean(np.square(z))) < 1.8  # chi-square of 33: one in 10⁹
     made.write(tmp_path / "calibration.json")

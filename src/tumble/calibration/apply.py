@@ -174,7 +174,8 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
             f"the delay of the accelerometers, {1e3 * compensator.delay:.3g} ms, is not undone: shift their times"
         )
     if compensator.warm and session.log.temperature is None:
-        at = "the reference" if compensator.reference is None else f"{compensator.reference:.1f} °C"
+        reference = calibration.reference_temperature
+        at = "the reference" if reference is None else f"{reference:.1f} °C"
         out.append(f"the session has no temperature: parameters are those at {at}")
     elif compensator.warm and compensator.lag != 0.0:
         out.append(f"sensors follow the thermometer with a lag of {compensator.lag:z.0f} s")
@@ -376,12 +377,17 @@ class _Reader:
     def _temperatures(self, table: pl.DataFrame) -> Array | None:
         """Temperatures (N, T), °C, where parameters change with them: a lost one is the one before, or the
         reference."""
-        thermometers, reference = self.session.log.temperature, self.compensator.reference
-        if thermometers is None or reference is None or not self.compensator.warm:
+        thermometers, references = self.session.log.temperature, self.compensator.references
+        if thermometers is None or not references or not self.compensator.warm:
             return None
         with rows_of_numbers(self.path):
             numbers = table.select(pl.col(thermometers.columns).cast(pl.Float64)).to_numpy()
-        last = np.full(numbers.shape[1], reference) if self.warmth is None else self.warmth
+        last = self.warmth
+        if last is None:
+            last = np.zeros(numbers.shape[1])
+            for block in (self.compensator.accel, self.compensator.gyro):
+                if block is not None:
+                    last[block.thermometer] = references[block.kind]
         celsius = thermometers.to_celsius(numbers)
         filled = np.column_stack([_forward(each, float(t)) for each, t in zip(celsius.T, last, strict=True)])
         if not len(filled):

@@ -460,6 +460,7 @@ def result_of(
         axes=_axes(observations),
         reference_temperature=_reference(observations),
         thermometers=_thermometers(session, observations),
+        references=references_of(observations),
         imu=session.device.imu,
         clock_u=observations.clock_u,
     )
@@ -483,6 +484,15 @@ def _reference(observations: Observations) -> float | None:
     """The temperature, °C, at which parameters have their values: the mean of the thermometers over the rests."""
     temperature = observations.rests.temperature
     return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS
+
+
+def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
+    """The same of each sensor by kind, °C, by its own thermometer."""
+    kelvin, blocks = observations.rests.temperatures, (observations.accel_block, observations.gyro_block)
+    if kelvin is None:
+        return {}
+    celsius = kelvin.mean(axis=0) - ZERO_CELSIUS
+    return {block.kind: tuple(celsius[block.thermometer].tolist()) for block in blocks if block is not None}
 
 
 def _dof(estimate: Estimate, i: int) -> float | None:

@@ -104,7 +104,9 @@ class Calibration:
     axes: Mapping[str, SensingAxes] = field(default_factory=dict)
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     reference_temperature: float | None = None
-    """°C, at which parameters that change with temperature have their values."""
+    """°C, at which parameters that change with temperature have their values; of several thermometers the mean."""
+    references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """The same of each sensor of "accel" and "gyro", by its own thermometer."""
     thermometers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """The column of the thermometer of each sensor of "accel" and "gyro", where there are such."""
     measured_between: tuple[float, float] | None = None
@@ -129,7 +131,24 @@ class Calibration:
         gyro = None if self.gyro is None else self._block("gyro", self.gyro)
         values = {p.name: p.value for p in self.parameters if not p.name.startswith("mag.")}
         models = self.accel, self.gyro
-        return Compensator.of((accel, gyro), models, values, self.reference_temperature)
+        references = {str(block.kind): self._references(block) for block in (accel, gyro) if block is not None}
+        known = references if self.reference_temperature is not None else {}
+        return Compensator.of((accel, gyro), models, values, known)
+
+    def _references(self, block: Block) -> Array:
+        """The reference temperature (n,), °C, of each channel of a block."""
+        return np.array(self.references.get(block.kind, block.size * (self.reference_temperature or 0.0,)))
+
+    def reference_of(self, name: str) -> float:
+        """The temperature, °C, by the thermometer of its sensor, at which a parameter has its value; 0 where there is
+        none."""
+        kind, _, sensor = (*name.split(".", 3), "", "")[:3]
+        model = {"accel": self.accel, "gyro": self.gyro}.get(kind)
+        if kind not in self.references or model is None:
+            return self.reference_temperature or 0.0
+        block = self._block("accel" if kind == "accel" else "gyro", model)
+        channel = dict(zip(block.sensors, block.channels.tolist(), strict=True)).get(sensor)
+        return (self.reference_temperature or 0.0) if channel is None else float(self._references(block)[channel])
 
     def _block(self, kind: SensorKind, model: SensorModel) -> Block:
         axes = np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
@@ -245,6 +264,8 @@ class Calibration:
         content: dict[str, Any] = {"reference": self.reference_temperature, "range": self.temperature_range}
         if self.thermometers:
             content["thermometers"] = {kind: list(of) for kind, of in self.thermometers.items()}
+        if self.references:
+            content["references"] = {kind: list(of) for kind, of in self.references.items()}
         lag = [p.value for p in self.parameters if p.name == "temperature.lag"]
         return content | ({"lag": lag[0]} if lag else {})
 
@@ -462,6 +483,9 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
         thermometers={kind: tuple(of) for kind, of in content.get("temperature", {}).get("thermometers", {}).items()},
+        references={
+            kind: tuple(map(float, of)) for kind, of in content.get("temperature", {}).get("references", {}).items()
+        },
         measured_between=optional(_pair, content.get("temperature", {}).get("range")),
         imu=sensors_from(content["device"].get("imu", {})),
         sample_rate=optional(float, content.get("sample_rate")),

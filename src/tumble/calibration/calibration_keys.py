@@ -171,6 +171,7 @@ class _TemperatureKeys(_Keys):
     range: Pair | None = None
     lag: Number | None = None
     thermometers: dict[Text, list[Text]] = {}
+    references: dict[Text, Vector] = {}
 
 
 class _IncrementKeys(_Keys):
@@ -328,9 +329,10 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     @model_validator(mode="after")
     def _check_thermometers(self) -> Self:
         for kind, model in (("accel", self.accel), ("gyro", self.gyro)):
-            found = self.temperature.thermometers.get(kind)
-            if model is not None and found is not None and len(found) != len(model.bias):
-                raise ValueError(f"temperature.thermometers: expected one a sensor of {kind}, found {len(found)}")
+            for key in ("thermometers", "references"):
+                found = getattr(self.temperature, key).get(kind)
+                if model is not None and found is not None and len(found) != len(model.bias):
+                    raise ValueError(f"temperature.{key}: expected one a sensor of {kind}, found {len(found)}")
         return self
 
 

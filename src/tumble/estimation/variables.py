@@ -3,7 +3,7 @@ several sessions, that they are several.
 
 Temperatures are those of each thermometer, or of what follows it with a lag (dynamics method, §8 and A5), as means over
 each rest and each turn: where a ramp turns back within a turn the rests beside it do not say how warm it was, and the
-mean of a square is not the square of a mean. The reference T₀ is the mean of the thermometers over the rests, so that
+mean of a square is not the square of a mean. The reference T₀ is the mean of each thermometer over the rests, so that
 T − T₀ is small and a parameter has its value at T₀. Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1 over the range of the
 thermometer in the recording: it is nothing where the temperature turns back.
 """
@@ -33,7 +33,7 @@ Variables = Mapping[Variable, tuple[Array, Array]]
 
 def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array]]:
     """What parameters may change with, of the rests and of the turns: time from the middle of the session, s, the
-    temperature of each thermometer from the mean of all, K, and its square, and the direction it came from; and of
+    temperature of each thermometer from its mean, K, and its square, and the direction it came from; and of
     several sessions, each of them."""
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
@@ -54,7 +54,7 @@ def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable,
 def _of_temperature(observations: Observations, kelvin: Array, lag: float) -> dict[Variable, tuple[Array, Array]]:
     """What goes with the temperature."""
     rest, turn = _warmth(observations, kelvin, lag)
-    reference = float(kelvin.mean())
+    reference = kelvin.mean(axis=0)
     warmer = rest.kelvin - reference, turn.kelvin - reference
     square = warmer[0] ** 2 + rest.variance, warmer[1] ** 2 + turn.variance
     out: dict[Variable, tuple[Array, Array]] = {"temperature": warmer, "temperature²": square}

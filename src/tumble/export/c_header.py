@@ -27,7 +27,7 @@ from itertools import pairwise
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import changing, coefficients, measured_range, own_thermometers
+from tumble.calibration.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.reduction.thermometer import followed
@@ -100,7 +100,7 @@ _BY_FORCE = """\
 _WARM = """\
     {type} shift[{n}], gain[{n}];
     for (int j = 0; j < {n}; j++) {{
-        const {type} warmer = celsius{own} - ({type}){reference!r};
+        const {type} warmer = celsius{own} - {reference};
         shift[j] = warmer * (bias_slope[j] + warmer * bias_curve[j]);
         gain[j] = 1 + warmer * (scale_slope[j] + warmer * scale_curve[j]);
     }}"""
@@ -221,9 +221,10 @@ def _over_temperature(kind: str, model: SensorModel, at: Calibration | None, *, 
     scale = scale / np.linalg.norm(model.matrix, axis=1)[:, None]
     columns = {"bias_slope": bias[:, 0], "bias_curve": bias[:, 1], "scale_slope": scale[:, 0]}
     columns["scale_curve"] = scale[:, 1]
-    tables = [_table(name, values, single=single) for name, values in columns.items()]
     n, apart = len(model.bias), len(set(at.thermometers.get(kind, ()))) > 1
-    reference = float(at.reference_temperature or 0.0)
+    columns |= {"reference": references(at, kind)} if apart else {}
+    tables = [_table(name, values, single=single) for name, values in columns.items()]
+    reference = "reference[j]" if apart else f"({number}){float(references(at, kind)[0])!r}"
     body = _WARM.format(type=number, n=n, reference=reference, own="[j]" if apart else "")
     return {
         "at": "_at",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -54,9 +54,10 @@ def _solved(
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
-    biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about a reference,
-    °C, where there is one; the sensors follow their thermometers with the time constant `lag`, s. Lever arms (n, 3), m,
-    need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
+    biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about the
+    `references` (n,), °C, by kind, where there are such; the sensors follow their thermometers with the time constant
+    `lag`, s. Lever arms (n, 3), m, need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not
+    undone."""
 
     accel: Block
     gyro: Block | None
@@ -66,7 +67,7 @@ class Compensator:
     curvatures: Mapping[str, Array]
     levers: Array
     delay: float = 0.0
-    reference: float | None = None
+    references: Mapping[str, Array] = field(default_factory=dict)
     lag: float = 0.0
 
     @staticmethod
@@ -74,7 +75,7 @@ class Compensator:
         blocks: tuple[Block, Block | None],
         models: tuple[SensorModel, SensorModel | None],
         values: Mapping[str, float],
-        reference: float | None = None,
+        references: Mapping[str, Array],
     ) -> Compensator:
         """The compensator of the models of accelerometers and gyros and of further parameters by name."""
         accel, gyro = blocks
@@ -98,7 +99,7 @@ class Compensator:
             curvatures=_changes(blocks, values, "t2"),
             levers=instrument.levers(further),
             delay=instrument.delay(further),
-            reference=reference,
+            references=references,
             lag=values.get("temperature.lag", 0.0),
         )
 
@@ -147,9 +148,9 @@ class Compensator:
 
     def _change(self, block: Block, K: Array, temperature: Array | None) -> tuple[Array, Array] | None:
         """Changes (N, n) of the biases from the reference temperature, and factors (N, n) of the sensitivities."""
-        if temperature is None or self.reference is None or not self.warm:
+        if temperature is None or block.kind not in self.references or not self.warm:
             return None
-        warmer = temperature - self.reference
+        warmer = temperature - self.references[block.kind]
         bias, scale = (
             sum(
                 (by.get(f"{block.kind}.{what}", 0.0) * warmer**power)

@@ -389,21 +389,22 @@ def named_group(name: str) -> ParameterGroup | None:
     return next((group for group in groups() if group.name == name), None)
 
 
-def to_temperature(names: Sequence[str], warmer: float) -> Array:
-    """The matrix (m, m) that takes parameters of these names to a reference temperature higher by so many K, by the
-    slopes and curvatures among them."""
+def to_temperature(names: Sequence[str], warmer: float | Array) -> Array:
+    """The matrix (m, m) that takes parameters of these names to a reference temperature higher by so many K, each (m,)
+    or all, by the slopes and curvatures among them."""
     out, place = np.eye(len(names)), {name: i for i, name in enumerate(names)}
+    by = np.broadcast_to(warmer, len(names)).tolist()
     slope, curvature = _ENDINGS["temperature"], _ENDINGS["temperature²"]
     for i, name in enumerate(names):
         base, _, ending = name.rpartition(".")
         if base not in place:
             continue
         if ending == slope:
-            out[place[base], i] = warmer
+            out[place[base], i] = by[i]
         elif ending == curvature:
-            out[place[base], i] = warmer**2
+            out[place[base], i] = by[i] ** 2
             if f"{base}.{slope}" in place:
-                out[place[f"{base}.{slope}"], i] = 2.0 * warmer
+                out[place[f"{base}.{slope}"], i] = 2.0 * by[i]
     return out
 
 

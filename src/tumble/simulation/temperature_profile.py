@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,12 +126,16 @@ def draw_lag(spreads: Mapping[str, float], rng: np.random.Generator) -> float:
     return abs(spreads[LAG_NAME] * float(rng.standard_normal())) if LAG_NAME in spreads else 0.0
 
 
-def truth_at(truth: Mapping[str, float], celsius: float | None) -> dict[str, float]:
-    """True values at another temperature than their reference; as they are where there is none."""
+def truth_at(
+    truth: Mapping[str, float], celsius: float | None, own: Callable[[str], float] | None = None
+) -> dict[str, float]:
+    """True values at another temperature than their reference, or each at its `own`; as they are where there is
+    none."""
     if REFERENCE_NAME not in truth or celsius is None:
         return dict(truth)
     names = list(truth)
-    moved = to_temperature(names, celsius - truth[REFERENCE_NAME]) @ np.array([truth[name] for name in names])
+    there = np.array([celsius if own is None else own(name) for name in names])
+    moved = to_temperature(names, there - truth[REFERENCE_NAME]) @ np.array([truth[name] for name in names])
     return dict(zip(names, moved.tolist(), strict=True)) | {REFERENCE_NAME: celsius}
 
 
