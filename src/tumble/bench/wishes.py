@@ -34,19 +34,28 @@ def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
     return _of_grade(kind) | stated
 
 
-def rest_wishes(wanted: Mapping[str, float], grade_name: str) -> tuple[float, float]:
-    """Wanted u of the mean of a rest, m/s² and rad/s: a fifth of that of the biases or, where that is more, what a
-    minute of the noise of the grade leaves."""
-    noise = grade(grade_name).noise
-    accel = max(PART_OF_WISH * wanted["accel.bias"], noise.accel_white / _REST**0.5)
-    return accel, max(PART_OF_WISH * wanted["gyro.bias"], noise.gyro_white / _REST**0.5)
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Wanted:
+    """What is wanted of a session: standard uncertainties, SI, by `group`; u of the mean of a rest, `accel`, m/s², and
+    `gyro`, rad/s; and by how much, K, the temperature may change, the `warming`."""
 
+    group: Mapping[str, float]
+    accel: float
+    gyro: float
+    warming: float
 
-def temperature_limit(wanted: Mapping[str, float], grade_name: str) -> float:
-    """Change of temperature, K, that moves a bias of instruments of a grade by as much as is wanted of it, and by
-    LEAST_WARMING at least."""
-    usual = usual_sizes(grade_name)
-    return max(LEAST_WARMING, *(wanted[name] / usual[f"{name}.t1"] for name in ("accel.bias", "gyro.bias")))
+    @staticmethod
+    def of(texts: Sequence[str], grade_name: str) -> Wanted:
+        """What texts and a grade ask for (`wishes`). The mean of a rest is to be known to a fifth of the u of the
+        biases or, where that is more, to what a minute of the noise of the grade leaves. The temperature may change by
+        as much as moves a bias of instruments of the grade by what is wanted of it, and by LEAST_WARMING at least."""
+        group, noise, usual = wishes(texts, grade_name), grade(grade_name).noise, usual_sizes(grade_name)
+        return Wanted(
+            group=group,
+            accel=max(PART_OF_WISH * group["accel.bias"], noise.accel_white / _REST**0.5),
+            gyro=max(PART_OF_WISH * group["gyro.bias"], noise.gyro_white / _REST**0.5),
+            warming=max(LEAST_WARMING, *(group[name] / usual[f"{name}.t1"] for name in ("accel.bias", "gyro.bias"))),
+        )
 
 
 def _of_grade(kind: Grade) -> dict[str, float]:
