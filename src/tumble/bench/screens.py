@@ -16,6 +16,7 @@ from tumble.bench.task import Task
 from tumble.bench.wishes import better_by
 from tumble.programme.positions import ANY_MOVE, Move
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
+from tumble.reduction.rest_noise import drift
 from tumble.units import DEGREE, G_STANDARD, Array
 
 STILL_TURNING = 3.0 * DEGREE
@@ -146,7 +147,7 @@ def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> d
     where = _where(task, progress)
     number, of = where["rest"]["number"], f" of {task.positions}" if task.positions else ""
     known, wanted = judged.known, task.wanted
-    drift = float(np.abs(_drift(progress.blocks.force[current.first : current.last])).max())
+    drifted = float(np.abs(drift([progress.blocks.force[current.first : current.last]])).max())
     return {
         "screen": "rest",
         "headline": f"At rest {number}{of}: hold still",
@@ -159,17 +160,11 @@ def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> d
             "wanted": wanted.accel / G_STANDARD * 1e6,
             "gyro_u": None if known is None or known.gyro is None else known.gyro / DEGREE * 3600.0,
             "gyro_wanted": wanted.gyro / DEGREE * 3600.0,
-            "drift": drift / G_STANDARD * 1e6,
-            "settling": known is not None and drift > _SETTLING * known.accel,
+            "drift": drifted / G_STANDARD * 1e6,
+            "settling": known is not None and drifted > _SETTLING * known.accel,
             "nothing_more": judged.nothing_more,
         },
     }
-
-
-def _drift(series: Array) -> Array:
-    """Change of block means (K, n) over their time: least-squares slope times duration."""
-    x = np.arange(len(series)) - 0.5 * (len(series) - 1)
-    return np.asarray(x @ series / max(float(x @ x), 1.0) * len(series))
 
 
 # -------------------- under way --------------------

@@ -13,7 +13,7 @@ from tumble.planning.requirements import wanted_of
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import Grade, grade
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.parameters import group_name, positions_by_group, usual_sizes
 from tumble.units import Array, engineering
 
 PART_OF_SPREAD = 0.05
@@ -104,9 +104,6 @@ class Reached:
 
 def reached(estimate: Estimate, wanted: Mapping[str, float]) -> tuple[Reached, ...]:
     """What of the wishes an estimate reaches, by group in the order of its parameters; other groups are passed over."""
-    names: dict[str, list[int]] = {}
-    for i, name in enumerate(estimate.names):
-        names.setdefault(_group(name), []).append(i)
     u = estimate.u
     return tuple(
         Reached(
@@ -116,16 +113,9 @@ def reached(estimate: Estimate, wanted: Mapping[str, float]) -> tuple[Reached, .
             wanted=wanted[group],
             determined=bool(estimate.observable[rows].all()),
         )
-        for group, rows in names.items()
+        for group, rows in positions_by_group(estimate.names).items()
         if group in wanted
     )
-
-
-def _group(name: str) -> str:
-    """The group of a parameter: "gyro.bias" of gyro.bias.x, "gyro.bias.t1" of gyro.bias.x.t1."""
-    first, *_, last = parts = name.split(".")
-    change = [last] if last in ("t1", "t2", "drift") else []
-    return ".".join([first, parts[1], *change])
 
 
 def better_by(rests: int) -> float:
@@ -144,7 +134,7 @@ def gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u:
     row of the covariance of the estimate, without what its turn would tell of the gyros."""
     rows = [estimate.names.index(name) for name in block.names]
     C = estimate.covariance[np.ix_(rows, rows)]
-    weight = np.array([wanted.get(_group(name), np.inf) for name in block.names])
+    weight = np.array([wanted.get(group_name(name), np.inf) for name in block.names])
     before = float(np.sqrt((np.diag(C) / weight**2).sum()))
     J = np.einsum("pn,nkm->pkm", np.linalg.pinv(block.axes), block.jacobian(np.zeros(len(rows))))
     force = np.column_stack([gravity * DIRECTIONS, np.ones(len(DIRECTIONS))])
