@@ -65,7 +65,7 @@ def errors(scenario: Scenario, observations: Observations) -> dict[str, Array]:
     """Errors over u by kind of sensors, with Student's t taken to the normal distribution."""
     found, references = joint(observations), references_of(observations)
     given = dict(scenario.truth) | {REFERENCE_NAME: REFERENCE}
-    true = truth_at(given, REFERENCE, lambda name: references[name.partition(".")[0]][0] if "." in name else REFERENCE)
+    true = truth_at(given, REFERENCE, lambda name: references.get(name.partition(".")[0], (REFERENCE,))[0])
     own = {kind: [i for i, n in enumerate(found.names) if n in true and _is_of(n, kind)] for kind in KINDS}
     degrees = np.full(len(found.names), np.inf) if found.degrees is None else found.degrees
     z = {k: np.array([(found.values[i] - true[found.names[i]]) / found.u[i] for i in at]) for k, at in own.items()}
