@@ -321,7 +321,7 @@ def _a_second(values: Array, dt: Array | None) -> Array:
     return values if dt is None else np.asarray(values / dt[:, None], dtype=float)
 
 
-@dataclass(kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True, eq=False)
 class _Reader:
     """Readings, times and temperatures of one file, table after table. `last`: time of the last row, s; `rows`: how
     many there were; `warmth`: the last temperatures (T,) that were known, °C, and `behind` those of what follows
