@@ -37,14 +37,15 @@ samples that jump (A3). Rows of a rest and of the turn after it are therefore wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg.lapack import dtrtri
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.elimination import eliminate, left_over, put_back
+from tumble.estimation.elimination import eliminate, fold, put_back
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
@@ -145,6 +146,10 @@ class Rows:
     bias: Array
     own: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
+    def with_priors(self, problem: Problem, point: Point, about: TurnsAbout | None = None) -> Rows:
+        """The same rows with the priors of a problem."""
+        return replace(self, prior=priors(problem, point, about), own=-point.own / problem.own_known)
+
     def merged(self, first: IntArray) -> Array:
         """Rows (K, r + t, ·) of every turn together with those of the rest before it."""
         K, t = self.turn.shape[:2]
@@ -192,19 +197,28 @@ class Weights:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Step:
-    """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, of the angles (N, 3), and
-    of what each session has of its `own` (S, q), with its covariance, gravity and parameters after it (S, q + 1 + m, q
-    + 1 + m); the sum of squares that is left, priors included; twice the negative logarithm of the restricted
-    likelihood, less its constant; and what `left` needs."""
+class Known:
+    """What is known once the attitudes are eliminated: the least-squares step of gravity and the parameters (1 + m,)
+    with their covariance, and of what each session has of its `own` (S, q), with its covariance, gravity and parameters
+    after it (S, q + 1 + m, q + 1 + m); the sum of squares that is left, priors included; and the diagonal of the
+    triangle it is from."""
 
     parameters: Array
     covariance: Array
-    angles: Array
     own: Array
     own_covariance: Array
     square: float
+    pivots: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Step(Known):
+    """The least-squares step, with that of the angles (N, 3); twice the negative logarithm of the restricted
+    likelihood, less its constant; the weights of the rows, and what `left` needs."""
+
+    angles: Array
     deviance: float
+    weights: Weights
     whitened: tuple[Array, Array]
     shared: tuple[Array, Array]
 
@@ -338,9 +352,11 @@ class Problem:
         common = np.broadcast_to(point.values, (len(of), len(point.values)))
         return np.concatenate([common, point.own[of]], axis=1)
 
-    def changed_in_turns(self, point: Point) -> tuple[Array, Array]:
+    def changed_in_turns(self, point: Point) -> tuple[Array, Array] | None:
         """By how much the coefficients (K, n, 15) of gyros and accelerometers differ in the turns from those of the
-        parameters, being changed by time, temperature or launch."""
+        parameters, being changed by time, temperature or launch; None where nothing changes."""
+        if not self.changes:
+            return None
         values, variables, out = self.values_in(point, 1), self.warmed(point).variables, []
         for block in (self.instrument.gyro, self.instrument.accel):
             assert block is not None
@@ -423,7 +439,7 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
     return Rows(
         rest=np.concatenate(rest, axis=1),
         turn=turn,
-        prior=_with_arrays(_prior_rows(problem, point), problem, point, about),
+        prior=priors(problem, point, about),
         bias=bias,
         own=-point.own / problem.own_known,
     )
@@ -576,8 +592,9 @@ def _attitude_rows(problem: Problem, point: Point) -> Array:
     return rows
 
 
-def _prior_rows(problem: Problem, point: Point) -> Array:
-    """Measured gravity and the prior of the parameters: a diagonal and a right-hand side, whitened."""
+def priors(problem: Problem, point: Point, about: TurnsAbout | None = None) -> Array:
+    """Measured gravity and the prior of the parameters, whitened: a triangle, of a diagonal and a right-hand side; with
+    what arrays say of themselves in motion."""
     expected, u = problem.measured
     known = u > 0.0
     rows = np.zeros((len(u) + 1, len(u) + 1))
@@ -586,18 +603,9 @@ def _prior_rows(problem: Problem, point: Point) -> Array:
     else:
         rows[:-1, :-1] = _root_of_inverse(problem.prior.covariance)
     rows[:-1, -1] = rows[:-1, :-1] @ (expected - np.append(point.gravity, point.values))
+    for array in () if about is None else about.arrays:
+        fold(np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1), rows)
     return rows
-
-
-def _with_arrays(prior: Array, problem: Problem, point: Point, about: TurnsAbout | None) -> Array:
-    """The triangle of the prior together with what arrays say of themselves in motion."""
-    if about is None or not about.arrays:
-        return prior
-    rows = [np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1) for array in about.arrays]
-    first = int(prior[0, 0] == 0.0)  # gravity that is exact
-    out = np.zeros_like(prior)
-    out[first:, first:] = np.linalg.qr(np.concatenate([prior[:-1], *rows])[first:, first:], mode="r")
-    return out
 
 
 def _root_of_inverse(covariance: Array) -> Array:
@@ -718,49 +726,75 @@ def weights(problem: Problem, rows: Rows, scatter: Scatter) -> Weights:
 
 def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
     """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
-    rest, merged = whitened_rows(problem, rows, weight)
-    N, p, q = len(rest), len(rows.prior) - 1, len(problem.own_known)
-    factor, triangle, heads = np.empty((N, 3, 7 + q + p)), rows.prior, []
-    for part, residual in zip(problem.parts, rows.own, strict=True):
-        wide = eliminated(problem, part, residual, (rest, merged), factor[part.rests], triangle)
-        heads.append(wide[:q].copy())
-        triangle = wide[q:, q:]
-    parameters, covariance = _solved(triangle)
-    angles, own, own_covariance, shared = np.empty((N, 3)), np.empty((len(heads), q)), [], []
-    for s, (part, head) in enumerate(zip(problem.parts, heads, strict=True)):
-        own[s], whole = _put_back_own(head, parameters, covariance)
-        both = np.concatenate([own[s], parameters])
-        shared.append(put_back(factor[part.rests], part.link, both, whole, angles[part.rests]))
-        own_covariance.append(whole)
+    told = tell(problem, rows, weight)
+    known, N = joined(problem, rows, told), len(problem.link)
+    angles, shared = np.empty((N, 3)), []
+    for part, own, covariance in zip(problem.parts, known.own, known.own_covariance, strict=True):
+        both = np.concatenate([own, known.parameters])
+        shared.append(put_back(told.factor[part.rests], part.link, both, covariance, angles[part.rests]))
     return Step(
-        parameters=parameters,
-        covariance=covariance,
+        parameters=known.parameters,
+        covariance=known.covariance,
+        own=known.own,
+        own_covariance=known.own_covariance,
+        square=known.square,
+        pivots=known.pivots,
         angles=angles,
-        own=own,
-        own_covariance=np.array(own_covariance),
-        square=float(triangle[-1, -1] ** 2),
-        deviance=_deviance(problem, weight, factor, heads, triangle),
-        whitened=(rest, merged),
+        deviance=_deviance(problem, weight, told.factor, known),
+        weights=weight,
+        whitened=told.whitened,
         shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
     )
 
 
-def eliminated(
-    problem: Problem,
-    part: SessionSpan,
-    residual: Array,
-    whitened: tuple[Array, Array],
-    factor: Array,
-    triangle: Array,
-) -> Array:
-    """What a session, the attitudes eliminated, and a triangle (1 + p, 1 + p) say of what it has of its own, with the
-    `residual` (q,) of its prior, and of gravity and the common parameters: (q + 1 + p, q + 1 + p), a triangle. The
-    rows of the attitudes go into `factor` (N, 3, ·)."""
-    q, (rest, merged) = len(problem.own_known), whitened
-    wide = np.zeros((q + len(triangle), q + len(triangle)))
-    wide[np.arange(q), np.arange(q)], wide[:q, -1] = 1.0 / problem.own_known, residual
-    wide[q:, q:] = triangle
-    eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor, wide)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Told:
+    """What the rows say without any prior: the whitened rows, those that give the attitudes (N, 3, ·), and of each
+    session, its attitudes eliminated, a triangle (q + 1 + p, q + 1 + p) of what it has of its own, gravity and the
+    common parameters."""
+
+    whitened: tuple[Array, Array]
+    factor: Array
+    sessions: Array
+
+
+def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
+    """What the rows of every session say by themselves."""
+    rest, merged = whitened_rows(problem, rows, weight)
+    size = len(problem.own_known) + len(rows.prior)
+    factor, sessions = np.empty((len(rest), 3, 6 + size)), np.zeros((len(problem.parts), size, size))
+    for part, triangle in zip(problem.parts, sessions, strict=True):
+        eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor[part.rests], triangle)
+    return Told(whitened=(rest, merged), factor=factor, sessions=sessions)
+
+
+def joined(problem: Problem, rows: Rows, told: Told) -> Known:
+    """What all sessions together say, with the priors of the rows."""
+    q, triangle, heads = len(problem.own_known), rows.prior, []
+    for session, residual in zip(told.sessions, rows.own, strict=True):
+        wide = with_own(problem, session, residual)
+        heads.append(wide[:q])
+        fold(triangle, wide[q:, q:])
+        triangle = wide[q:, q:]
+    parameters, covariance = _solved(triangle)
+    own = [_put_back_own(head, parameters, covariance) for head in heads]
+    return Known(
+        parameters=parameters,
+        covariance=covariance,
+        own=np.array([each[0] for each in own]),
+        own_covariance=np.array([each[1] for each in own]),
+        square=float(triangle[-1, -1] ** 2),
+        pivots=np.concatenate([*map(np.diag, heads), np.diag(triangle)[:-1]]),
+    )
+
+
+def with_own(problem: Problem, session: Array, residual: Array) -> Array:
+    """What a session says, a triangle, with the prior of what it has of its own, of whitened residual (q,)."""
+    wide, q = session.copy(), len(residual)
+    if q:
+        prior = np.zeros((q, len(wide)))
+        prior[:, :q], prior[:, -1] = np.diag(1.0 / problem.own_known), residual
+        fold(prior, wide)
     return wide
 
 
@@ -796,14 +830,12 @@ def _put_back_own(head: Array, parameters: Array, covariance: Array) -> tuple[Ar
     return inverse @ head[:, -1] + by_parameter @ parameters, whole
 
 
-def _deviance(problem: Problem, weight: Weights, factor: Array, heads: list[Array], triangle: Array) -> float:
+def _deviance(problem: Problem, weight: Weights, factor: Array, known: Known) -> float:
     """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
     last = weight.rest[problem.link < 0]
     own = sum(-2.0 * np.log(np.diagonal(w, axis1=1, axis2=2)).sum() for w in (last, weight.merged))
-    own_pivots = [np.diag(head) for head in heads]
-    every = [np.diagonal(factor, axis1=1, axis2=2).ravel(), *own_pivots, np.diag(triangle)[:-1]]
-    pivots = np.abs(np.concatenate(every))
-    return float(own + 2.0 * np.log(pivots[pivots > 0.0]).sum() + triangle[-1, -1] ** 2)
+    pivots = np.abs(np.concatenate([np.diagonal(factor, axis1=1, axis2=2).ravel(), known.pivots]))
+    return float(own + 2.0 * np.log(pivots[pivots > 0.0]).sum() + known.square)
 
 
 def _solved(triangle: Array) -> tuple[Array, Array]:
@@ -811,26 +843,63 @@ def _solved(triangle: Array) -> tuple[Array, Array]:
     first = int(triangle[0, 0] == 0.0)
     p = len(triangle) - 1
     step, covariance = np.zeros(p), np.zeros((p, p))
-    inverse = np.linalg.inv(triangle[first:p, first:p])
+    inverse = inverse_of(triangle[first:p, first:p])
     step[first:] = inverse @ triangle[first:p, p]
     covariance[first:, first:] = inverse @ inverse.T
     return step, covariance
 
 
+def inverse_of(triangle: Array) -> Array:
+    """The inverse of an upper triangle. Raises LinAlgError where it has none."""
+    inverse, singular = dtrtri(triangle)
+    if singular:
+        raise np.linalg.LinAlgError("Singular matrix")
+    return np.asarray(inverse)
+
+
 def left(problem: Problem, step: Step) -> Left:
     """What a step leaves of the residuals."""
     rest, merged = step.whitened
-    found = [
-        left_over(
-            rest[part.rests],
-            merged[part.turns],
-            part.link,
-            part.link < 0,
-            step.angles[part.rests],
-            np.concatenate([own, step.parameters]),
-            (covariance, np.ascontiguousarray(step.shared[0][:, part.rests]), step.shared[1][part.rests]),
-        )
-        for part, own, covariance in zip(problem.parts, step.own, step.own_covariance, strict=True)
-    ]
-    residual, spread, merged_residual, merged_spread = (np.concatenate(each) for each in zip(*found, strict=True))
-    return Left(rest=(residual, spread), merged=(merged_residual, merged_spread))
+    found = [_left_of(step, rest, merged, s, part) for s, part in enumerate(problem.parts)]
+    at_rest, after = zip(*found, strict=True)
+    return Left(rest=_concatenated(at_rest), merged=_concatenated(after))
+
+
+def _concatenated(of: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
+    residual, covariance = (np.concatenate(each) for each in zip(*of, strict=True))
+    return residual, covariance
+
+
+def _left_of(
+    step: Step, rest: Array, merged: Array, s: int, part: SessionSpan
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """What a step leaves of a session: of the rests that count, zero for the others, and of the merged rows."""
+    parameters, covariance = np.concatenate([step.own[s], step.parameters]), step.own_covariance[s]
+    (own, by_next), shared, angles = step.shared[0][:, part.rests], step.shared[1][part.rests], step.angles[part.rests]
+    first, last = np.flatnonzero(part.link >= 0), np.flatnonzero(part.link < 0)
+    first = first[np.argsort(part.link[first])]
+    both = np.block([[own[first], by_next[first]], [np.swapaxes(by_next[first], 1, 2), own[first + 1]]])
+    N, r = len(part.link), rest.shape[1]
+    at_rest = np.zeros((N, r)), np.zeros((N, r, r))
+    for out, found in zip(
+        at_rest,
+        _leave(rest[part.rests][last], angles[last], parameters, (own[last], shared[last], covariance)),
+        strict=True,
+    ):
+        out[last] = found
+    pair, pair_shared = (np.concatenate([of[first], of[first + 1]], axis=1) for of in (angles, shared))
+    return at_rest, _leave(merged[part.turns], pair, parameters, (both, pair_shared, covariance))
+
+
+def _leave(
+    rows: Array, angles: Array, parameters: Array, covariances: tuple[Array, Array, Array]
+) -> tuple[Array, Array]:
+    """Residuals (M, r) of rows for angles (M, a) and parameters, and 1 − A C Aᵀ (M, r, r), C being the covariances of
+    the angles (M, a, a), of these with the parameters (M, a, p), and of the parameters."""
+    a, (own, shared, covariance) = angles.shape[1], covariances
+    by_angle, by = rows[:, :, :a], np.ascontiguousarray(rows[:, :, a:-1])
+    residual = rows[:, :, -1] - (by_angle @ angles[:, :, None])[:, :, 0] - by @ parameters
+    with_angles = by_angle @ own + by @ np.swapaxes(shared, 1, 2)
+    with_parameters = by_angle @ shared + (by.reshape(-1, by.shape[2]) @ covariance).reshape(by.shape)
+    known = with_angles @ np.swapaxes(by_angle, 1, 2) + with_parameters @ np.swapaxes(by, 1, 2)
+    return residual, np.eye(rows.shape[1]) - known
