@@ -50,7 +50,7 @@ from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, rotation_vector, skew
-from tumble.sensors.instrument import Instrument, functions, slopes
+from tumble.sensors.instrument import Instrument, by_sensor, functions, slopes
 from tumble.sensors.model import Block, SensorModel, beyond_body
 from tumble.sensors.parameters import CONSTANT, FUNCTIONS, Variable, limits_of
 from tumble.units import Array, IntArray
@@ -486,7 +486,7 @@ def _rest_rows(problem: Problem, point: Point, block: Block, observed: Array) ->
         rows[:, :, 3] = np.einsum("npk,nk->np", by_force, L[:, 1])
     D = instrument.derivative(block, point.values)
     by = rows[:, :, 4:-1]
-    by[:, :, : len(point.values)] = np.einsum("npb,pbm->npm", beta[:, :, used], D[:, used], optimize=True)
+    by[:, :, : len(point.values)] = by_sensor(beta[:, :, used], D[:, used])
     _with_changes(problem, point, by, 0)
     rows[:, :, -1] = observed - np.einsum("npb,pb->np", beta, K) - _changed(problem, point, by, 0)
     return rows

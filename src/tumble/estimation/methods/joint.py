@@ -787,6 +787,8 @@ def _suspect(fitted: _Fitted) -> _Out | None:
     is allowed for; None where none does."""
     most, found, out, scatter = STANDS_OUT, None, fitted.out, fitted.scatter
     scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
+    if not any(scales):
+        return None
     judged = _judged(fitted, fitted.without)
     for group, ((fall, count), left_out, scale) in enumerate(
         zip(judged, (out.rest, out.rest, out.turn), scales, strict=True)
