@@ -89,6 +89,6 @@ def _noise(noise: Noise, part: SessionSpan) -> Noise:
     return Noise(
         rest=noise.rest[part.rests],
         merged=noise.merged[part.turns],
-        rest_directions=tuple(Z[part.rests] for Z in noise.rest_directions),
-        merged_directions=tuple(Z[part.turns] for Z in noise.merged_directions),
+        rest_directions=(noise.rest_directions[0][part.rests], noise.rest_directions[1]),
+        merged_directions=(noise.merged_directions[0][part.turns], noise.merged_directions[1]),
     )

@@ -26,6 +26,11 @@ cdef void _put_back(
     const double[:, ::1] covariance, double[:, :] unknowns, double[:, :, :, ::1] own, double[:, :, ::1] shared,
     double[:, ::1] inverse, double[:, ::1] by_next, double[:, ::1] by,
 )
+@cython.locals(v=double, part=double, total=double, scale=double, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t, k=Py_ssize_t)
+cdef bint _whiten(
+    const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,
+    const double[:] variance, double[:, ::1] work, double[:, :, ::1] factors,
+)
 cdef void _solve_for(
     double[:, ::1] inverse, const double[:, ::1] factor, double[:, ::1] by_next, double[:, ::1] by, double[:] value
 ) noexcept nogil

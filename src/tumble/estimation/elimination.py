@@ -62,16 +62,16 @@ def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, facto
 
 def fold(rows: Array, triangle: Array) -> None:
     """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1)."""
-    told = np.flatnonzero(np.any(rows, axis=0))
-    if not len(told):
-        return
-    rows, lower = rows[:, told[0] :], triangle[told[0] :, told[0] :]
     if len(triangle) > MANY:
-        lower[:] = np.linalg.qr(np.concatenate([lower, rows[np.any(rows, axis=1)]]), mode="r")
-    else:
-        whole = lower.copy()
-        _fold(rows.copy(), np.zeros(len(whole)), len(rows), whole)
-        lower[:] = whole
+        rows = rows[np.any(rows, axis=1)]
+        for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
+            lower = triangle[first:, first:]
+            lower[:] = np.linalg.qr(np.concatenate([lower, rows[:, first:]]), mode="r")
+        return
+    whole = np.ascontiguousarray(triangle)
+    _fold(rows.copy(), np.zeros(len(whole)), len(rows), whole)
+    if whole is not triangle:
+        triangle[:] = whole
 
 
 def _eliminate(
@@ -253,6 +253,54 @@ def _put_back(
                 _add_product(by_next, own[0, i + 1], own[1, i])
                 _add_product(own[1, i], by_next, own[0, i])
             _add_product(shared[i], by, own[0, i])
+
+
+def whitening(noise: Array, directions: Array, component: IntArray, variance: Array) -> Array:
+    """Inverse Cholesky factors (N, n, n) of N + Σ v Z Zᵀ, `directions` Z (N, n, q) being each of the component whose
+    `variance` it has. Raises LinAlgError where a covariance is none."""
+    factors = np.zeros(noise.shape)
+    if not _whiten(noise, directions, component, variance, np.zeros(noise.shape[1:]), factors):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+    return factors
+
+
+def _whiten(
+    noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array
+) -> bool:
+    """One covariance after the other; false where one is none."""
+    N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
+    with cython.nogil:
+        for k in range(N):
+            for a in range(n):
+                for b in range(a + 1):
+                    work[a, b] = noise[k, a, b]
+            for c in range(q):
+                v = variance[component[c]]
+                if v > 0.0:
+                    for a in range(n):
+                        part = v * directions[k, a, c]
+                        if part != 0.0:
+                            for b in range(a + 1):
+                                work[a, b] += part * directions[k, b, c]
+            for a in range(n):
+                for b in range(a + 1):
+                    total = work[a, b]
+                    for c in range(b):
+                        total -= work[a, c] * work[b, c]
+                    if b < a:
+                        work[a, b] = total / work[b, b]
+                    elif total > 0.0:
+                        work[a, a] = sqrt(total)
+                    else:
+                        return False
+            for a in range(n):
+                scale = 1.0 / work[a, a]
+                for c in range(a):
+                    part = work[a, c] * scale
+                    for b in range(c + 1):
+                        factors[k, a, b] -= part * factors[k, c, b]
+                factors[k, a, a] = scale
+    return True
 
 
 def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:

@@ -45,7 +45,7 @@ import numpy as np
 from scipy.linalg.lapack import dtrtri
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.elimination import eliminate, fold, put_back
+from tumble.estimation.elimination import eliminate, fold, put_back, whitening
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
@@ -53,7 +53,7 @@ from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import Instrument, by_sensor, functions, slopes
 from tumble.sensors.model import Block, SensorModel, beyond_body
 from tumble.sensors.parameters import CONSTANT, FUNCTIONS, Variable, limits_of
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 _UP = np.array([0.0, 1.0, 0.0])
 
@@ -163,28 +163,20 @@ class Rows:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Noise:
     """Covariance of the rows without scatter, of the rests (N, r, r) and of the merged rows (K, r + t, r + t), and the
-    directions Z (N, r, q), (K, r + t, q) of every component of variance, by COMPONENTS: Σ = N + Σ v Z Zᵀ."""
+    directions Z (N, r, q), (K, r + t, q) of the components of variance, each with the place in COMPONENTS of the one it
+    belongs to: Σ = N + Σ v Z Zᵀ."""
 
     rest: Array
     merged: Array
-    rest_directions: tuple[Array, ...]
-    merged_directions: tuple[Array, ...]
+    rest_directions: tuple[Array, IntArray]
+    merged_directions: tuple[Array, IntArray]
 
     def weights(self, scatter: Scatter) -> Weights:
         """The weights of the rows with a scatter."""
         return Weights(
-            rest=_whitening(self.rest, self.rest_directions, scatter),
-            merged=_whitening(self.merged, self.merged_directions, scatter),
+            rest=whitening(self.rest, *self.rest_directions, scatter.variances),
+            merged=whitening(self.merged, *self.merged_directions, scatter.variances),
         )
-
-
-def _whitening(noise: Array, directions: tuple[Array, ...], scatter: Scatter) -> Array:
-    """Inverse Cholesky factors of N + Σ v Z Zᵀ."""
-    total = noise
-    for variance, Z in zip(scatter.variances, directions, strict=True):
-        if variance > 0.0 and Z.shape[2]:
-            total = total + variance * (Z @ np.swapaxes(Z, 1, 2))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -232,13 +224,24 @@ class Left:
     merged: tuple[Array, Array]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SessionSpan:
     """One of several sessions: its rests and turns, and the turn among these after each of its rests, or −1."""
 
     rests: slice
     turns: slice
     link: IntArray
+
+    @cached_property
+    def last(self) -> BoolArray:
+        """The rests that no turn follows, whose own rows count."""
+        return self.link < 0
+
+    @cached_property
+    def first(self) -> IntArray:
+        """The rest before each turn."""
+        linked = np.flatnonzero(self.link >= 0)
+        return linked[np.argsort(self.link[linked])]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -448,6 +451,8 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
 def _with_changes(problem: Problem, point: Point, by: Array, place: int) -> None:
     """Fill in the columns (·, r, m + q) of what changes with time, temperature or launch: those of its base times what
     it goes with, at rest (`place` 0) or in the turns (1); and that of the lag, which moves the temperatures."""
+    if not problem.changes:
+        return
     values = problem.values_in(point, place)
     for own, base, variable in problem.changes:
         by[:, :, own] = problem.variables[variable][place][:, None, None] * by[:, :, base]
@@ -458,7 +463,10 @@ def _with_changes(problem: Problem, point: Point, by: Array, place: int) -> None
 
 def _changed(problem: Problem, point: Point, by: Array, place: int) -> Array:
     """What these changes add (·, r)."""
-    values, out = problem.values_in(point, place), np.zeros(by.shape[:2])
+    out = np.zeros(by.shape[:2])
+    if not problem.changes:
+        return out
+    values = problem.values_in(point, place)
     for own, _, _ in problem.changes:
         out += np.einsum("krm,km->kr", by[:, :, own], values[:, own])
     return out
@@ -501,10 +509,10 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     assert gyro is not None
     basis, start, end = bases(point.attitudes), point.attitudes[turns.first], point.attitudes[turns.last]
     phi, V = about.moved(instrument, point.values)
-    by_phi, by_V = (
-        np.concatenate([by, np.zeros((*by.shape[:2], len(problem.own_known)))], axis=2)
-        for by in about.columns(instrument, point.values)
-    )
+    by_phi, by_V = about.columns(instrument, point.values)
+    if len(problem.own_known):
+        none = np.zeros((*by_phi.shape[:2], len(problem.own_known)))
+        by_phi, by_V = np.concatenate([by_phi, none], axis=2), np.concatenate([by_V, none], axis=2)
     for by, changed in ((by_phi, phi), (by_V, V)):
         _with_changes(problem, point, by, 1)
         changed -= _changed(problem, point, by, 1)
@@ -655,30 +663,30 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
     rest = _diagonal(blocks)
     r, stop = rest.shape[1], n + rests.gyro.shape[1]
-    selected = np.broadcast_to(np.eye(r), rest.shape)
-    none = np.zeros((len(rests), r, 0))
-    at_rest = (selected[:, :, :n], selected[:, :, n:stop], none, none, none)
+    t = rows.turn.shape[1]
+    v = 3 if problem.instrument.in_velocities else 0
+    component = np.repeat(np.arange(len(COMPONENTS)), [n, stop - n, t - v, v, v])
+    at_rest = np.broadcast_to(np.eye(r, stop), (len(rests), r, stop)), component[:stop]
     turns = observations.turns
     if turns is None or not len(turns):
-        t = r + rows.turn.shape[1]
-        empty = (np.zeros((0, t, 0)),) * len(COMPONENTS)
-        return Noise(rest=rest, merged=np.zeros((0, t, t)), rest_directions=at_rest, merged_directions=empty)
-    bias = np.zeros((len(turns), r + rows.turn.shape[1], stop))
-    bias[:, :stop] = np.eye(stop)
-    bias[:, r:] = rows.bias
-    v = 3 if problem.instrument.in_velocities else 0
-    spare = rows.turn.shape[1] - 3 - v
-    rotation, velocity, jumps = (np.zeros((len(turns), bias.shape[1], q)) for q in (3 + spare, v, v))
-    turned = (turns.duration > 0.0)[:, None, None]  # between the parts of a rest nothing is
-    rotation[:, r : r + 3, :3] = turned * np.eye(3)
-    rotation[:, r + 3 + v :, 3:] = np.eye(spare)
-    velocity[:, r + 3 : r + 3 + v] = turned * np.eye(v)
-    jumps[:, r + 3 : r + 3 + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+        empty = np.zeros((0, r + t, len(component)))
+        return Noise(
+            rest=rest,
+            merged=np.zeros((0, r + t, r + t)),
+            rest_directions=at_rest,
+            merged_directions=(empty, component),
+        )
+    Z = np.zeros((len(turns), r + t, len(component)))
+    Z[:, :stop, :stop], Z[:, r:, :stop] = np.eye(stop), rows.bias
+    Z[:, r:, stop : stop + t] = np.eye(t)[:, np.r_[:3, 3 + v : t, 3 : 3 + v]]  # rotations, spare readings, velocities
+    turned = turns.duration > 0.0  # between the parts of a rest nothing is
+    Z[~turned, r : r + 3 + v, stop:] = 0.0
+    Z[:, r + 3 : r + 3 + v, stop + t :] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
     return Noise(
         rest=rest,
         merged=_diagonal([rest[turns.first], _turn_noise(problem, unseen)]),
         rest_directions=at_rest,
-        merged_directions=(bias[:, :, :n], bias[:, :, n:], rotation, velocity, jumps),
+        merged_directions=(Z, component),
     )
 
 
@@ -764,7 +772,7 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
     size = len(problem.own_known) + len(rows.prior)
     factor, sessions = np.empty((len(rest), 3, 6 + size)), np.zeros((len(problem.parts), size, size))
     for part, triangle in zip(problem.parts, sessions, strict=True):
-        eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor[part.rests], triangle)
+        eliminate(rest[part.rests], merged[part.turns], part.link, part.last, factor[part.rests], triangle)
     return Told(whitened=(rest, merged), factor=factor, sessions=sessions)
 
 
@@ -876,17 +884,14 @@ def _left_of(
     """What a step leaves of a session: of the rests that count, zero for the others, and of the merged rows."""
     parameters, covariance = np.concatenate([step.own[s], step.parameters]), step.own_covariance[s]
     (own, by_next), shared, angles = step.shared[0][:, part.rests], step.shared[1][part.rests], step.angles[part.rests]
-    first, last = np.flatnonzero(part.link >= 0), np.flatnonzero(part.link < 0)
-    first = first[np.argsort(part.link[first])]
-    both = np.block([[own[first], by_next[first]], [np.swapaxes(by_next[first], 1, 2), own[first + 1]]])
-    N, r = len(part.link), rest.shape[1]
+    first, last, (N, r) = part.first, part.last, rest[part.rests].shape[:2]
     at_rest = np.zeros((N, r)), np.zeros((N, r, r))
-    for out, found in zip(
-        at_rest,
-        _leave(rest[part.rests][last], angles[last], parameters, (own[last], shared[last], covariance)),
-        strict=True,
-    ):
-        out[last] = found
+    at_rest[0][last], at_rest[1][last] = _leave(
+        rest[part.rests][last], angles[last], parameters, (own[last], shared[last], covariance)
+    )
+    both = np.empty((len(first), 6, 6))
+    both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:] = own[first], by_next[first], own[first + 1]
+    both[:, 3:, :3] = np.swapaxes(both[:, :3, 3:], 1, 2)
     pair, pair_shared = (np.concatenate([of[first], of[first + 1]], axis=1) for of in (angles, shared))
     return at_rest, _leave(merged[part.turns], pair, parameters, (both, pair_shared, covariance))
 

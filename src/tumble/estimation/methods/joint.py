@@ -433,10 +433,9 @@ def _scattered(problem: Problem, at: _At, start: Scatter) -> tuple[Scatter, Arra
     """The components of scatter by restricted maximum likelihood at one linearisation, from a start, and the covariance
     (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls. The information lacks what
     rests and turns tell of each other: `share` is the part that it was of how the score fell in the step before."""
-    directions = _together(at.noise, problem.link < 0)
     variance, share = start.variances, 1.0
     active = variance > 0.0
-    deviance, score, information = _scored(problem, at, directions, variance)
+    deviance, score, information = _scored(problem, at, variance)
     if not active.any():
         size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
         active = score / size > -special.ndtri(SCATTER_PROBABILITY)
@@ -451,7 +450,7 @@ def _scattered(problem: Problem, at: _At, start: Scatter) -> tuple[Scatter, Arra
         wanted, before, above = np.maximum(variance + change, 0.0), variance, score
         for _ in range(5):
             variance = wanted
-            found = _scored(problem, at, directions, variance)
+            found = _scored(problem, at, variance)
             if found[0] <= deviance + 1e-6:
                 break
             wanted = 0.5 * (wanted + before)
@@ -468,19 +467,7 @@ def _scattered(problem: Problem, at: _At, start: Scatter) -> tuple[Scatter, Arra
     return Scatter.of_variances(variance), components
 
 
-def _together(noise: Noise, last: BoolArray) -> tuple[tuple[Array, Array], ...]:
-    """The directions (N, r, q) of all components of scatter side by side, and to which component (q, 5) each belongs:
-    of the rests that count, and of the merged rows."""
-    found = []
-    for directions in ([Z[last] for Z in noise.rest_directions], noise.merged_directions):
-        component = np.repeat(np.arange(len(COMPONENTS)), [Z.shape[2] for Z in directions])
-        found.append((np.concatenate(directions, axis=2), np.eye(len(COMPONENTS))[component]))
-    return tuple(found)
-
-
-def _scored(
-    problem: Problem, at: _At, directions: tuple[tuple[Array, Array], ...], variance: Array
-) -> tuple[float, Array, Array]:
+def _scored(problem: Problem, at: _At, variance: Array) -> tuple[float, Array, Array]:
     """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances:
 
     ½ (|Zᵀ u|² − tr Zᵀ Q Z),    ½ Σ (Zᵀ Q Z)²,    u = Wᵀ r,    Q = Wᵀ C W
@@ -488,11 +475,13 @@ def _scored(
     with the residuals r and their covariance C."""
     step = at.solved(problem, Scatter.of_variances(variance))
     after, weight = left(problem, step), step.weights
-    last = problem.link < 0
+    last, (at_rest, of_rest) = problem.link < 0, at.noise.rest_directions
     score, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
-    whitened = (weight.rest[last], after.rest[0][last], after.rest[1][last]), (weight.merged, *after.merged)
-    for (W, residual, covariance), (Z, member) in zip(whitened, directions, strict=True):
-        WZ = W @ Z
+    for W, (residual, covariance), (Z, component) in (
+        (weight.rest[last], (after.rest[0][last], after.rest[1][last]), (at_rest[last], of_rest)),
+        (weight.merged, after.merged, at.noise.merged_directions),
+    ):
+        WZ, member = W @ Z, np.eye(len(variance))[component]
         along = np.swapaxes(WZ, 1, 2) @ residual[:, :, None]
         Q = np.swapaxes(WZ, 1, 2) @ covariance @ WZ
         score += 0.5 * ((along[:, :, 0] ** 2).sum(axis=0) - np.einsum("kqq->q", Q)) @ member
