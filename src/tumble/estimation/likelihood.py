@@ -521,13 +521,14 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     r = rotation_vector(C @ np.swapaxes(end, 1, 2) @ earth @ start)
     left = inverse_left_jacobian(r)
     phi_bias, V_bias = about.bias_columns()
+    by_turned = left @ left_jacobian(phi)
     rows = np.zeros((len(turns), 6, 8 + by_phi.shape[2]))
     rows[:, :3, :3] = -np.swapaxes(left, 1, 2) @ basis[turns.first]
     rows[:, :3, 3:6] = left @ C @ basis[turns.last]
-    rows[:, :3, 7:-1] = left @ left_jacobian(phi) @ by_phi
+    rows[:, :3, 7:-1] = by_turned @ by_phi
     rows[:, :3, -1] = r
     bias = np.zeros((len(turns), 6, phi_bias.shape[2]))
-    bias[:, :3], bias[:, 3:] = left @ left_jacobian(phi) @ phi_bias, V_bias
+    bias[:, :3], bias[:, 3:] = by_turned @ phi_bias, V_bias
     if instrument.in_velocities:
         predicted, by_turning = _velocity(problem, point, turns.duration)
         rows[:, 3:, :3] = by_turning
@@ -905,6 +906,32 @@ def _leave(
     by_angle, by = rows[:, :, :a], np.ascontiguousarray(rows[:, :, a:-1])
     residual = rows[:, :, -1] - (by_angle @ angles[:, :, None])[:, :, 0] - by @ parameters
     with_angles = by_angle @ own + by @ np.swapaxes(shared, 1, 2)
-    with_parameters = by_angle @ shared + (by.reshape(-1, by.shape[2]) @ covariance).reshape(by.shape)
+    with_parameters = _with_parameters(by_angle, by, shared, covariance)
     known = with_angles @ np.swapaxes(by_angle, 1, 2) + with_parameters @ np.swapaxes(by, 1, 2)
     return residual, np.eye(rows.shape[1]) - known
+
+
+def _with_parameters(by_angle: Array, by: Array, shared: Array, covariance: Array) -> Array:
+    """Covariances (M, r, p) of what rows predict with the parameters."""
+    return np.asarray(by_angle @ shared + (by.reshape(-1, by.shape[2]) @ covariance).reshape(by.shape))
+
+
+def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
+    """Derivatives (5, 1 + m) of the variances of gravity and the parameters by those of the components of scatter: with
+    the covariances S of what rows predict with the parameters, Σ (Zᵀ Wᵀ S)² over the directions of a component."""
+    (rest, merged), q, p = step.whitened, len(problem.own_known), len(step.parameters)
+    slopes = np.zeros((len(COMPONENTS), p))
+    for s, part in enumerate(problem.parts):
+        shared, covariance = step.shared[1][part.rests], step.own_covariance[s][:, q:]
+        pair = np.concatenate([shared[part.first], shared[part.first + 1]], axis=1)
+        for rows, by_angle, W, (Z, component) in (
+            (rest[part.rests][part.last], shared[part.last], step.weights.rest[part.rests][part.last],
+             (noise.rest_directions[0][part.rests][part.last], noise.rest_directions[1])),
+            (merged[part.turns], pair, step.weights.merged[part.turns],
+             (noise.merged_directions[0][part.turns], noise.merged_directions[1])),
+        ):  # fmt: skip
+            a = by_angle.shape[1]
+            by = np.ascontiguousarray(rows[:, :, a:-1])
+            S = _with_parameters(rows[:, :, :a], by, by_angle[:, :, q:], covariance)
+            np.add.at(slopes, component, ((np.swapaxes(W @ Z, 1, 2) @ S) ** 2).sum(axis=0))
+    return slopes

@@ -44,7 +44,7 @@ from scipy import special
 
 from tumble.earth import EARTH_RATE
 from tumble.estimation.common_errors import common_covariance
-from tumble.estimation.elimination import carry, fold
+from tumble.estimation.elimination import carry, fold, score
 from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, GroupFinding, OwnEstimate
 from tumble.estimation.likelihood import (
     COMPONENTS,
@@ -68,6 +68,7 @@ from tumble.estimation.likelihood import (
     priors,
     solve,
     tell,
+    variance_slopes,
 )
 from tumble.estimation.prediction import prediction
 from tumble.estimation.turns_about import TurnsAbout
@@ -435,30 +436,30 @@ def _scattered(problem: Problem, at: _At, start: Scatter) -> tuple[Scatter, Arra
     rests and turns tell of each other: `share` is the part that it was of how the score fell in the step before."""
     variance, share = start.variances, 1.0
     active = variance > 0.0
-    deviance, score, information = _scored(problem, at, variance)
+    deviance, slope, information = _scored(problem, at, variance)
     if not active.any():
         size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
-        active = score / size > -special.ndtri(SCATTER_PROBABILITY)
+        active = slope / size > -special.ndtri(SCATTER_PROBABILITY)
     for _ in range(SCATTER_STEPS):
-        active &= (variance > 0.0) | (score > 0.0)
+        active &= (variance > 0.0) | (slope > 0.0)
         if not active.any():
             break
         index = np.ix_(active, active)
         change = np.zeros_like(variance)
-        change[active] = share * np.linalg.solve(information[index], score[active])
+        change[active] = share * np.linalg.solve(information[index], slope[active])
         deviation = np.where(active, 1.0 / np.sqrt(np.where(active, np.diag(information), 1.0)), np.inf)
-        wanted, before, above = np.maximum(variance + change, 0.0), variance, score
+        wanted, before, above = np.maximum(variance + change, 0.0), variance, slope
         for _ in range(5):
             variance = wanted
             found = _scored(problem, at, variance)
             if found[0] <= deviance + 1e-6:
                 break
             wanted = 0.5 * (wanted + before)
-        deviance, score, information = found
+        deviance, slope, information = found
         change = np.where(active, variance - before, 0.0)
         if np.all(np.abs(change) <= SCATTER_CONVERGED * deviation):
             break
-        expected, fallen = change @ information @ change, change @ (above - score)
+        expected, fallen = change @ information @ change, change @ (above - slope)
         share = float(np.clip(expected / fallen, *SHARES)) if fallen > 0.0 else SHARES[1]
     active = variance > 0.0
     components = np.zeros((len(COMPONENTS), len(COMPONENTS)))
@@ -468,25 +469,14 @@ def _scattered(problem: Problem, at: _At, start: Scatter) -> tuple[Scatter, Arra
 
 
 def _scored(problem: Problem, at: _At, variance: Array) -> tuple[float, Array, Array]:
-    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances:
-
-    ½ (|Zᵀ u|² − tr Zᵀ Q Z),    ½ Σ (Zᵀ Q Z)²,    u = Wᵀ r,    Q = Wᵀ C W
-
-    with the residuals r and their covariance C."""
+    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances."""
     step = at.solved(problem, Scatter.of_variances(variance))
     after, weight = left(problem, step), step.weights
     last, (at_rest, of_rest) = problem.link < 0, at.noise.rest_directions
-    score, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
-    for W, (residual, covariance), (Z, component) in (
-        (weight.rest[last], (after.rest[0][last], after.rest[1][last]), (at_rest[last], of_rest)),
-        (weight.merged, after.merged, at.noise.merged_directions),
-    ):
-        WZ, member = W @ Z, np.eye(len(variance))[component]
-        along = np.swapaxes(WZ, 1, 2) @ residual[:, :, None]
-        Q = np.swapaxes(WZ, 1, 2) @ covariance @ WZ
-        score += 0.5 * ((along[:, :, 0] ** 2).sum(axis=0) - np.einsum("kqq->q", Q)) @ member
-        information += 0.5 * (member.T @ (Q**2).sum(axis=0) @ member)
-    return step.deviance, score, information
+    slope, information, (Z, of_merged) = np.zeros(len(variance)), np.zeros((len(variance),) * 2), at.noise.merged_directions
+    score(weight.rest[last] @ at_rest[last], of_rest, (after.rest[0][last], after.rest[1][last]), slope, information)
+    score(weight.merged @ Z, of_merged, after.merged, slope, information)
+    return step.deviance, slope, information
 
 
 # The lag
@@ -938,17 +928,11 @@ def _findings(fitted: _Fitted, covariance: Array) -> Iterator[GroupFinding]:
 
 def _degrees(fitted: _Fitted, covariance: Array) -> Array:
     """Degrees of freedom (m,) behind the u of the parameters: ν = 2 u⁴ / Var(u²)."""
-    problem, last, variance = fitted.problem, fitted.solved.last, fitted.scatter.variances
-    active = np.flatnonzero(variance > 0.0)
+    problem, variance = fitted.problem, fitted.scatter.variances
     degrees = np.full(len(covariance), MOST_DEGREES)
-    if not len(active):
+    if not variance.any():
         return degrees
-    slopes = np.zeros((len(COMPONENTS), len(covariance)))
-    now = np.diag(last.solved(problem, fitted.scatter).covariance)[1:]
-    for a in active:
-        step = 0.1 * variance[a]
-        more = Scatter.of_variances(variance + step * np.eye(len(variance))[a])
-        slopes[a] = (np.diag(last.solved(problem, more).covariance)[1:] - now) / step
+    slopes = variance_slopes(problem, fitted.solved.step, fitted.solved.last.noise)[:, 1:] * (variance > 0.0)[:, None]
     of_u = np.einsum("am,ab,bm->m", slopes, fitted.components, slopes)
     least = 2.0 * np.diag(covariance) ** 2 / MOST_DEGREES
     return np.asarray(MOST_DEGREES * least / np.maximum(of_u, least))
