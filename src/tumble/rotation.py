@@ -90,7 +90,7 @@ def axes_matrix(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float
 
 
 def axes_derivatives(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float) -> Array:
-    """Derivatives (6, 3) of the rows of `axes_matrix` by the angles: the first two of the row of sensor x, and so on."""
+    """Derivatives (6, 3) of the rows of `axes_matrix` by the angles, two of each row."""
     cos, sin = math.cos, math.sin
     return np.array(
         [

@@ -264,9 +264,7 @@ def whitening(noise: Array, directions: Array, component: IntArray, variance: Ar
     return factors
 
 
-def _whiten(
-    noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array
-) -> bool:
+def _whiten(noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array) -> bool:
     """One covariance after the other; false where one is none."""
     N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
     with cython.nogil:
@@ -303,9 +301,7 @@ def _whiten(
     return True
 
 
-def score(
-    directions: Array, component: IntArray, left: tuple[Array, Array], slope: Array, information: Array
-) -> None:
+def score(directions: Array, component: IntArray, left: tuple[Array, Array], slope: Array, information: Array) -> None:
     """Add to the `slope` (5,) and `information` (5, 5) of a restricted likelihood by the variances of its components
     what residuals r (N, n) of covariance C (N, n, n) say, whitened `directions` Z (N, n, q) being each of a component:
 

@@ -37,7 +37,7 @@ samples that jump (A3). Rows of a rest and of the turn after it are therefore wh
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -867,71 +867,68 @@ def inverse_of(triangle: Array) -> Array:
 
 
 def left(problem: Problem, step: Step) -> Left:
-    """What a step leaves of the residuals."""
-    rest, merged = step.whitened
-    found = [_left_of(step, rest, merged, s, part) for s, part in enumerate(problem.parts)]
-    at_rest, after = zip(*found, strict=True)
-    return Left(rest=_concatenated(at_rest), merged=_concatenated(after))
+    """What a step leaves of the residuals: nothing of rests that do not count."""
+    r = step.whitened[0].shape[1]
+    rest, covariance = np.zeros((len(problem.link), r)), np.zeros((len(problem.link), r, r))
+    found = [
+        [_leave(seen, np.concatenate([own, step.parameters]), known) for seen in _seen(step, part)]
+        for part, own, known in zip(problem.parts, step.own, step.own_covariance, strict=True)
+    ]
+    at_rest, merged = ([np.concatenate(each) for each in zip(*of, strict=True)] for of in zip(*found, strict=True))
+    rest[problem.link < 0], covariance[problem.link < 0] = at_rest
+    return Left(rest=(rest, covariance), merged=(merged[0], merged[1]))
 
 
-def _concatenated(of: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
-    residual, covariance = (np.concatenate(each) for each in zip(*of, strict=True))
-    return residual, covariance
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Seen:
+    """Whitened rows (M, r, ·), the angles (M, a) in them, their covariances (M, a, a), and those of the angles with the
+    parameters (M, a, p)."""
+
+    rows: Array
+    angles: Array
+    own: Array
+    shared: Array
+
+    def with_parameters(self, covariance: Array) -> Array:
+        """Covariances (M, r, p) of what the rows predict with the parameters, of `covariance` (p, p)."""
+        a, (M, r, _) = self.angles.shape[1], self.rows.shape
+        by = self.rows[:, :, a:-1].reshape(M * r, len(covariance))
+        return np.asarray(self.rows[:, :, :a] @ self.shared + (by @ covariance).reshape(M, r, len(covariance)))
 
 
-def _left_of(
-    step: Step, rest: Array, merged: Array, s: int, part: SessionSpan
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """What a step leaves of a session: of the rests that count, zero for the others, and of the merged rows."""
-    parameters, covariance = np.concatenate([step.own[s], step.parameters]), step.own_covariance[s]
+def _seen(step: Step, part: SessionSpan) -> tuple[_Seen, _Seen]:
+    """The rests of a session that count, and its merged rows."""
+    (rest, merged), first, last = step.whitened, part.first, part.last
     (own, by_next), shared, angles = step.shared[0][:, part.rests], step.shared[1][part.rests], step.angles[part.rests]
-    first, last, (N, r) = part.first, part.last, rest[part.rests].shape[:2]
-    at_rest = np.zeros((N, r)), np.zeros((N, r, r))
-    at_rest[0][last], at_rest[1][last] = _leave(
-        rest[part.rests][last], angles[last], parameters, (own[last], shared[last], covariance)
-    )
     both = np.empty((len(first), 6, 6))
     both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:] = own[first], by_next[first], own[first + 1]
-    both[:, 3:, :3] = np.swapaxes(both[:, :3, 3:], 1, 2)
+    both[:, 3:, :3] = np.swapaxes(by_next[first], 1, 2)
     pair, pair_shared = (np.concatenate([of[first], of[first + 1]], axis=1) for of in (angles, shared))
-    return at_rest, _leave(merged[part.turns], pair, parameters, (both, pair_shared, covariance))
+    return (
+        _Seen(rows=rest[part.rests][last], angles=angles[last], own=own[last], shared=shared[last]),
+        _Seen(rows=merged[part.turns], angles=pair, own=both, shared=pair_shared),
+    )
 
 
-def _leave(
-    rows: Array, angles: Array, parameters: Array, covariances: tuple[Array, Array, Array]
-) -> tuple[Array, Array]:
-    """Residuals (M, r) of rows for angles (M, a) and parameters, and 1 − A C Aᵀ (M, r, r), C being the covariances of
-    the angles (M, a, a), of these with the parameters (M, a, p), and of the parameters."""
-    a, (own, shared, covariance) = angles.shape[1], covariances
-    by_angle, by = rows[:, :, :a], np.ascontiguousarray(rows[:, :, a:-1])
-    residual = rows[:, :, -1] - (by_angle @ angles[:, :, None])[:, :, 0] - by @ parameters
-    with_angles = by_angle @ own + by @ np.swapaxes(shared, 1, 2)
-    with_parameters = _with_parameters(by_angle, by, shared, covariance)
-    known = with_angles @ np.swapaxes(by_angle, 1, 2) + with_parameters @ np.swapaxes(by, 1, 2)
-    return residual, np.eye(rows.shape[1]) - known
-
-
-def _with_parameters(by_angle: Array, by: Array, shared: Array, covariance: Array) -> Array:
-    """Covariances (M, r, p) of what rows predict with the parameters."""
-    return np.asarray(by_angle @ shared + (by.reshape(-1, by.shape[2]) @ covariance).reshape(by.shape))
+def _leave(seen: _Seen, parameters: Array, covariance: Array) -> tuple[Array, Array]:
+    """Residuals (M, r) of rows for these parameters, and 1 − A C Aᵀ (M, r, r), C being that of the unknowns."""
+    a = seen.angles.shape[1]
+    by_angle, by = seen.rows[:, :, :a], seen.rows[:, :, a:-1]
+    residual = seen.rows[:, :, -1] - (by_angle @ seen.angles[:, :, None])[:, :, 0] - by @ parameters
+    with_angles = by_angle @ seen.own + by @ np.swapaxes(seen.shared, 1, 2)
+    known = with_angles @ np.swapaxes(by_angle, 1, 2) + seen.with_parameters(covariance) @ np.swapaxes(by, 1, 2)
+    return residual, np.eye(seen.rows.shape[1]) - known
 
 
 def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
     """Derivatives (5, 1 + m) of the variances of gravity and the parameters by those of the components of scatter: with
     the covariances S of what rows predict with the parameters, Σ (Zᵀ Wᵀ S)² over the directions of a component."""
-    (rest, merged), q, p = step.whitened, len(problem.own_known), len(step.parameters)
-    slopes = np.zeros((len(COMPONENTS), p))
-    for s, part in enumerate(problem.parts):
-        shared, covariance = step.shared[1][part.rests], step.own_covariance[s][:, q:]
-        pair = np.concatenate([shared[part.first], shared[part.first + 1]], axis=1)
-        for rows, by_angle, W, (Z, component) in (
-            (rest[part.rests][part.last], shared[part.last], step.weights.rest[part.rests][part.last],
-             (noise.rest_directions[0][part.rests][part.last], noise.rest_directions[1])),
-            (merged[part.turns], pair, step.weights.merged[part.turns],
-             (noise.merged_directions[0][part.turns], noise.merged_directions[1])),
-        ):  # fmt: skip
-            a = by_angle.shape[1]
-            by = np.ascontiguousarray(rows[:, :, a:-1])
-            S = _with_parameters(rows[:, :, :a], by, by_angle[:, :, q:], covariance)
-            np.add.at(slopes, component, ((np.swapaxes(W @ Z, 1, 2) @ S) ** 2).sum(axis=0))
+    q, slopes = len(problem.own_known), np.zeros((len(COMPONENTS), len(step.parameters)))
+    (at_rest, of_rest), (of_merged, component) = noise.rest_directions, noise.merged_directions
+    Z = step.weights.rest @ at_rest, step.weights.merged @ of_merged
+    for covariance, part in zip(step.own_covariance, problem.parts, strict=True):
+        rests, turns = _seen(step, part)
+        for seen, of, along in ((rests, of_rest, Z[0][part.rests][part.last]), (turns, component, Z[1][part.turns])):
+            S = seen.with_parameters(covariance)[:, :, q:]
+            np.add.at(slopes, of, ((np.swapaxes(along, 1, 2) @ S) ** 2).sum(axis=0))
     return slopes

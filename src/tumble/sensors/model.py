@@ -136,7 +136,8 @@ class Block:
             six, places = self._six(angles), _FREE_PLACES[self.kind]
             out[self._channel_of_axis(), 3, np.arange(3)] = 1.0
             out[:, :3, 3:6] = self.axes[:, None, :] * axes_matrix(*six).T
-            out[:, :3, 6:] = ((self.axes * (1.0 + scale))[:, places // 2, None] * axes_derivatives(*six)[places]).swapaxes(1, 2)
+            by_row = (self.axes * (1.0 + scale))[:, places // 2]
+            out[:, :3, 6:] = by_row[:, None, :] * axes_derivatives(*six)[places].T
             return out
         rotated = self._rotated(angles)
         for p in range(n):

@@ -471,9 +471,9 @@ def _scattered(problem: Problem, at: _At, start: Scatter) -> tuple[Scatter, Arra
 def _scored(problem: Problem, at: _At, variance: Array) -> tuple[float, Array, Array]:
     """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances."""
     step = at.solved(problem, Scatter.of_variances(variance))
-    after, weight = left(problem, step), step.weights
-    last, (at_rest, of_rest) = problem.link < 0, at.noise.rest_directions
-    slope, information, (Z, of_merged) = np.zeros(len(variance)), np.zeros((len(variance),) * 2), at.noise.merged_directions
+    after, weight, last = left(problem, step), step.weights, problem.link < 0
+    slope, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
+    (at_rest, of_rest), (Z, of_merged) = at.noise.rest_directions, at.noise.merged_directions
     score(weight.rest[last] @ at_rest[last], of_rest, (after.rest[0][last], after.rest[1][last]), slope, information)
     score(weight.merged @ Z, of_merged, after.merged, slope, information)
     return step.deviance, slope, information
