@@ -18,12 +18,11 @@ from tumble.estimation.likelihood import (
     Scatter,
     bases,
     inverse_left_jacobian,
-    left,
     left_jacobian,
     linearise,
-    solve,
     weights,
 )
+from tumble.estimation.step import left, solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme

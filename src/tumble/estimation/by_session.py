@@ -12,7 +12,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows, SessionSpan, tell, with_own
+from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows, SessionSpan
+from tumble.estimation.step import tell, with_own
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.moments import Moments
 from tumble.reduction.together import apart

@@ -49,7 +49,6 @@ from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, Gr
 from tumble.estimation.likelihood import (
     COMPONENTS,
     NO_PRIOR,
-    Left,
     Linearised,
     Noise,
     Point,
@@ -57,20 +56,15 @@ from tumble.estimation.likelihood import (
     Problem,
     Rows,
     Scatter,
-    Step,
     Weights,
     at_reference,
     instruments_of,
-    joined,
-    left,
     linearise,
     noise_of,
     priors,
-    solve,
-    tell,
-    variance_slopes,
 )
 from tumble.estimation.prediction import prediction
+from tumble.estimation.step import Left, Step, joined, left, solve, tell, variance_slopes
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
