@@ -1,7 +1,7 @@
 """The least-squares step of a linearised likelihood, with the attitudes eliminated, and what it leaves of residuals.
 
-Rows are whitened. Of each session the attitudes are eliminated, which leaves a triangle: what the session says of what it
-has of its own, of gravity and of the common parameters (`Told`). Priors are folded in after that (`joined`), so that
+Rows are whitened. Of each session the attitudes are eliminated, which leaves a triangle: what the session says of what
+it has of its own, of gravity and of the common parameters (`Told`). Priors are folded in after that (`joined`), so that
 others are tried without eliminating again.
 """
 
