@@ -23,7 +23,7 @@ from tumble.documents import is_plain, shown
 from tumble.errors import ProgrammeError
 from tumble.programme import positions as programme
 from tumble.recording.dialect import DELIMITERS, Dialect
-from tumble.sensors.parameters import prior_of
+from tumble.sensors.typed_quantities import prior_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
 
 CLOCK = "iso8601"
