@@ -21,9 +21,8 @@ from tumble.reduction.matching import Match
 from tumble.reduction.observations import observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
 from tumble.sensors.parameters import usual_sizes
-from tumble.units import Array
+from tumble.units import ZERO_CELSIUS, Array
 
-_ZERO_CELSIUS = 273.15
 _LEAST_BLOCKS = 30
 
 
@@ -74,7 +73,7 @@ class Chain:
         n = len(log.accel.columns)
         accel = log.accel.to_si(samples.values[:, :n], dt)
         gyro = None if log.gyro is None else log.gyro.to_si(samples.values[:, n : n + len(log.gyro.columns)], dt)
-        temperature = log.temperature.to_celsius(samples.values[:, -1]) + _ZERO_CELSIUS if log.temperature else None
+        temperature = log.temperature.to_celsius(samples.values[:, -1]) + ZERO_CELSIUS if log.temperature else None
         if len(dt):
             chunk = Chunk(file=0, time=samples.time, dt=dt, accel=accel, gyro=gyro, temperature=temperature)
             self._reducer.feed(chunk)

@@ -18,7 +18,7 @@ from tumble.bench.wishes import better_by
 from tumble.programme.positions import ANY_MOVE, Move
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
 from tumble.reduction.rest_noise import drift
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 
 STILL_TURNING = 3.0 * DEGREE
 """s⁻¹: a turn that is nearly done and goes on more slowly is a unit put down with movement."""
@@ -54,7 +54,7 @@ def screen(
         "seconds": progress.now,
         "scatter": {"now": scatter_now(blocks), "limit": progress.limits.scatter},
         "sphere": _sphere(progress, estimate),
-        "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - 273.15),
+        "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - ZERO_CELSIUS),
         "to_go": _to_go(task, progress),
         "fault": None,
     }
