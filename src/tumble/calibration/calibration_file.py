@@ -55,7 +55,7 @@ from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
 from tumble.sensors.model import Block, SensorKind, SensorModel
-from tumble.sensors.parameters import group_name, sensor_kind
+from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class Calibration:
             raise CalibrationError("calibration: expected one with accelerometers, found none")
         accel = self._block("accel", self.accel)
         gyro = None if self.gyro is None else self._block("gyro", self.gyro)
-        values = {p.name: p.value for p in self.parameters if not p.name.startswith("mag.")}
+        values = {p.name: p.value for p in self.parameters if sensor_kind(p.name) != "mag"}
         models = self.accel, self.gyro
         references = {str(block.kind): self._references(block) for block in (accel, gyro) if block is not None}
         known = references if self.reference_temperature is not None else {}
@@ -142,7 +142,7 @@ class Calibration:
     def reference_of(self, name: str) -> float:
         """The temperature, °C, by the thermometer of its sensor, at which a parameter has its value; 0 where there is
         none."""
-        kind, _, sensor = (*name.split(".", 3), "", "")[:3]
+        kind, sensor = sensor_kind(name), within_group(name).partition(".")[0]
         model = {"accel": self.accel, "gyro": self.gyro}.get(kind)
         if kind not in self.references or model is None:
             return self.reference_temperature or 0.0
@@ -277,7 +277,8 @@ class Calibration:
         for group in self.groups:
             members = [p for p in self.parameters if group_name(p.name) == group.name]
             if group.kept and sensor_kind(group.name) == kind and members:
-                further[group.name.partition(".")[2]] = {p.name.split(".", 2)[-1]: p.value for p in members}
+                named = {within_group(p.name) or within_kind(p.name): p.value for p in members}
+                further[within_kind(group.name)] = named
         return content | further
 
     def write(self, path: FilePath, *, force: bool = False) -> None:
