@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import gzip
 import io
 import re
 import sys
@@ -33,6 +32,7 @@ from tumble.recording.dialect import BLANKS, LINE_BYTES, Dialect, Recoded, head_
 from tumble.recording.panic import LAST_WORDS, without_panic
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec
+from tumble.recording.unpacked import unpacked
 from tumble.units import Array
 
 if sys.version_info >= (3, 14):
@@ -432,14 +432,8 @@ def _open_csv(path: Path, dialect: Dialect | None) -> _Csv:
 
 def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
     """A file to read from as UTF-8, decompressed by its ending."""
-    ending = path.suffix.lower()
-    stream: io.BufferedIOBase
-    if ending == ".gz":
-        stream = gzip.GzipFile(path)
-    elif ending == ".zst":
-        stream = zstd.ZstdFile(path)
-    else:
-        stream = path.open("rb")
+    packed = path.suffix.lower() in (".gz", ".zst")
+    stream = unpacked(path) if packed else path.open("rb")
     return stream if encoding == "utf-8" else Recoded(stream, encoding)
 
 
