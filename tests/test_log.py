@@ -569,12 +569,11 @@ def test_a_thermometer_has_the_unit_that_is_said(tmp_path: Path, keys: dict[str,
     assert description_of(log.session)["log"]["temperature"]["unit"] == keys["unit"]
 
 
-def test_arrays_are_contiguous_by_sample(tmp_path: Path) -> None:
+def test_the_samples_of_a_sensor_are_contiguous(tmp_path: Path) -> None:
     chunk = next(parquet_log(tmp_path, numbers(lines())).chunks(100))
     assert chunk.gyro is not None
     assert chunk.accel.shape == chunk.gyro.shape == (100, 3)
-    assert chunk.accel.flags.c_contiguous
-    assert chunk.gyro.flags.c_contiguous
+    assert all(sensor.flags.c_contiguous for sensor in (*chunk.accel.T, *chunk.gyro.T))
 
 
 def test_log_without_gyros_and_temperature_has_none(tmp_path: Path) -> None:
