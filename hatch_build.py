@@ -52,8 +52,8 @@ FUSED = {"reduction/moment_kernels", "campaigns/triads"}
 PLAIN = {"reduction/kernels"}
 """Modules that newer processors do not run faster."""
 INDEPENDENT = {"reduction/moment_kernels"}
-"""Modules in which the steps of a loop over `i` do not depend on one another. GCC does not see it, and would ask in every
-loop over lanes whether rows overlap."""
+"""Modules in which the steps of a loop over `i` do not depend on one another. GCC does not see it, and would ask in
+every loop over lanes whether rows overlap."""
 AVX2 = ("-mavx2", "-mfma", "-mbmi2")
 AVX512 = (*AVX2, "-mavx512f", "-mavx512vl", "-mavx512dq", "-mavx512bw", "-mprefer-vector-width=512")
 OLD = ("-O1",)

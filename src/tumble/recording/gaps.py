@@ -134,7 +134,7 @@ class LogRows:
 
     def lost(self) -> npt.NDArray[np.bool_]:
         """Which rows have a number that is not finite."""
-        if all(-_LARGEST <= v.min() and v.max() <= _LARGEST for v in self.values if v.size):
+        if all(v.min() >= -_LARGEST and v.max() <= _LARGEST for v in self.values if v.size):
             return np.zeros(len(self.time), dtype=bool)
         return np.asarray(~is_reading(np.hstack(self.values)).all(axis=1))
 

@@ -67,7 +67,8 @@ class MotionSamples:
             for place in range(max(bisect_right(self._starts, start) - 1, 0), bisect_left(self._starts, stop)):
                 first, chunk = self._starts[place], self._chunks[place]
                 a, b = max(start, first), min(stop, first + len(chunk[0]))
-                np.concatenate([values[a - first : b - first] for values in chunk], axis=1, out=rows[a - start : b - start])
+                own = [values[a - first : b - first] for values in chunk]
+                np.concatenate(own, axis=1, out=rows[a - start : b - start])
         return rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7:]
 
     def _read_from(self, file: IO[bytes], start: int, stop: int, rows: Array) -> None:
