@@ -150,7 +150,7 @@ class Instrument:
         """K (n, 15) of a block."""
         model = self.model(block, values)
         out = np.zeros((block.size, FUNCTIONS))
-        out[:, CONSTANT], out[:, _measured(block)] = model.bias, model.matrix
+        out[:, CONSTANT], out[:, measured_by(block)] = model.bias, model.matrix
         for _, columns, regressors in self._regressors[block.kind]:
             out += regressors @ values[columns]
         return out
@@ -159,7 +159,7 @@ class Instrument:
         """∂K/∂θ (n, 15, m) of a block with respect to all parameters."""
         out = self._constant[block.kind].copy()
         own, jacobian = self.own(block), block.jacobian(values[self.own(block)])
-        out[:, _measured(block), own], out[:, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
+        out[:, measured_by(block), own], out[:, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
         return out
 
     @cached_property
@@ -190,12 +190,13 @@ class Instrument:
             if block is None:
                 continue
             nonzero = np.any(self._constant[block.kind] != 0.0, axis=(0, 2))
-            nonzero[CONSTANT], nonzero[_measured(block)] = True, True
+            nonzero[CONSTANT], nonzero[measured_by(block)] = True, True
             out[block.kind] = np.flatnonzero(nonzero)
         return out
 
 
-def _measured(block: Block) -> slice:
+def measured_by(block: Block) -> slice:
+    """Where the functions stand that the sensors of a block measure: the specific force or the rate."""
     return FORCE if block.kind == "accel" else RATE
 
 
@@ -210,11 +211,16 @@ def functions(block: Block, force: Array, rate: Array) -> Array:
     return out
 
 
+def by_sensor(beta: Array, D: Array) -> Array:
+    """Σ_b β_npb D_pbm (N, n, m)."""
+    return np.swapaxes(np.swapaxes(beta, 0, 1) @ D, 0, 1)
+
+
 def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
     others, and rates (N, 3) of the body."""
     measured, other = (force, rate) if block.kind == "accel" else (rate, force)
-    linear = _measured(block)
+    linear = measured_by(block)
     out = _along(measured, K[:, linear]) + K[:, CONSTANT]
     if is_linear(block, K):
         return out
@@ -232,7 +238,7 @@ def _along(vectors: Array, axes: Array) -> Array:
 
 def is_linear(block: Block, K: Array) -> bool:
     """Whether the readings of a block are linear in what it measures, and of nothing else."""
-    return not np.any(np.delete(K, np.r_[CONSTANT, _measured(block)], axis=1))
+    return not np.any(np.delete(K, np.r_[CONSTANT, measured_by(block)], axis=1))
 
 
 def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Array]:
