@@ -6,7 +6,7 @@ Further keys may be there or not. A message names the key: "found 'much' in plac
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import date, datetime
 from math import inf, isfinite
 from typing import Annotated, Any, Literal, Self
@@ -186,6 +186,12 @@ class _AtRestKeys(_Keys):
     noise: Vector
     drift: Vector
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not len(self.mean) == len(self.noise) == len(self.drift):
+            raise ValueError("expected as many means as noises and drifts, one for each sensor, found others")
+        return self
+
 
 class _RestKeys(_Keys):
     file: Count = 0
@@ -322,6 +328,32 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     together: list[_MemberKeys] = Field(default=[], max_length=MOST_LAUNCHES)
     rests: list[_RestKeys] = Field(max_length=MOST_RESTS)
     provenance: dict[Text, Text]
+
+    @model_validator(mode="after")
+    def _check_sensors(self) -> Self:
+        for kind in ("accel", "gyro"):
+            counts = dict(self._sensors(kind))
+            if len(set(counts.values())) > 1:
+                (first, expected), *others = counts.items()
+                key, found = next((key, found) for key, found in others if found != expected)
+                raise ValueError(f"{key}: expected {expected} sensors, as {first} has, found {found}")
+        return self
+
+    def _sensors(self, kind: str) -> Iterator[tuple[str, int]]:
+        """How many sensors of a kind each part of the file has, by its key."""
+        model = getattr(self, kind)
+        if model is not None:
+            yield f"{kind}.bias", len(model.bias)
+        if kind in self.axes:
+            yield f"axes.{kind}", len(self.axes[kind])
+        if kind in self.readings:
+            yield f"readings.{kind}", len(self.readings[kind].columns)
+        launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(self.launches, 1)]
+        for place, rests in (("rests", self.rests), *launches):
+            for number, rest in enumerate(rests, 1):
+                at_rest = getattr(rest, kind)
+                if at_rest is not None:
+                    yield f"{place}[{number}].{kind}", len(at_rest.mean)
 
 
 def check_keys(content: Any, name: str) -> None:
