@@ -380,8 +380,9 @@ def write_inputs(folder: Path) -> None:
     _written_h5(folder / "imu.h5", head)
     for ending in ("gz", "zst"):
         head.lazy().sink_csv(folder / f"log.csv.{ending}", compression={"gz": "gzip", "zst": "zstd"}[ending])
-    means = log.with_columns(k=(pl.col("t") // 5).cast(int)).group_by("k", maintain_order=True).mean()
-    means.select("ax", "ay", "az").write_csv(folder / "readings.csv")
+    rests = read_calibration(folder / "calibration.json").rests
+    means = np.array([rest.accel.mean for rest in rests if rest.accel is not None])
+    pl.DataFrame(means, schema=["ax", "ay", "az"]).write_csv(folder / "readings.csv")
     for name, text in (("limits", LIMITS), ("campaign", CAMPAIGN), ("certificate", CERTIFICATE)):
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     (folder / "manifest.csv").write_text("session,who\ncsv,a\nparquet,b\n", encoding="utf-8")

@@ -276,7 +276,9 @@ class _ResultKeys(_Keys):
             raise PydanticCustomError("shape", "a covariance of shape {shape}", {"shape": shape})
         for number, row in enumerate(rows, 1):
             if row[number - 1] < 0.0:
-                raise ValueError(f"covariance[{number}][{number}]: expected no variance below 0, found {row[number - 1]:g}")
+                raise ValueError(
+                    f"covariance[{number}][{number}]: expected no variance below 0, found {row[number - 1]:g}"
+                )
         for name, count in Counter(parameter.name for parameter in self.parameters).items():
             if count > 1:
                 raise ValueError(f"parameters: expected every name once, found {name!r} twice")

@@ -6,8 +6,8 @@ there on, the velocity has lost
 
     ΔV = δ a × g u (T − s),    0 ≤ s ≤ T
 
-where the samples were lost after s of a turn that began with the vertical u and lasted T: a device that rests before and
-after has gained none. Both are tested, as every cause, for each turn by itself, and the least probability times the
+where the samples were lost after s of a turn that began with the vertical u and lasted T: a device that rests before
+and after has gained none. Both are tested, as every cause, for each turn by itself, and the least probability times the
 number of turns is taken. For the few turns of a short session there are always parameters that explain their rotations,
 and then the velocities alone show it: they are in an estimate of all groups of parameters, and not in that of the
 linear model.
