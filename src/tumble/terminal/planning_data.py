@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tumble.programme.positions import Move, Position, Programme, duration
+from tumble.planning.setup import time_of
+from tumble.programme.positions import Move, Position
 from tumble.sensors.grades import spread_of
-from tumble.sensors.parameters import group_name, group_of, positions_by_group
-from tumble.usual_setup import MOVE
+from tumble.sensors.parameters import group_of, positions_by_group
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,7 +36,7 @@ def plan_data(plan: PlanResult, reasons: list[str]) -> dict[str, Any]:
         "reasons": reasons,
         "programme": programme.name,
         "positions": [_position(p, m) for p, m in zip(programme.positions, moves, strict=True)],
-        "duration": _duration(programme, plan.setup),
+        "duration": time_of(programme, plan.setup),
         "bound": _bound(plan.bound),
         "parameters": [
             {
@@ -64,10 +64,6 @@ def _position(position: Position, move: Move | None) -> dict[str, Any]:
     """A position and the move that leads to it; of the first position, and where any movement will do, null."""
     turn = None if move is None or move.axis is None else {"axis": move.axis, "angle": move.angle}
     return {"attitude": position.attitude, "label": position.label, "turn": turn}
-
-
-def _duration(programme: Programme, setup: Setup) -> float:
-    return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=MOVE)
 
 
 def _bound(bound: Bound) -> dict[str, Any]:
@@ -100,7 +96,7 @@ def _compared(one: Compared, setup: Setup) -> dict[str, Any]:
     return {
         "programme": one.programme.name,
         "attitudes": [position.attitude for position in one.programme.positions],
-        "duration": _duration(one.programme, setup),
+        "duration": time_of(one.programme, setup),
         "value": one.value,
         "bound": _bound(one.bound),
     }
@@ -117,7 +113,7 @@ def thermal_plan_data(plan: ThermalPlan, reasons: list[str]) -> dict[str, Any]:
         "high": plan.high,
         "recordings": [asdict(session) for session in plan.sessions],
         "parameters": [
-            {"name": name, "unit": group_of(group_name(name)).unit, "u": u, "u_low": low, "u_high": high}
+            {"name": name, "unit": group_of(name).unit, "u": u, "u_low": low, "u_high": high}
             for name, u, low, high in zip(plan.names, plan.u, plan.at(plan.low), plan.at(plan.high), strict=True)
         ],
         "groups": _further(plan.names, plan.u, plan.further),
