@@ -525,7 +525,7 @@ class Inputs:
             except _TooLong:
                 finding = "" if campaign else f"longer than {LONGEST:g} s: {words[0]} {target.file if target else ''}"
                 shown = traceback.format_exc()
-        taken, each = time.monotonic() - started, (time.process_time() - worked) / max(done, 1)
+        taken = time.monotonic() - started
         if result is not None:
             shown = f"{result.stdout[-2000:]}\n--- {result.exit_code}\n{result.stderr[-2000:]}"
             finding = self._fault(result, target).replace(str(self.folder.parent), "")

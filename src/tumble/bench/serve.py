@@ -75,7 +75,8 @@ def _server(uvicorn: Any, app: Any) -> Any:
             app.state.stopping = True
             await super().shutdown(sockets)
 
-    return Server(uvicorn.Config(app, log_config=None, log_level="warning", access_log=False, timeout_graceful_shutdown=3))
+    config = uvicorn.Config(app, log_config=None, log_level="warning", access_log=False, timeout_graceful_shutdown=3)
+    return Server(config)
 
 
 @contextmanager

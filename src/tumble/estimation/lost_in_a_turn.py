@@ -39,7 +39,7 @@ def with_one_turn(found: Sequence[Cause], linearised: Linearised, projection: Pr
 
 def lost_in_a_turn(linearised: Linearised, projection: Projection) -> Cause | None:
     """The turn that lacks samples most likely; None where the session sees that of no turn."""
-    if linearised.about is None:
+    if not len(linearised.rows.turn):
         return None
     columns = _columns(linearised, projection)
     left = projection.left_of(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])

@@ -265,7 +265,7 @@ def optimised(
     places = Places.of(table, setup, gyros=aim.gyros)
     starts = [int(np.argmax(places.attitudes[:, 1, p] > UPRIGHT)) for p in range(3)]
     searches = [(start, first) for start in starts for first in _FIRST[aim.letter]]
-    found = []
+    found: list[tuple[Ways, float]] = []
     for start, first in searches:
         progress(len(found), len(searches))
         found.append(_from(start, positions, places, setup, aim, first))
