@@ -29,6 +29,7 @@ from tumble.estimation.methods.magnetometer import magnetometer
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
+from tumble.estimation.misfit import lost_by_velocities
 from tumble.files import FilePath
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.gaps import Gap
@@ -201,7 +202,11 @@ def estimated(
     notes, clock_u = observations.notes + said, session.log.gyro_clock_u
     observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u)
     try:
-        return _with_time_base(method(observations), observations), observations
+        estimate = _with_time_base(method(observations), observations)
+        if terms == "linear" and estimate.linearised is not None and session.log.unstamped:
+            lost = lost_by_velocities(replace(observations, usual=_usual(session, observations, "full")[0]))
+            estimate = replace(estimate, reasons=(*estimate.reasons, *lost))
+        return estimate, observations
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(broken,))

@@ -171,6 +171,11 @@ class LogSpec:
     clock_u: float = 0.0
 
     @property
+    def unstamped(self) -> bool:
+        """Whether no time says that rows are missing."""
+        return self.rate is not None or self.regular
+
+    @property
     def gyro_clock_u(self) -> float:
         """The uncertainty of the time base as far as it makes gyros wrong: increments are angles already."""
         return 0.0 if self.gyro is None or self.gyro.unit.kind == "increment" else self.clock_u

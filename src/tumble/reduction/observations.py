@@ -230,6 +230,14 @@ class Observations:
             return f"rest {i + 1}"
         return f"{self.together.names[self.together.session[i]]}: rest {self.together.number[i] + 1}"
 
+    def turn_named(self, k: int) -> str:
+        """What turn k is called: by the rests at its ends and its times."""
+        turns, rests = self.turns, self.rests
+        assert turns is not None
+        a, b = int(turns.first[k]), int(turns.last[k])
+        before, after = self.rest_named(a), self.rest_named(b).rpartition(": ")[2]
+        return f"the turn from {before} to {after} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
+
     def start_values(self, block: Block) -> Array:
         """Start values of a block's parameters, in their order."""
         return np.array([self.start.get(name, 0.0) for name in block.names])
