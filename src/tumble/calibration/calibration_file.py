@@ -185,7 +185,7 @@ class Calibration:
         squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
         readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in
         a stream it follows the thermometer with temperature.lag); without it they are those of the reference
-        temperature. Lever arms and the delay, which need the motion, are not applied: see `apply_to_session`.
+        temperature. Lever arms and delays, which need the motion, are not applied: see `apply_to_session`.
 
         Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
         of a frame whose names say another unit, and temperatures that are not in kelvin."""

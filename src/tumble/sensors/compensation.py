@@ -56,7 +56,7 @@ class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
     biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about a reference,
     °C, where there is one; the sensors follow the thermometer with the time constant `lag`, s. Lever arms (n, 3), m,
-    need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
+    need the motion: `at_one_point`. The `delays` (n,) of the accelerometers, s, are not undone."""
 
     accel: Block
     gyro: Block | None
@@ -65,7 +65,7 @@ class Compensator:
     slopes: Mapping[str, Array]
     curvatures: Mapping[str, Array]
     levers: Array
-    delay: float = 0.0
+    delays: Array
     reference: float | None = None
     lag: float = 0.0
 
@@ -97,7 +97,7 @@ class Compensator:
             slopes=_changes(blocks, values, "t1"),
             curvatures=_changes(blocks, values, "t2"),
             levers=instrument.levers(further),
-            delay=instrument.delay(further),
+            delays=instrument.delays(further),
             reference=reference,
             lag=values.get("temperature.lag", 0.0),
         )
