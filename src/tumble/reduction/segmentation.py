@@ -35,7 +35,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
-from tumble.reduction.gyro_levels import OffLevel, Span, g_sensitivity
+from tumble.reduction.gyro_levels import OffLevel, Span, core, g_sensitivity
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
@@ -48,7 +48,7 @@ MIN_REST_SECONDS = 2.0
 SHORT_REST_SECONDS, SHORT_REST_SAMPLES, FEWEST_SHORT = 0.6, 40, 9
 """Between its margins, of a rest in a recording that has so many of them and hardly a longer one; from so many samples
 the noise is known to 11 %."""
-LEVEL_SPREAD = 0.5 * DEGREE
+LEVEL_SPREAD = 3.0 * DEGREE
 """rad/s: how far the level of a gyro at rest may be from that in another attitude."""
 STAYS = 0.05 * DEGREE
 DENSITY_POINTS = 1000
@@ -221,7 +221,9 @@ def _off_level(
             covered = sum(min(j, b) - max(i, a) for a, b in _overlapping(spans[k], [(i, j)]))
             if seconds < MIN_REST_SECONDS or j - i < 2 * window or covered > 0.5 * (j - i):
                 continue
-            off = OffLevel(place=k, first=i, last=j, rate=w[i:j].mean(axis=0) - level[(i + j) // 2])
+            off = OffLevel(
+                place=k, first=i, last=j, rate=w[slice(*core(i, j, window))].mean(axis=0) - level[(i + j) // 2]
+            )
             if limit < float(np.linalg.norm(off.rate)) < LEVEL_SPREAD and _stays(force[i:j], off.rate, seconds, window):
                 out.append(off)
     return out
@@ -229,10 +231,11 @@ def _off_level(
 
 def _noise_limit(rates: list[Array], spans: list[list[Span]], off: list[OffLevel], coarse: float, window: int) -> float:
     """The limit of the distance of a level, rad/s, that the noise within stretches asks for."""
-    stretches = [rates[k][i:j] for k, found in enumerate(spans) for i, j in found if j - i >= 2 * window]
-    stretches += [rates[s.place][s.first : s.last] for s in off]
-    distance = [np.linalg.norm(_inner_mean(w, window) - w.mean(axis=0), axis=1) for w in stretches]
-    return FLOOR_FACTOR * _floor(np.concatenate([*distance, [0.0]])) + 2.0 * EARTH_RATE + coarse
+    of_rests = [(k, i, j) for k, found in enumerate(spans) for i, j in found if j - i >= 2 * window]
+    of_rests += [(s.place, s.first, s.last) for s in off]
+    stretches = [rates[k][slice(*core(i, j, window))] for k, i, j in of_rests]
+    of_mean = [np.sqrt(w.var(axis=0).sum() / window) for w in stretches]
+    return FLOOR_FACTOR * _floor(np.array([*of_mean, 0.0])) + 2.0 * EARTH_RATE + coarse
 
 
 def _stays(force: Array, rate: Array, seconds: float, window: int) -> bool:

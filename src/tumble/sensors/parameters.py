@@ -283,7 +283,7 @@ FURTHER: list[ParameterGroup] = [
         suffixes=_others,
         limit=0.1,
         shown=((1e-6, "µs"), (1e-3, "ms")),
-        usual=_grades(20e-6, 100e-6, 500e-6, 1e-3),
+        usual=_grades(20e-6, 100e-6, 300e-6, 500e-6),
         motion="single delay",
         stem="accel.delay",
     ),
