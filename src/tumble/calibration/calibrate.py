@@ -109,7 +109,7 @@ def calibrate(
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder)
-    <Calibration of mems-1: joint, 58 parameters, accepted>
+    <Calibration of mems-1: joint, 60 parameters, accepted>
     """
     session = _given(session, readings).without(without)
     estimator = _estimator(method, iterations)
