@@ -30,7 +30,7 @@ from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import limits_of, usual_of
+from tumble.sensors.parameters import limits_of, usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, draw_further, itinerary, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
@@ -51,7 +51,7 @@ def scenario(axes: Array = TRIAD, seed: int = 1, setup: Setup = SETUP, *, full: 
     names = accel.names + gyro.names
     truth = dict(zip(names, 0.01 * rng.standard_normal(len(names)), strict=True))
     if full:
-        truth |= draw_further(usual_of("mems"), accel, gyro, rng)
+        truth |= draw_further(usual_sizes("mems"), accel, gyro, rng)
     return replace(scenario_of(setup, rng), accel=accel, gyro=gyro, truth=truth)
 
 
@@ -70,7 +70,7 @@ def problem_at(chosen: Scenario, off: float, prior: Prior = NO_PRIOR) -> tuple[P
         gravity=observations.site.gravity + off,
         attitudes=attitudes @ rotation_matrix(off * rng.standard_normal((len(attitudes), 3))),
     )
-    problem = Problem.of(observations, prior, instrument=instrument, usual=usual_of("mems"))
+    problem = Problem.of(observations, prior, instrument=instrument, usual=usual_sizes("mems"))
     return problem, point, TurnsAbout.of(observations, instrument, values)
 
 
