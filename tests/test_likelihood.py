@@ -18,12 +18,12 @@ from tumble.estimation.likelihood import (
     Scatter,
     bases,
     inverse_left_jacobian,
-    left,
     left_jacobian,
     linearise,
-    solve,
+    noise_of,
     weights,
 )
+from tumble.estimation.step import left, solve, variance_slopes
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
@@ -273,6 +273,24 @@ def bound(setup: Setup, only_programmed: bool) -> Array:
     rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, values))
     variance = np.diag(solve(problem, rows, weights(problem, rows, Scatter())).covariance)[1:]
     return np.sqrt([variance[i:j].mean() for i, j in ((0, 3), (3, 6), (6, 9), (9, 12), (12, 15), (15, 21))])
+
+
+@pytest.mark.parametrize("axes", [np.eye(3), PYRAMID], ids=["triad", "pyramid"])
+def test_slopes_of_the_variances_are_derivatives(axes: Array) -> None:
+    """Of the variances of gravity and the parameters by those of the components of scatter: central differences."""
+    problem, point, about = problem_at(scenario(axes, full=True), 1e-3)
+    rows = linearise(problem, point, about)
+    noise = noise_of(problem, rows)
+    variance = Scatter(accel=2e-4, gyro=1e-5, turn=3e-5, velocity=1e-3, jumps=1e-2).variances
+    found = variance_slopes(problem, solve(problem, rows, noise.weights(Scatter.of_variances(variance))), noise)
+    for a, slopes in enumerate(found):
+        change = 1e-4 * variance[a] * np.eye(len(variance))[a]
+        more, less = (
+            np.diag(solve(problem, rows, noise.weights(Scatter.of_variances(variance + each))).covariance)
+            for each in (change, -change)
+        )
+        numeric = (more - less) / (2.0 * change[a])
+        assert slopes == pytest.approx(numeric, rel=1e-4, abs=1e-6 * np.abs(numeric).max())
 
 
 def test_bound_is_that_of_section_8() -> None:
