@@ -139,7 +139,7 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         return found
     least = max(SHORT_REST_SECONDS, SHORT_REST_SAMPLES / reduction.rate)
     again = _found(reduction, accel, gyro, _Pace(window=SHORT_WINDOW_SECONDS, rest=least, margin=SHORT_MARGIN_SECONDS))
-    return again if len(again.rests) >= FEWEST_SHORT else found
+    return again if len(again.rests) >= len(found.rests) + FEWEST_SHORT else found
 
 
 def _found(reduction: Reduction, accel: Block, gyro: Block | None, pace: _Pace) -> Segmentation:
