@@ -170,6 +170,8 @@ class _TemperatureKeys(_Keys):
     reference: Number | None = None
     range: Pair | None = None
     lag: Number | None = None
+    thermometers: dict[Text, list[Text]] = {}
+    references: dict[Text, Vector] = {}
 
 
 class _IncrementKeys(_Keys):
@@ -185,6 +187,7 @@ class _AtRestKeys(_Keys):
     mean: Vector
     noise: Vector
     drift: Vector
+    temperature: Vector = []
 
 
 class _RestKeys(_Keys):
@@ -322,6 +325,15 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     together: list[_MemberKeys] = Field(default=[], max_length=MOST_LAUNCHES)
     rests: list[_RestKeys] = Field(max_length=MOST_RESTS)
     provenance: dict[Text, Text]
+
+    @model_validator(mode="after")
+    def _check_thermometers(self) -> Self:
+        for kind, model in (("accel", self.accel), ("gyro", self.gyro)):
+            for key in ("thermometers", "references"):
+                found = getattr(self.temperature, key).get(kind)
+                if model is not None and found is not None and len(found) != len(model.bias):
+                    raise ValueError(f"temperature.{key}: expected one a sensor of {kind}, found {len(found)}")
+        return self
 
 
 def check_keys(content: Any, name: str) -> None:

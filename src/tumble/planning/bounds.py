@@ -334,7 +334,7 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
         gyro_covariance=np.broadcast_to(gyro * np.eye(n), (N, n, n)),
         gyro_drift=np.zeros((N, n)),
         gyro_noise=np.full((N, n), noise.gyro_white),
-        temperature=None,
+        temperatures=None,
     )
 
 
