@@ -233,7 +233,7 @@ def readings_of(way: Way, t: Array, truth: dict[str, float], off: Departure) -> 
     """What the accelerometers (S, 3) and gyros (S, 3) would read at instants t, without what depends on time, and the
     own specific forces."""
     accel, gyro = (b.model(np.array([truth[n] for n in b.names])) for b in (ACCEL, GYRO))
-    force = _force(way, t - truth["accel.delay"], truth)
+    force = np.column_stack([_force(way, t - _late(truth, sensor), truth, sensor) for sensor in "xyz"])
     own = force @ accel.matrix.T
     w = (
         own
@@ -251,16 +251,21 @@ def readings_of(way: Way, t: Array, truth: dict[str, float], off: Departure) -> 
     return w, bent @ gyro.matrix.T + gyro.bias + felt @ G.T + asymmetry * np.abs(rate), force
 
 
-def _force(way: Way, t: Array, truth: dict[str, float]) -> Array:
-    """The component (S, 3) of the specific force that each accelerometer has to read, at its own place."""
+def _late(truth: dict[str, float], sensor: str) -> float:
+    """By how much an accelerometer is late, s."""
+    return truth["accel.delay"] + truth.get(f"accel.delay.{sensor}", 0.0)
+
+
+def _force(way: Way, t: Array, truth: dict[str, float], sensor: str) -> Array:
+    """The component (S,) of the specific force that an accelerometer has to read, at its own place."""
     L, turning, changing, push = way.at(t)
     rate = np.einsum("sji,sj->si", L, turning + np.array(earth_rate(LATITUDE)))
     change = np.einsum("sji,sj->si", L, changing)
     force = np.einsum("sji,sj->si", L, push + np.array([0.0, GRAVITY, 0.0]))
-    for p, sensor in enumerate("xy"):
+    if sensor != "z":
         r = _of(truth, f"accel.lever.{sensor}")
-        force[:, p] += (np.cross(change, r) + np.cross(rate, np.cross(rate, r)))[:, p]
-    return force
+        force += np.cross(change, r) + np.cross(rate, np.cross(rate, r))
+    return np.asarray(force[:, "xyz".index(sensor)])
 
 
 # ---------------------------------------------------------------- a session

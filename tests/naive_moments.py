@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tumble.reduction.moments import (
-    END_SECONDS,
     NO_OWN_AXES,
     BlockCompensation,
     Compensation,
@@ -38,7 +37,6 @@ def _moments(
     Phi, Psi, W, sweep = np.zeros((3, 3, 13)), np.zeros((3, 3, 7)), np.zeros((3, 3, 6)), np.zeros((3, 3, 3))
     Phi_gyro, Psi_gyro, Phi_accel = np.zeros((3, 3, 2, n)), np.zeros((3, 3, 2, n)), np.zeros((3, 3, 2, m))
     body, body_rates, body_gyro, body_accel = np.zeros(13), np.zeros(6), np.zeros((2, n)), np.zeros((2, m))
-    f_dt: list[Array] = []
     jumps = 0.0
     for k in range(start, stop):
         before, dt = max(k - 1, 0), pieces.intervals[k]
@@ -70,7 +68,6 @@ def _moments(
         body, body_rates = body + beta * dt, body_rates + rates * dt
         body_gyro, body_accel = body_gyro + own_gyro * dt, body_accel + own_accel * dt
         jumps += dt**2 * np.sum((f - f_before) ** 2)
-        f_dt.append(np.append(velocity, dt))
         C, V = C * Rotation.from_rotvec(phi), V + step
     return {
         "C": C.as_matrix(),
@@ -87,18 +84,7 @@ def _moments(
         "body_gyro": body_gyro,
         "body_accel": body_accel,
         "jumps": jumps,
-        "head": _end(f_dt),
-        "tail": _end(f_dt[::-1]),
     }
-
-
-def _end(f_dt: list[Array]) -> Array:
-    """∫ f dt and the time over the first samples that take END_SECONDS."""
-    end = np.zeros(4)
-    for sample in f_dt:
-        if end[3] < END_SECONDS * (1.0 - 1e-9):
-            end = end + sample
-    return end
 
 
 def compensated(pieces: Pieces, k: int, compensation: Compensation) -> tuple[Array, Array]:

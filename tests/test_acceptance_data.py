@@ -136,7 +136,7 @@ def test_xsens_gyros_agree_with_imu_tk(xsens: Calibration) -> None:
 
 def test_xsens_is_accepted(xsens: Calibration) -> None:
     assert xsens.outcome.accepted
-    assert len(xsens.parameters) == 61
+    assert len(xsens.parameters) == 63
 
 
 # -------------------- LN-100 up and down --------------------

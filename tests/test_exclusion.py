@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration
-from tumble.errors import SessionError
+from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.cli import main
+from tumble.errors import InputError, SessionError
 from tumble.planning.setup import Setup
 from tumble.recording.session import read_session
 from tumble.simulation.session import simulate_session
@@ -38,6 +40,31 @@ def test_a_rest_by_number_is_left_out_of_a_programme_and_said(whole: Path) -> No
     starts = [rest.start for rest in all_of_it.rests]
     assert [rest.start for rest in found.rests] == starts[:3] + starts[4:]
     assert "left out by session.toml: rest 4: knocked" in found.notes
+
+
+def test_rests_are_left_out_by_request_as_by_the_file_and_said(whole: Path) -> None:
+    by_request, by_file = calibrate(whole, without=(4,)), _calibrated(whole, "rest = 4")
+    assert [p.value for p in by_request.parameters] == [p.value for p in by_file.parameters]
+    assert "left out by request: rest 4" in by_request.notes
+
+
+def test_the_command_leaves_out_what_the_library_does(whole: Path, tmp_path: Path) -> None:
+    out = tmp_path / "without.json"
+    ran = CliRunner().invoke(main, ["calibrate", str(whole), "--without", "4,6", "-o", str(out)])
+    assert ran.exit_code == 0, ran.stderr
+    assert len(read_calibration(out).rests) == RESTS - 2
+
+
+@pytest.mark.parametrize(("numbers", "said"), [((0,), "found 0"), ((1.5,), "found 1.5"), ((10,), "one of 9, found 10")])
+def test_numbers_that_are_none_of_a_rest_are_refused(whole: Path, numbers: tuple[int, ...], said: str) -> None:
+    with pytest.raises(InputError, match=f"without: expected .*{said}"):
+        calibrate(whole, without=numbers)
+
+
+def test_what_is_no_list_of_numbers_is_refused(whole: Path) -> None:
+    ran = CliRunner().invoke(main, ["calibrate", str(whole), "--without", "3;7"])
+    assert ran.exit_code == 2
+    assert "--without: expected numbers of rests such as 3,7, found '3;7'" in ran.stderr
 
 
 def test_times_shorten_a_rest_and_its_longer_part_remains(whole: Path) -> None:

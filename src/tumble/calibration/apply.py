@@ -3,8 +3,8 @@
 The whole model is undone, as `Compensator` does; at the temperature of the row, where the log has a thermometer, or at
 that of sensors which follow it with the calibration's lag, as warm as it where a file begins. Where
 the accelerometers have lever arms and the session has gyros, they are moved to the last one: ω̇ is a central difference
-of the corrected rates, one row of look-ahead. The delay of the accelerometers is not undone. Rows are neither added nor
-bridged: a number that is not finite stays so in its row. What a column gets is what a perfect sensor in that place
+of the corrected rates, one row of look-ahead. The delays of the accelerometers are not undone. Rows are neither added
+nor bridged: a number that is not finite stays so in its row. What a column gets is what a perfect sensor in that place
 would read, d · true with its nominal axis d, those of a magnetometer being the axes of its own frame; for three sensors
 along the body axes that is the true vector itself. It is in SI, unless the names of the columns say the log's unit:
 "ax [g]" stays in g. A redundant block is solved by least squares first, and its vector is added in the columns accel_x,
@@ -169,10 +169,9 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
         out.append("lever arms are not corrected: the session has no gyros")
     elif np.any(compensator.levers):
         out.append("accelerometers are moved to the last one, by the rate and a central difference of it")
-    if compensator.delay != 0.0:
-        out.append(
-            f"the delay of the accelerometers, {1e3 * compensator.delay:.3g} ms, is not undone: shift their times"
-        )
+    if np.any(late := 1e3 * compensator.delays):
+        size = f"{late[0]:.3g} ms" if np.ptp(late) == 0.0 else f"{late.min():.3g} to {late.max():.3g} ms"
+        out.append(f"the delay of the accelerometers, {size}, is not undone: shift their times")
     if compensator.warm and session.log.temperature is None:
         reference = calibration.reference_temperature
         at = "the reference" if reference is None else f"{reference:.1f} °C"

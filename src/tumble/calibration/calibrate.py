@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Literal, overload
@@ -61,6 +61,7 @@ def calibrate(
     iterations: int | None = ...,
     frame: Frame = ...,
     terms: Terms = ...,
+    without: Iterable[int] = ...,
     progress: Progress = ...,
 ) -> Calibration: ...
 
@@ -85,6 +86,7 @@ def calibrate(
     iterations: int | None = ...,
     frame: Frame = ...,
     terms: Terms = ...,
+    without: Iterable[int] = ...,
 ) -> Calibration: ...
 
 
@@ -95,21 +97,23 @@ def calibrate(
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     terms: Terms = "full",
+    without: Iterable[int] = (),
     progress: Progress = Log.chunks,
     **readings: Any,
 ) -> Calibration:
     """Calibrate the device of a session: a `Session`, the path of its folder, or readings in SI as
     `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2), `terms`
-    for the method joint: `linear` leaves out what is not bias, scale factor or axis angle. The result is given in
-    `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its outcome;
+    for the method joint: `linear` leaves out what is not bias, scale factor or axis angle. The rests
+    `without`, by their numbers from 1 in the result with all, are left out beside those of [[exclude]]. The result is
+    given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its outcome;
     unusable input raises an `InputError`.
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder)
-    <Calibration of mems-1: joint, 58 parameters, accepted>
+    <Calibration of mems-1: joint, 60 parameters, accepted>
     """
-    session = _given(session, readings)
+    session = _given(session, readings).without(without)
     estimator = _estimator(method, iterations)
     Convention(frame=frame, block=session.accel_block)
     systematic = systematic_of(session)

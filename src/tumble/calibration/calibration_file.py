@@ -215,7 +215,7 @@ class Calibration:
         readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in
         a stream it follows the thermometer with temperature.lag), of accelerometers and gyros with thermometers of
         their own a mapping of "accel" and "gyro", (...) or (..., n); without it they are those of the reference
-        temperature. Lever arms and the delay, which need the motion, are not applied: see `apply_to_session`.
+        temperature. Lever arms and delays, which need the motion, are not applied: see `apply_to_session`.
 
         Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
         of a frame whose names say another unit, and temperatures that are not in kelvin."""
@@ -414,7 +414,7 @@ def read_calibration(path: FilePath) -> Calibration:
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> tumble.read_calibration("calibration.json")
-    <Calibration of mems-1: joint, 58 parameters, accepted>
+    <Calibration of mems-1: joint, 60 parameters, accepted>
     """
     return calibration_of(text_of(Path(path)), str(path))
 

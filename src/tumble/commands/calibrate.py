@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Of joint: all groups of parameters, or bias, scale factor and axis angles alone.",
 )
+@click.option("--without", metavar="N,N", help="Rests to leave out, by their numbers in the result, such as 3,7.")
 @click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
 @click.option(
     "-o", "--out", type=FILE, help="Calibration file to write; default: calibration.json in the session folder."
@@ -64,6 +65,7 @@ def calibrate(
     iterations: int | None,
     frame: Frame,
     terms: Terms,
+    without: str | None,
     together: bool,
     out: Path | None,
     force: bool,
@@ -106,10 +108,13 @@ def calibrate(
         raise InputError(
             "--registry: expected several launches, whose instability it is about, found another kind of calibration"
         )
+    if without is not None and len(sessions) > 1:
+        raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
+    left_out = () if without is None else _numbers(without)
     true = read_truth(truth) if truth else None
     given = Given(latitude=latitude, serial=serial, rate=rate)
     with _session_of(sessions, given) if given != NOTHING_GIVEN else nullcontext(sessions) as folders:
-        described = [read_session(folder) for folder in folders]
+        described = [read_session(folder).without(left_out) for folder in folders]
         alike = None if place is None else _of_type(place, described[0].device.model, frame)
         result, *others = (
             [calibrate_together(described, frame=frame, progress=with_progress)]
@@ -141,6 +146,14 @@ def calibrate(
     for reason in result.outcome.reasons:
         warn(f"not accepted: {reason}")
     sys.exit(0 if result.outcome.accepted else 1)
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    """The numbers of rests such as "3,7"."""
+    try:
+        return tuple(int(number) for number in text.split(","))
+    except ValueError:
+        raise InputError(f"--without: expected numbers of rests such as 3,7, found {text!r}") from None
 
 
 def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:

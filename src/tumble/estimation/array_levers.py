@@ -73,8 +73,8 @@ _SQUARES, _BY_RATE_ERROR = _squares(), _by_rate_error()
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ArrayLevers:
-    """The likelihood of q = (lever arms of all accelerometers but the last, in their order, the delay, E row by row):
-    its rows are `excess` (k,) − `root` (k, q) (q − `about`), whitened."""
+    """The likelihood of q = (lever arms of all accelerometers but the last, in their order, the mean delay, E row by
+    row): its rows are `excess` (k,) − `root` (k, q) (q − `about`), whitened."""
 
     about: Array
     root: Array
@@ -83,12 +83,15 @@ class ArrayLevers:
     def rows(self, instrument: Instrument, values: Array) -> Array:
         """[coefficients | residual] (k, m + 1), whitened, for the parameters of the instrument."""
         gyro, levers, delay = instrument.gyro, instrument.in_motion("lever"), instrument.in_motion("delay")
+        single = instrument.in_motion("single delay")
         assert gyro is not None
         here, by, count = np.zeros(len(self.about)), np.zeros((len(self.about), len(values))), len(self.about) - COMMON
         if levers is not None:
             here[:count], by[:count, levers] = values[levers], np.eye(count)
         if delay is not None:
-            here[count], by[count, delay] = values[delay][0], 1.0
+            here[count], by[count, delay] = instrument.delays(values).mean(), 1.0
+        if single is not None:
+            by[count, single] = 1.0 / instrument.accel.size
         own, to_rate = instrument.own(gyro), np.linalg.pinv(gyro.axes)
         error = _rate_error(instrument, values)
         right = np.eye(3) + error

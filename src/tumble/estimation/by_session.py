@@ -79,10 +79,11 @@ def _turns(about: TurnsAbout | None, some: slice) -> TurnsAbout | None:
     """Some of the turns."""
     if about is None:
         return None
-    each = {name: getattr(about, name)[some] for name in ("by_phi", "by_velocity", "by_force", "levers", "delay")}
+    each = {name: getattr(about, name)[some] for name in ("by_phi", "by_velocity", "by_force")}
+    in_motion = {motion: by[some] for motion, by in about.in_motion.items()}
     rate, force = (of if of.ndim == 2 else of[some] for of in (about.rate, about.force))
     moments = Moments(**{field.name: getattr(about.moments, field.name)[some] for field in fields(Moments)})
-    return replace(about, rate=rate, force=force, moments=moments, **each)
+    return replace(about, rate=rate, force=force, moments=moments, in_motion=in_motion, **each)
 
 
 def _noise(noise: Noise, part: SessionSpan) -> Noise:

@@ -32,7 +32,6 @@ from scipy.linalg import solve_triangular
 from tumble.earth import earth_rate
 from tumble.estimation.likelihood import Linearised, Scatter, linearise
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.reduction.moments import single_delay_columns
 from tumble.rotation import rotation_matrix, rotation_vector, tangent_basis
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
@@ -301,9 +300,11 @@ def _candidates(session: _Session) -> Iterator[_Columns]:
     yield _hysteresis(session)
     yield from _memory(session)
     yield from _products(session)
-    if session.turned and session.linearised.about is not None and session.observations.gyro_block is not None:
-        yield from _of_turns(session, session.linearised.about, session.observations.gyro_block)
-    if session.observations.gyro_block is not None and session.observations.site.latitude is not None:
+    about, gyro = session.linearised.about, session.observations.gyro_block
+    modelled = "gyro.cubic" in session.problem.instrument.members
+    if session.turned and about is not None and gyro is not None and not modelled:
+        yield _gyro_nonlinearity(session, about, gyro)
+    if gyro is not None and session.observations.site.latitude is not None:
         yield _latitude(session)
 
 
@@ -443,27 +444,6 @@ def _products(session: _Session) -> Iterator[_Columns]:
             sentence=f"{_WORDS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near "
             "the attitudes of the session",
         )
-
-
-def _of_turns(session: _Session, about: TurnsAbout, gyro: Block) -> Iterator[_Columns]:
-    """What only turns show."""
-    if "gyro.cubic" not in session.problem.instrument.members:
-        yield _gyro_nonlinearity(session, about, gyro)
-    m = session.accel.size
-    rest, turn = session.nothing(m)
-    left_inverse = np.asarray(np.linalg.pinv(session.accel.axes), dtype=float)
-    with np.errstate(invalid="ignore"):  # between the parts of a rest there are no samples
-        late = single_delay_columns(about.moments, left_inverse, session.accel.axes)
-    late[about.moments.T < SHORTEST_TURN] = 0.0
-    session.put_velocity(turn, late)
-    yield _Columns(
-        name="single delays",
-        concerns="accel",
-        rest=rest,
-        turn=turn,
-        unit=(1e-6, "µs"),
-        sentence="accelerometers late by different times, {size}: read them at one instant",
-    )
 
 
 def _gyro_nonlinearity(session: _Session, about: TurnsAbout, gyro: Block) -> _Columns:

@@ -11,6 +11,7 @@ for every function b of every sensor p. Lever arms and delays enter V alone, Eqs
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,12 +25,14 @@ from tumble.reduction.moments import (
     OwnAxes,
     delay_column,
     lever_columns,
+    single_delay_columns,
 )
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_vector
+from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE
+from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE, Motion
 from tumble.units import G_STANDARD, Array, IntArray
 
 SECOND_ORDER = 1e-7  # rad
@@ -41,10 +44,9 @@ CHANGES_SHARE = 0.1  # of the noise: second order of changes from turn to turn t
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnsAbout:
     """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and
-    accelerometers, or (K, n, 15) where each turn has its own, and a `lateness` of the latter, s. Their moments, and
-    by_phi (K, 3, n, 15) and by_velocity (K, 3, n, 15) of the gyros and by_force (K, 3, n, 15) of the accelerometers, P
-    and Q of the module's docstring; `levers` (K, 3, 3(n − 1)) and `delay` (K, 3) are −∂V of lever arms and of the
-    delay."""
+    accelerometers, or (K, n, 15) where each turn has its own, and a `lateness` of the latter, s, common to all. Their
+    moments, and by_phi (K, 3, n, 15) and by_velocity (K, 3, n, 15) of the gyros and by_force (K, 3, n, 15) of the
+    accelerometers, P and Q of the module's docstring; `in_motion` are −∂V (K, 3, m) of lever arms and of delays."""
 
     rate: Array
     force: Array
@@ -53,8 +55,7 @@ class TurnsAbout:
     by_phi: Array
     by_velocity: Array
     by_force: Array
-    levers: Array
-    delay: Array
+    in_motion: Mapping[Motion, Array]
     to_rate: Array
     arrays: tuple[ArrayLevers, ...] = ()
     """What the accelerometers of arrays say of each other in motion."""
@@ -83,7 +84,11 @@ class TurnsAbout:
             rate, force = rate + changes[0], force + changes[1]
             moments = observations.moments_about_each(list(map(compensation, rate, force)), own)
         lefts = about.gyro.left_inverse, about.accel.left_inverse
-        about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts)
+        turns = observations.turns
+        assert turns is not None
+        resting = specific_force(instrument, values, observations.rests.accel)
+        ends = resting[turns.first], resting[turns.last]
+        about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts, ends)
         if instrument.in_motion("lever") is None:
             return about_turns
         arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)
@@ -91,10 +96,14 @@ class TurnsAbout:
 
     @staticmethod
     def from_moments(
-        moments: Moments, accel: Block, about: tuple[Array, Array, float], lefts: tuple[Array, Array]
+        moments: Moments,
+        accel: Block,
+        about: tuple[Array, Array, float],
+        lefts: tuple[Array, Array],
+        ends: tuple[Array, Array],
     ) -> TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
-        accelerometers."""
+        accelerometers, and the specific forces (K, 3) at rest at their `ends`."""
         to_rate, to_force = lefts
         by_force = _paths(moments.Phi, to_force)
         by_phi, by_velocity = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
@@ -113,8 +122,11 @@ class TurnsAbout:
             by_phi=by_phi,
             by_velocity=by_velocity,
             by_force=by_force,
-            levers=-lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
-            delay=-delay_column(moments),
+            in_motion={
+                "lever": -lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
+                "delay": -delay_column(moments)[:, :, None],
+                "single delay": -single_delay_columns(moments, to_force, accel.axes, ends)[:, :, accel.channels[:-1]],
+            },
             to_rate=to_rate,
         )
 
@@ -131,11 +143,9 @@ class TurnsAbout:
         force = instrument.coefficients(instrument.accel, values) - self.force
         phi = -_applied(self.by_phi, rate)
         V = self.moments.V - _applied(self.by_velocity, rate) - _applied(self.by_force, force)
-        levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
-        if levers is not None:
-            V = V - self.levers @ values[levers]
-        if delay is not None:
-            V = V - self.delay * (values[delay] - self.lateness)
+        for motion, by in self.in_motion.items():
+            if (own := instrument.in_motion(motion)) is not None:
+                V = V - by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
         return phi, V
 
     def columns(self, instrument: Instrument, values: Array) -> tuple[Array, Array]:
@@ -145,11 +155,9 @@ class TurnsAbout:
         of_gyro, of_accel = instrument.derivative(gyro, values), instrument.derivative(accel, values)
         phi = np.tensordot(self.by_phi, of_gyro, axes=2)
         V = np.tensordot(self.by_velocity, of_gyro, axes=2) + np.tensordot(self.by_force, of_accel, axes=2)
-        levers, delay = instrument.in_motion("lever"), instrument.in_motion("delay")
-        if levers is not None:
-            V[:, :, levers] = self.levers
-        if delay is not None:
-            V[:, :, delay] = self.delay[:, :, None]
+        for motion, by in self.in_motion.items():
+            if (own := instrument.in_motion(motion)) is not None:
+                V[:, :, own] = by
         return phi, V
 
     def bias_columns(self) -> tuple[Array, Array]:

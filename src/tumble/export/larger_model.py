@@ -57,7 +57,7 @@ def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, st
     own = np.array([values[name] for name in values if name in _names(calibration, group)])
     if group.motion == "lever":
         return rate**2 * float(np.linalg.norm(own.reshape(-1, 3), axis=1).max()), at_rate
-    if group.motion == "delay":
+    if group.motion in ("delay", "single delay"):
         return rate * G_STANDARD * float(np.abs(own).max()), f"in 1 g {at_rate}"
     if group.variable == "lag":
         return _of_lag(values, float(own[0]))

@@ -304,7 +304,8 @@ def _turns_about(course: Course, setup: Setup, instrument: Instrument, still: Ar
     moments = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), still)
     values = np.zeros(len(instrument.names))
     rate, force = (instrument.coefficients(block, values) for block in (instrument.gyro, instrument.accel))
-    return TurnsAbout.from_moments(moments, instrument.accel, (rate, force, 0.0), (np.eye(3), np.eye(3)))
+    ends = setup.gravity * start[:, 1], setup.gravity * end[:, 1]
+    return TurnsAbout.from_moments(moments, instrument.accel, (rate, force, 0.0), (np.eye(3), np.eye(3)), ends)
 
 
 def _check(setup: Setup, gyros: bool) -> None:

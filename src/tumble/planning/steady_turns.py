@@ -76,9 +76,6 @@ def steady_moments(
     crossed = -skew(to_go) @ C
     V = np.einsum("kn,kni->ki", dt, felt)
     n, m = len(own.gyro), len(own.accel)
-    ends = np.concatenate([np.zeros((K, 3)), np.ones((K, 1))], axis=1)
-    first, last = ends.copy(), ends.copy()
-    first[:, :3], last[:, :3] = force[:, 0], force[:, -1]
     return Moments(
         C=rotation_matrix(vector),
         V=V,
@@ -94,8 +91,6 @@ def steady_moments(
         body_gyro=np.einsum("kn,knb->kb", dt, own_gyro).reshape(K, 2, n),
         body_accel=np.einsum("kn,knb->kb", dt, own_accel).reshape(K, 2, m),
         jumps=np.zeros(K),
-        head=first,
-        tail=last,
     )
 
 

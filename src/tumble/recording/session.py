@@ -8,10 +8,10 @@ docs/session-file.md; `session_keys` checks them.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import tomli_w
@@ -210,7 +210,7 @@ class ProgrammeSpec:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Exclusion:
     """What a session leaves out: the rest or the turn of this number, from 1 as results count them, or what lies
-    between `start` and `stop`, s, of a file (its index). The others are None."""
+    between `start` and `stop`, s, of a file (its index). The others are None. `by` is who says so."""
 
     rest: int | None = None
     turn: int | None = None
@@ -218,6 +218,7 @@ class Exclusion:
     stop: float | None = None
     file: int = 0
     reason: str = ""
+    by: Literal["session.toml", "request"] = "session.toml"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -263,6 +264,16 @@ class Session:
         if self.log.gyro is None:
             return None
         return Block(kind="gyro", axes=self.log.gyro.axes, thermometers=() if known is None else known.gyro)
+
+    def without(self, rests: Iterable[int]) -> Session:
+        """The session without the rests of these numbers, from 1 as results count them, beside what it leaves out
+        itself. Raises InputError for what is no such number."""
+        more = []
+        for number in rests:
+            if not isinstance(number, int) or number < 1:
+                raise InputError(f"without: expected numbers of rests, from 1 as results count them, found {number!r}")
+            more.append(Exclusion(rest=number, by="request"))
+        return replace(self, excluded=(*self.excluded, *more))
 
 
 # -------------------- reading and writing --------------------

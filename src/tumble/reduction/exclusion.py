@@ -49,7 +49,7 @@ def without_turns(reduction: Reduction, match: Match, excluded: tuple[Exclusion,
 
 def _turn(match: Match, one: Exclusion) -> Gap:
     assert one.turn is not None
-    _expect("turn", one.turn, len(match.rests) - 1)
+    _expect(one, len(match.rests) - 1)
     before, after = match.rests[one.turn - 1], match.rests[one.turn]
     return Gap(
         file=before.file, row=0, time=before.stop, samples=1, what="left out", stop=after.start, integrable=False
@@ -58,9 +58,10 @@ def _turn(match: Match, one: Exclusion) -> Gap:
 
 def without_rests(match: Match, excluded: tuple[Exclusion, ...]) -> Match:
     """The rests to use without those that are left out by number."""
-    numbers = {one.rest for one in excluded if one.rest is not None}
-    for number in numbers:
-        _expect("rest", number, len(match.rests))
+    named = [one for one in excluded if one.rest is not None]
+    for one in named:
+        _expect(one, len(match.rests))
+    numbers = {one.rest for one in named}
     kept = [i for i in range(len(match.rests)) if i + 1 not in numbers]
     if len(kept) == len(match.rests):
         return match
@@ -68,9 +69,11 @@ def without_rests(match: Match, excluded: tuple[Exclusion, ...]) -> Match:
     return replace(match, rests=tuple(match.rests[i] for i in kept), position=position)
 
 
-def _expect(what: str, number: int, count: int) -> None:
-    if number > count:
-        raise SessionError(f"session.toml: exclude.{what}: expected the number of one of {count}, found {number}")
+def _expect(one: Exclusion, count: int) -> None:
+    what, number = ("rest", one.rest) if one.rest is not None else ("turn", one.turn)
+    if number is not None and number > count:
+        where = "without" if one.by == "request" else f"session.toml: exclude.{what}"
+        raise SessionError(f"{where}: expected the number of one of {count}, found {number}")
 
 
 def said(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
@@ -85,4 +88,4 @@ def _said(one: Exclusion) -> str:
         what = f"turn {one.turn}"
     else:
         what = f"{one.start:g}–{one.stop:g} s" + (f" of file {one.file + 1}" if one.file else "")
-    return f"left out by session.toml: {what}" + (f": {one.reason}" if one.reason else "")
+    return f"left out by {one.by}: {what}" + (f": {one.reason}" if one.reason else "")

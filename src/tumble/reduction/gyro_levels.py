@@ -13,13 +13,14 @@ others predicts its level.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from tumble.units import DEGREE, G_STANDARD, Array, BoolArray
 
-USUAL_SENSITIVITY = 0.2 * DEGREE / G_STANDARD
+USUAL_SENSITIVITY = 1.0 * DEGREE / G_STANDARD
 """rad/s per m/s²: what keeps G small where the attitudes do not show it."""
 
 LEAST_STRETCHES = 8
@@ -27,8 +28,8 @@ LEAST_SHARE = 2.0 / 3.0
 LEAST_GAIN = 0.2
 """So many stretches, and this share of them, must follow the function; this share more than follow one level."""
 
-MOST_UNCERTAIN = 1.5
-"""Times the limit: how uncertain a prediction from the other stretches may be."""
+MOST_UNCERTAIN = 2.0
+"""Times what a level is: how uncertain a prediction from the other stretches may be."""
 
 Span = tuple[int, int]
 
@@ -61,8 +62,9 @@ def g_sensitivity(
     stretches = found + [(s.place, s.first, s.last) for s in off]
     if len(stretches) < LEAST_STRETCHES:
         return None
-    level = np.array([rates[k][i:j].mean(axis=0) for k, i, j in stretches])
-    rows = np.array([[1.0, *(USUAL_SENSITIVITY / limit * force[k][i:j].mean(axis=0))] for k, i, j in stretches])
+    cores = [(k, *core(i, j, least)) for k, i, j in stretches]
+    level = np.array([rates[k][i:j].mean(axis=0) for k, i, j in cores])
+    rows = np.array([[1.0, *(USUAL_SENSITIVITY / limit * force[k][i:j].mean(axis=0))] for k, i, j in cores])
     near, constant = _near(rows, level, limit), int(_near(rows[:, :1], level, limit).sum())
     if near.sum() < max(LEAST_STRETCHES, LEAST_SHARE * len(near), constant + LEAST_GAIN * len(near)):
         return None
@@ -72,6 +74,13 @@ def g_sensitivity(
         if near[n] and (n < len(found) or _predicted(rows, level, near, n, limit)):
             accepted[k].append((i, j))
     return GSensitivity(matrix=matrix, accepted=accepted)
+
+
+def core(first: int, last: int, window: int) -> Span:
+    """The middle of a stretch: without half a window at each end, by which the moving mean that found it blurs the
+    turns beside it, and at least without the first and the last quarter, in which a turn may begin slowly."""
+    off = max(min(window, last - first - 1) // 2, (last - first) // 4)
+    return first + off, last - off
 
 
 def _near(rows: Array, level: Array, limit: float) -> BoolArray:
@@ -109,4 +118,5 @@ def _predicted(rows: Array, level: Array, near: BoolArray, k: int, limit: float)
     fitted = _least_squares(rows[others], level[others], np.ones(int(others.sum())))
     normal = rows[others].T @ rows[others] + _usual(rows)
     uncertain = float(rows[k] @ np.linalg.solve(normal, rows[k]))
-    return uncertain < MOST_UNCERTAIN**2 and float(np.linalg.norm(level[k] - rows[k] @ fitted)) < limit
+    distance = float(np.linalg.norm(level[k] - rows[k] @ fitted))
+    return uncertain < MOST_UNCERTAIN**2 and distance < limit * math.sqrt(1.0 + uncertain)

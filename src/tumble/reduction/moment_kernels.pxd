@@ -24,7 +24,6 @@ cdef void _integrate(
     const double[:, :] gyros, const double[:, :] accels,
     double[:, ::1] attitude, double[:, ::1] V, double[:, :, ::1] products, double[:, :, ::1] moved,
     double[:, :, ::1] swept_sums, double[:, ::1] regressors, double[::1] jumps,
-    const int64_t[:] head_stop, const int64_t[:] tail_start, double[:, ::1] head, double[:, ::1] tail,
     double[::1] tile, double[::1] left, double[::1] right, double[::1] swept, double[::1] state, double[::1] total,
     double[:, ::1] C, Py_ssize_t lanes,
 )
@@ -54,17 +53,6 @@ cdef void _move(
     double[::1] tile, Py_ssize_t steps, Py_ssize_t lanes, double delay, double[::1] state
 ) noexcept nogil
 cdef void _subtract_force(double[::1] tile, Py_ssize_t many, const double[:, :] G) noexcept nogil
-
-cdef void _find_ends(
-    const double[:] intervals, const int64_t[:] starts, const int64_t[:] stops, double seconds,
-    int64_t[:] head_stop, int64_t[:] tail_start,
-) noexcept
-cdef void _add_ends(
-    double[::1] tile, Py_ssize_t steps, const int64_t[:] piece, const int64_t[:] first, const int64_t[:] stop,
-    Py_ssize_t group, Py_ssize_t done, const int64_t[:] head_stop, const int64_t[:] tail_start,
-    double[:, ::1] head, double[:, ::1] tail,
-) noexcept nogil
-cdef void _add_end(double[::1] tile, Py_ssize_t cell, double[:, ::1] end, Py_ssize_t k) noexcept nogil
 
 cdef void _regress(
     double[::1] tile, Py_ssize_t steps, Py_ssize_t lanes, double[::1] right, double[::1] state

@@ -65,8 +65,6 @@ Work = tuple[Array, Array, Array, Array, Array, Array]
 Sums = tuple[Array, Array, Array, Array, Array, Array, Array]
 """Attitude (K, 4), V (K, 3), Σ C_m ⊗ regressors (K, R, 9), Σ (C_m × V) ⊗ regressors (K, Q, 9), Σ C_m [ω×] dt ⊗ f (K,
 3, 9), Σ regressors (K, R), Σ Δt² |f − f'|² (K,)."""
-Ends = tuple[IntArray, IntArray, Array, Array]
-"""End of the head and start of the tail of every piece, (Σ f dt, Σ dt) (K, 4) over head and tail."""
 
 
 def stretches_of(starts: IntArray, stops: IntArray) -> Stretches:
@@ -104,7 +102,6 @@ def integrate_stretches(
     model: Model,
     own_axes: tuple[Array, Array],
     sums: Sums,
-    ends: Ends,
     work: Work,
     lanes: int,
 ) -> None:
@@ -116,7 +113,6 @@ def integrate_stretches(
     (gyro, gyro_terms), (accel, accel_terms), G, delay = model
     gyros, accels = own_axes
     attitude, V, products, moved, swept_sums, regressors, jumps = sums
-    head_stop, tail_start, head, tail = ends
     tile, left, right, swept, state, total = work
     _integrate(
         rates, forces, intervals,
@@ -124,7 +120,6 @@ def integrate_stretches(
         gyro, gyro_terms, accel, accel_terms, G, delay,
         gyros, accels,
         attitude, V, products, moved, swept_sums, regressors, jumps,
-        head_stop, tail_start, head, tail,
         tile, left, right, swept, state, total, np.empty((3, 3)), lanes,
     )  # fmt: skip
 
@@ -151,10 +146,6 @@ def _integrate(
     swept_sums: Array,
     regressors: Array,
     jumps: Array,
-    head_stop: IntArray,
-    tail_start: IntArray,
-    head: Array,
-    tail: Array,
     tile: Array,
     left: Array,
     right: Array,
@@ -182,7 +173,6 @@ def _integrate(
                 steps = min(TILE, (longest - done + GROUP - 1) // GROUP * GROUP)
                 _fill(rates, forces, intervals, first, stop, group, done, steps, tile)
                 _compensate(tile, steps, gyro, gyro_terms, accel, accel_terms, G, delay, lanes, state)
-                _add_ends(tile, steps, piece, first, stop, group, done, head_stop, tail_start, head, tail)
                 _regress(tile, steps, lanes, right, state)
                 _regress_own(tile, steps, gyros, accels, right)
                 _turn(right, steps, lanes, state, left)
@@ -354,60 +344,6 @@ def _subtract_force(tile: Array, many: int, G: Array) -> None:
         tile[i] -= g00 * u + g01 * v + g02 * w
         tile[ROW + i] -= g10 * u + g11 * v + g12 * w
         tile[2 * ROW + i] -= g20 * u + g21 * v + g22 * w
-
-
-def ends_of(intervals: Array, starts: IntArray, stops: IntArray, seconds: float) -> tuple[IntArray, IntArray]:
-    """End of the head and start of the tail (K,) of pieces: as many samples as take `seconds`, all where there are
-    fewer."""
-    head_stop, tail_start = starts.copy(), stops.copy()
-    _find_ends(intervals, starts, stops, seconds, head_stop, tail_start)
-    return head_stop, tail_start
-
-
-def _find_ends(
-    intervals: Array, starts: IntArray, stops: IntArray, seconds: float, head_stop: IntArray, tail_start: IntArray
-) -> None:
-    """The same, written to the last two."""
-    for k in range(starts.shape[0]):
-        left = seconds
-        while left > 0.0 and head_stop[k] < stops[k]:
-            left -= intervals[head_stop[k]]
-            head_stop[k] += 1
-        left = seconds
-        while left > 0.0 and tail_start[k] > starts[k]:
-            tail_start[k] -= 1
-            left -= intervals[tail_start[k]]
-
-
-def _add_ends(
-    tile: Array,
-    steps: int,
-    piece: IntArray,
-    first: IntArray,
-    stop: IntArray,
-    group: int,
-    done: int,
-    head_stop: IntArray,
-    tail_start: IntArray,
-    head: Array,
-    tail: Array,
-) -> None:
-    """Add f dt and dt of the samples in the head and in the tail of their piece."""
-    for lane in range(min(LANES, piece.shape[0] - group)):
-        k, begin = piece[group + lane], first[group + lane] + done
-        last = min(stop[group + lane] - begin, steps)
-        for step in range(min(head_stop[k] - begin, last)):
-            _add_end(tile, LANES * step + lane, head, k)
-        for step in range(max(tail_start[k] - begin, 0), last):
-            _add_end(tile, LANES * step + lane, tail, k)
-
-
-def _add_end(tile: Array, cell: int, end: Array, k: int) -> None:
-    """Add (f dt, dt) of one sample."""
-    dt = tile[6 * ROW + cell]
-    for i in range(3):
-        end[k, i] += tile[(3 + i) * ROW + cell] * dt
-    end[k, 3] += dt
 
 
 # Regressors --------------------------------------------------------------------------------------------------

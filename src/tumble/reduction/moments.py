@@ -5,9 +5,9 @@ rate ω and specific force f of the body and the thirteen regressors β = (1, ω
 
     Φ_ijb = ∫ C_ij β_b dt,     Ψ_jb = ∫ Φ_jb × dV  (b < 7),     W_ij,kl = ∫ C_ij ω_k ω_l dt,     V = ∫ C f dt,
 
-which together with C, the sweep ∫ (C[ω×])_im f_l dt and the force at both ends are the statistic of the turn
-(method-dynamics, A7). Let sensor p read a_pᵀω or a_pᵀf plus Σ_m θ_m Σ_b w_pbm β_b, and let s_p be column p of the left
-inverse with which the readings were compensated. Then a group of parameters is the constant array w alone:
+which together with C and the sweep ∫ (C[ω×])_im f_l dt are the statistic of the turn (method-dynamics, A7). Let sensor
+p read a_pᵀω or a_pᵀf plus Σ_m θ_m Σ_b w_pbm β_b, and let s_p be column p of the left inverse with which the readings
+were compensated. Then a group of parameters is the constant array w alone:
 
     gyros           ∂φ = −Φ_ijb s_jp w_pbm,   ∂V = −Ψ_ijb s_jp w_pbm                                    Eq. (A6)
     accelerometers  ∂V = −Φ_ijb s_jp w_pbm
@@ -29,11 +29,9 @@ import numpy as np
 from tumble.reduction import moment_kernels as _kernels
 from tumble.rotation import onto_body, skew
 from tumble.sensors.model import SensorModel
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import Array, IntArray
 
 REGRESSORS = 13
-END_SECONDS = 0.2
-"""Length of the head and of the tail of a turn, over which the force at its ends is meant."""
 NO_AXES: Array = np.empty((0, 3))
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
@@ -139,10 +137,6 @@ class Moments:
     """∫ |a_p·f| dt, ∫ (a_p·f)³ dt (K, 2, m)."""
     jumps: Array
     """Σ Δt² |f − f'|² (K,), m²/s², with f' of the sample before: Eq. (A3)."""
-    head: Array
-    """∫ f dt and the time (K, 4) over the first END_SECONDS, or all of a shorter piece."""
-    tail: Array
-    """The same at the end."""
 
     def __len__(self) -> int:
         return len(self.C)
@@ -151,16 +145,6 @@ class Moments:
     def T(self) -> Array:
         """Duration (K,), s."""
         return np.asarray(self.body[:, 0])
-
-    @property
-    def first_force(self) -> Array:
-        """Mean specific force (K, 3) in the body at the start, m/s²."""
-        return np.asarray(self.head[:, :3] / self.head[:, 3:])
-
-    @property
-    def last_force(self) -> Array:
-        """Mean specific force (K, 3) in the body at the end, m/s²."""
-        return np.asarray(self.tail[:, :3] / self.tail[:, 3:])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -199,7 +183,7 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
     rows, linear = _kernels.COMMON + 2 * n + 2 * m, _kernels.LINEAR + 2 * n
     attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
     products, moved, sweep = (np.zeros((count, size, 9)) for size in (rows, linear, 3))
-    body, head, tail = np.zeros((count, rows)), np.zeros((count, 4)), np.zeros((count, 4))
+    body = np.zeros((count, rows))
     sums = attitude, V, products, moved, sweep, body, jumps
     intervals = np.ascontiguousarray(pieces.intervals, dtype=float)
     _kernels.integrate_stretches(
@@ -208,7 +192,6 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
         compensation._kernel_model(),
         (np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)),
         sums,
-        (*_kernels.ends_of(intervals, starts, stops, END_SECONDS * (1.0 - 1e-9)), head, tail),
         _kernels.new_work(rows, linear),
         _kernels.LANES,
     )
@@ -231,8 +214,6 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
         body_gyro=body[:, gyros].reshape(count, 2, n),
         body_accel=body[:, accels].reshape(count, 2, m),
         jumps=jumps,
-        head=head,
-        tail=tail,
     )
 
 
@@ -265,8 +246,7 @@ def combined(first: Moments, second: Moments) -> Moments:
 
         C C₂,   V + C V₂,   Φ + C Φ₂,   Ψ + Φ × C V₂ + C Ψ₂
 
-    and likewise for all that has a C in it. Exact, but for the force at the ends of a part shorter than END_SECONDS:
-    there it is meant over more."""
+    and likewise for all that has a C in it. Exact."""
     C, V = first.C, _turned(first.C, second.V)
     return Moments(
         C=C @ second.C,
@@ -283,14 +263,7 @@ def combined(first: Moments, second: Moments) -> Moments:
         body_gyro=first.body_gyro + second.body_gyro,
         body_accel=first.body_accel + second.body_accel,
         jumps=first.jumps + second.jumps,
-        head=first.head + np.where(_short(first), second.head, 0.0),
-        tail=second.tail + np.where(_short(second), first.tail, 0.0),
     )
-
-
-def _short(moments: Moments) -> BoolArray:
-    """Whether (K, 1) a piece is shorter than its ends should be."""
-    return (moments.T < END_SECONDS * (1.0 - 1e-9))[:, None]
 
 
 def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
@@ -378,20 +351,21 @@ def lever_columns(moments: Moments, left_inverse: Array, axes: Array) -> Array:
 
 
 def delay_column(moments: Moments) -> Array:
-    """∂V = −∫ C (ω × f) dt (K, 3), m/s², of the delay common to all accelerometers, Eq. (7)."""
+    """∂V = −∫ C (ω × f) dt (K, 3), m/s², of a delay common to all accelerometers, Eq. (7)."""
     return np.asarray(-np.einsum("kijj->ki", moments.sweep))
 
 
-def single_delay_columns(moments: Moments, left_inverse: Array, axes: Array) -> Array:
+def single_delay_columns(moments: Moments, left_inverse: Array, axes: Array, ends: tuple[Array, Array]) -> Array:
     """∂V (K, 3, n), m/s², of the delays of single accelerometers, by parts:
 
         A_τ = ∫ C (ω × s_p)(a_p·f) dt − [C s_p (a_p·f)]                                                  Eq. (7)
 
-    with the force at the two ends from its means there."""
+    with the specific forces (K, 3) in the body at rest, at the start and at the end. 0 of what takes no time."""
     swept = np.einsum("kiml,mp,pl->kip", moments.sweep, left_inverse, axes)
-    last = (moments.C @ left_inverse) * (moments.last_force @ axes.T)[:, None, :]
-    first = left_inverse * (moments.first_force @ axes.T)[:, None, :]
-    return np.asarray(last - first - swept)
+    first, last = ((force @ axes.T)[:, None, :] for force in ends)
+    return np.asarray(
+        ((moments.C @ left_inverse) * last - left_inverse * first - swept) * np.sign(moments.T)[:, None, None]
+    )
 
 
 def _contracted(moments: Array, weights: Array) -> Array:

@@ -18,7 +18,9 @@
    where a linear function of the specific force explains the levels, it is taken off the rates, and steps 1 and 2 are
    repeated. No stretch is accepted but one whose level the others predict, so that a slow turn about the vertical
    stays a turn.
-5. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
+5. A recording whose stretches are nearly all too short was made so: it is searched again with windows of half a second
+   and margins of a tenth, and a rest is then what has SHORT_REST_SECONDS between them.
+6. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
    are those of the movement.
 
 Without gyros only the accelerometers decide: their scatter, and the step between the means of two neighbouring
@@ -35,7 +37,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
-from tumble.reduction.gyro_levels import OffLevel, Span, g_sensitivity
+from tumble.reduction.gyro_levels import OffLevel, Span, core, g_sensitivity
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
@@ -50,7 +52,9 @@ FEWEST_BLOCKS = 2
 SHORT_REST_SECONDS, SHORT_REST_SAMPLES, FEWEST_SHORT = 0.6, 40, 9
 """Between its margins, of a rest in a recording that has so many of them and hardly a longer one; from so many samples
 the noise is known to 11 %."""
-LEVEL_SPREAD = 0.5 * DEGREE
+SHORT_WINDOW_SECONDS, SHORT_MARGIN_SECONDS = 0.5, 0.1
+"""Of a recording of short rests: windows of a second have turns in them where a rest lasts no longer."""
+LEVEL_SPREAD = 3.0 * DEGREE
 """rad/s: how far the level of a gyro at rest may be from that in another attitude."""
 STAYS = 0.05 * DEGREE
 DENSITY_POINTS = 1000
@@ -109,6 +113,16 @@ class Segmentation:
         return tuple(said)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Pace:
+    """How a log is searched: windows of so many seconds, rests of at least so many between their margins, and the least
+    of these."""
+
+    window: float
+    rest: float
+    margin: float
+
+
 def _counted(rejected: list[Rejected]) -> str:
     """Such as "17 quiet stretches of 1.0–2.3 s are"."""
     shortest, longest = min(r.stop - r.start for r in rejected), max(r.stop - r.start for r in rejected)
@@ -120,9 +134,21 @@ def _counted(rejected: list[Rejected]) -> str:
 
 def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
     """The rests of a reduced log (module docstring)."""
+    usual = _Pace(window=WINDOW_SECONDS, rest=MIN_REST_SECONDS, margin=MARGIN_SECONDS[0])
+    found = _found(reduction, accel, gyro, usual)
+    short = sum(r.fails == "duration" and r.stop - r.start >= SHORT_REST_SECONDS for r in found.rejected)
+    if short <= 2 * len(found.rests):
+        return found
+    least = max(SHORT_REST_SECONDS, SHORT_REST_SAMPLES / reduction.rate)
+    again = _found(reduction, accel, gyro, _Pace(window=SHORT_WINDOW_SECONDS, rest=least, margin=SHORT_MARGIN_SECONDS))
+    return again if len(again.rests) >= len(found.rests) + FEWEST_SHORT else found
+
+
+def _found(reduction: Reduction, accel: Block, gyro: Block | None, pace: _Pace) -> Segmentation:
+    """The rests of a reduced log that is searched at a pace."""
     coarse = _resolution(reduction.accel_channels, ACCEL_ROUNDING), _resolution(reduction.gyro_channels, GYRO_ROUNDING)
     size = reduction.files[0].size
-    window = max(2, round(WINDOW_SECONDS * reduction.rate / size))
+    window = max(2, round(pace.window * reduction.rate / size))
     to_body = np.linalg.pinv(accel.axes).T
     specific_force = [f.accel @ to_body for f in reduction.files]
     scatter = [_moving_scatter(a, window) for a in specific_force]
@@ -133,18 +159,18 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         step = [_moving_step(a, window) for a in specific_force]
         step_limit = FLOOR_FACTOR * _floor(np.concatenate(step)) + coarse[0]
         spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
-        return _assemble(reduction, specific_force, None, spans, coarse, window, scatter_limit, None, [])
+        return _assemble(reduction, specific_force, None, spans, coarse, (window, pace), scatter_limit, None, [])
     gyro_to_body = np.linalg.pinv(gyro.axes).T
     rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
     quiet = [s < QUIET_FACTOR * floor + coarse[0] for s in scatter]
     spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
-    off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, window)
+    off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, (window, pace))
     noise_limit = _noise_limit(rates, spans, off, coarse[1], window)
     if (g := g_sensitivity(specific_force, rates, spans, off, noise_limit, window)) is not None:
         rates = [w - f @ g.matrix.T for w, f in zip(rates, specific_force, strict=True)]
         spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
         spans = [_overlapping(new, like) for new, like in zip(spans, g.accepted, strict=True)]
-        off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, window)
+        off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, (window, pace))
     restless = [_rejected(reduction.files[s.place], s.first, s.last, "level", _off_reason(s, rate_limit)) for s in off]
     restless += [
         _rejected(
@@ -156,9 +182,10 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
         )
         for f, s, still, c in zip(reduction.files, scatter, unmoved, calm, strict=True)
         for i, j in still
-        if not c[i:j].any() and f.edges[j] - f.edges[i] >= MIN_REST_SECONDS
+        if not c[i:j].any() and f.edges[j] - f.edges[i] >= pace.rest
     ]
-    return _assemble(reduction, specific_force, rates, spans, coarse, window, scatter_limit, rate_limit, restless)
+    searched = window, pace
+    return _assemble(reduction, specific_force, rates, spans, coarse, searched, scatter_limit, rate_limit, restless)
 
 
 def _off_reason(off: OffLevel, limit: float) -> str:
@@ -205,10 +232,11 @@ def _off_level(
     calm: list[BoolArray],
     spans: list[list[Span]],
     limit: float,
-    window: int,
+    searched: tuple[int, _Pace],
 ) -> list[OffLevel]:
     """Quiet stretches in which the gyros are steady, but off their level at rest by more than `limit` and less than
     LEVEL_SPREAD, and the vertical stays where a turn of that rate would not leave it."""
+    window, pace = searched
     known = [w[i:j] for w, found in zip(rates, spans, strict=True) for i, j in found]
     if not known:
         return []
@@ -221,28 +249,33 @@ def _off_level(
         for i, j in _runs(c & (s < steady_limit)):
             seconds = float(f.edges[j] - f.edges[i])
             covered = sum(min(j, b) - max(i, a) for a, b in _overlapping(spans[k], [(i, j)]))
-            if seconds < MIN_REST_SECONDS or j - i < 2 * window or covered > 0.5 * (j - i):
+            if seconds < pace.rest or j - i < 2 * window or covered > 0.5 * (j - i):
                 continue
-            off = OffLevel(place=k, first=i, last=j, rate=w[i:j].mean(axis=0) - level[(i + j) // 2])
-            if limit < float(np.linalg.norm(off.rate)) < LEVEL_SPREAD and _stays(force[i:j], off.rate, seconds, window):
+            off = OffLevel(
+                place=k, first=i, last=j, rate=w[slice(*core(i, j, window))].mean(axis=0) - level[(i + j) // 2]
+            )
+            stays = _stays(force[i:j], off.rate, seconds - pace.window, window)
+            if limit < float(np.linalg.norm(off.rate)) < LEVEL_SPREAD and stays:
                 out.append(off)
     return out
 
 
 def _noise_limit(rates: list[Array], spans: list[list[Span]], off: list[OffLevel], coarse: float, window: int) -> float:
     """The limit of the distance of a level, rad/s, that the noise within stretches asks for."""
-    stretches = [rates[k][i:j] for k, found in enumerate(spans) for i, j in found if j - i >= 2 * window]
-    stretches += [rates[s.place][s.first : s.last] for s in off]
-    distance = [np.linalg.norm(_inner_mean(w, window) - w.mean(axis=0), axis=1) for w in stretches]
-    return FLOOR_FACTOR * _floor(np.concatenate([*distance, [0.0]])) + 2.0 * EARTH_RATE + coarse
+    of_rests = [(k, i, j) for k, found in enumerate(spans) for i, j in found if j - i >= 2 * window]
+    of_rests += [(s.place, s.first, s.last) for s in off]
+    stretches = [rates[k][slice(*core(i, j, window))] for k, i, j in of_rests]
+    of_mean = [np.sqrt(w.var(axis=0).sum() / window) for w in stretches]
+    return FLOOR_FACTOR * _floor(np.array([*of_mean, 0.0])) + 2.0 * EARTH_RATE + coarse
 
 
 def _stays(force: Array, rate: Array, seconds: float, window: int) -> bool:
-    """Whether the vertical moves by less than a third of what this rate (rad/s) would move it in so many seconds."""
+    """Whether the vertical moves by less than a third of what this rate (rad/s) would move it in so many seconds, from
+    the first window to the last."""
     before, after = (part.mean(axis=0) for part in (force[:window], force[-window:]))
     size = float(np.linalg.norm(before))
     moved = float(np.linalg.norm(after - before)) / size
-    turned = float(np.linalg.norm(np.cross(rate, before))) / size * (seconds - WINDOW_SECONDS)
+    turned = float(np.linalg.norm(np.cross(rate, before))) / size * seconds
     return moved < max(turned / 3.0, STAYS)
 
 
@@ -268,23 +301,22 @@ def _assemble(
     rates: list[Array] | None,
     spans: list[list[Span]],
     coarse: tuple[float, float],
-    window: int,
+    searched: tuple[int, _Pace],
     scatter_limit: float,
     rate_limit: float | None,
     rejected: list[Rejected],
 ) -> Segmentation:
     """Extend the stretches found, take the margins off, and keep those that are long enough."""
     rests: list[RestSpan] = []
-    whole = []
+    whole, (window, pace) = [], searched
     for k, (force, found) in enumerate(zip(specific_force, spans, strict=True)):
         signals = [(force, coarse[0])] if rates is None else [(force, coarse[0]), (rates[k], coarse[1])]
         whole.append(_merged([_extended(signals, i, j, window) for i, j in found]))
-    least = _least_seconds(reduction, whole)
     for f, force, found in zip(reduction.files, specific_force, whole, strict=True):
         for first, last in found:
-            duration, before, after = _with_margins(f, first, last)
+            duration, before, after = _with_margins(f, first, last, pace.margin)
             span = rest_between(f, f.edges[first] + before, f.edges[last] - after)
-            if duration - before - after < least or span.last - span.first < FEWEST_BLOCKS:
+            if duration - before - after < pace.rest - 1e-9 or span.last - span.first < FEWEST_BLOCKS:
                 if duration > 0.5:
                     reason = f"{duration:.1f} s is too short: rests must be {STILL_SECONDS} s"
                     rejected.append(_rejected(f, first, last, "duration", reason))
@@ -303,27 +335,16 @@ def _assemble(
     )
 
 
-def margin_of(duration: float) -> float:
+def margin_of(duration: float, least: float = MARGIN_SECONDS[0]) -> float:
     """What is taken off at each end of a stretch that lasts so long, s, where it borders on movement."""
-    return float(np.clip(MARGIN_FRACTION * duration, *MARGIN_SECONDS))
+    return float(np.clip(MARGIN_FRACTION * duration, least, MARGIN_SECONDS[1]))
 
 
-def _with_margins(f: FileBlocks, first: int, last: int) -> tuple[float, float, float]:
+def _with_margins(f: FileBlocks, first: int, last: int, least: float) -> tuple[float, float, float]:
     """How long a stretch is, and what is taken off at its beginning and end, s."""
     duration = float(f.edges[last] - f.edges[first])
-    margin = margin_of(duration)
+    margin = margin_of(duration, least)
     return duration, margin if first > 0 else 0.0, margin if last < len(f.edges) - 1 else 0.0
-
-
-def _least_seconds(reduction: Reduction, found: list[list[Span]]) -> float:
-    """How long a rest must be between its margins. A recording whose rests are nearly all short was made so: they are
-    taken as far as their noise is known then."""
-    stretches = [_with_margins(f, i, j) for f, each in zip(reduction.files, found, strict=True) for i, j in each]
-    lengths = np.array([duration - before - after for duration, before, after in stretches])
-    short = max(SHORT_REST_SECONDS, SHORT_REST_SAMPLES / reduction.rate)
-    many = int(((lengths >= short) & (lengths < MIN_REST_SECONDS)).sum())
-    long = int((lengths >= MIN_REST_SECONDS).sum())
-    return short if many >= FEWEST_SHORT and many > 2 * long else MIN_REST_SECONDS
 
 
 def _rejected(

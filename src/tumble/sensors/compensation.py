@@ -62,8 +62,8 @@ class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
     biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about the
     `references` (n,), °C, by kind, where there are such; the sensors follow their thermometers with the time constant
-    `lag`, s. Lever arms (n, 3), m, need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not
-    undone."""
+    `lag`, s. Lever arms (n, 3), m, need the motion: `at_one_point`. The `delays` (n,) of the accelerometers, s, are
+    not undone."""
 
     accel: Block
     gyro: Block | None
@@ -72,7 +72,7 @@ class Compensator:
     slopes: Mapping[str, Array]
     curvatures: Mapping[str, Array]
     levers: Array
-    delay: float = 0.0
+    delays: Array
     references: Mapping[str, Array] = field(default_factory=dict)
     lag: float = 0.0
 
@@ -104,7 +104,7 @@ class Compensator:
             slopes=_changes(blocks, values, "t1"),
             curvatures=_changes(blocks, values, "t2"),
             levers=instrument.levers(further),
-            delay=instrument.delay(further),
+            delays=instrument.delays(further),
             references=references,
             lag=values.get("temperature.lag", 0.0),
         )

@@ -147,9 +147,16 @@ class Instrument:
         return out
 
     def delay(self, values: Array) -> float:
-        """By how much the accelerometers are late, s; zero where they have no delay."""
+        """By how much the last accelerometer is late, s; zero where they have no delay."""
         where = self.in_motion("delay")
         return 0.0 if where is None else float(values[where][0])
+
+    def delays(self, values: Array) -> Array:
+        """By how much the accelerometers (n,) are late, s, by channel."""
+        out, where = np.full(self.accel.size, self.delay(values)), self.in_motion("single delay")
+        if where is not None:
+            out[self.accel.channels[:-1]] += values[where]
+        return out
 
     def model(self, block: Block, values: Array) -> SensorModel:
         """Sensitivity matrix and bias of a block."""

@@ -5,7 +5,7 @@ A reading is linear in functions β of the specific force f and the rate ω,
     y_p = Σ_b K_pb β_pb(f, ω),    β = 1, ω (3), f (3), products f_k f_l (6), |own|, own³                   (A5), (A6)
 
 own being the component of what sensor p measures along its nominal axis. K (n, 15) holds the sensitivity matrix and the
-bias, and every further group adds to it: a group is the constant array ∂K/∂θ, its `regressors` (n, 15, m). Three groups
+bias, and every further group adds to it: a group is the constant array ∂K/∂θ, its `regressors` (n, 15, m). Some groups
 change no reading at rest: lever arms and delays act in a turn alone, and are named by `Motion`.
 
 Everything that deals with parameters loops over this table: estimation, bounds, planning, simulation, frames, the
@@ -33,7 +33,7 @@ CONSTANT, RATE, FORCE, PRODUCTS, OWN_SIZE, OWN_CUBE = 0, slice(1, 4), slice(4, 7
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """k and l of the products f_k f_l."""
 
-Motion = Literal["lever", "delay"]
+Motion = Literal["lever", "delay", "single delay"]
 Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag"]
 """What the change of a parameter goes with: time from the middle of a session, s, temperature from the reference, K,
 its square, the direction it came from, −1 … 1, or that a session is another one; the lag moves the temperatures."""
@@ -50,11 +50,12 @@ class ParameterGroup:
     """A group of parameters such as "accel.quadratic", which `kind` of sensors has.
 
     `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what
-    reports call it. `suffixes` makes the names of its parameters for a block. `limit`, SI, is how far from nominal a
-    value may reasonably be; `usual` the standard deviation over instruments of a grade, the prior where a parameter
-    has one; a grade that is not there has the group only where a data sheet says so. `regressors` is None for bias,
-    scale and axis angles, whose derivative `Block.jacobian` has, and where `motion` says how a turn sees the group, or
-    where the group is the change of another, its `base`, with a `variable`, or the lag, which has no base."""
+    reports call it. `suffixes` makes the names of its parameters for a block, behind the group's own name or another
+    `stem`. `limit`, SI, is how far from nominal a value may reasonably be; `usual` the standard deviation over
+    instruments of a grade, the prior where a parameter has one; a grade that is not there has the group only where a
+    data sheet says so. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and
+    where `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
+    `variable`, or the lag, which has no base."""
 
     name: str
     kind: SensorKind
@@ -66,6 +67,7 @@ class ParameterGroup:
     usual: Mapping[str, float] = field(default_factory=dict)
     regressors: Regressors | None = None
     motion: Motion | None = None
+    stem: str | None = None
     base: str | None = None
     variable: Variable | None = None
 
@@ -76,7 +78,7 @@ class ParameterGroup:
 
     def names(self, block: Block) -> tuple[str, ...]:
         """Parameter names for a block of sensors."""
-        stem, ending = (self.name, "") if self.base is None else (self.base, f".{_ENDINGS[self.variable]}")
+        stem, ending = self.stem or self.base or self.name, "" if self.base is None else f".{_ENDINGS[self.variable]}"
         return tuple(f"{stem}.{suffix}{ending}" if suffix else f"{stem}{ending}" for suffix in self.suffixes(block))
 
     def thermometers(self, block: Block) -> tuple[int, ...]:
@@ -279,6 +281,18 @@ FURTHER: list[ParameterGroup] = [
         usual=_grades(1e-3, 3e-3, 5e-3, 10e-3),
         motion="delay",
     ),
+    ParameterGroup(
+        name="accel.single_delay",
+        kind="accel",
+        unit="s",
+        words="delays of single accelerometers after the last one",
+        suffixes=_others,
+        limit=0.1,
+        shown=((1e-6, "µs"), (1e-3, "ms")),
+        usual=_grades(20e-6, 100e-6, 300e-6, 500e-6),
+        motion="single delay",
+        stem="accel.delay",
+    ),
 ]
 """The groups beyond the linear model, in the order of the calibration file."""
 
@@ -362,9 +376,13 @@ def groups() -> tuple[ParameterGroup, ...]:
 
 @lru_cache(maxsize=4096)
 def group_name(parameter: str) -> str:
-    """The group of a parameter: "accel.bias" of "accel.bias.x", "accel.bias.t1" of "accel.bias.x.t1"."""
+    """The group of a parameter: "accel.bias" of "accel.bias.x", "accel.bias.t1" of "accel.bias.x.t1",
+    "accel.single_delay" of "accel.delay.x"."""
     parts = parameter.split(".")
-    return ".".join([*parts[:2], *(parts[-1:] if parts[-1] in _ENDINGS.values() else [])])
+    stem = ".".join(parts[:2])
+    if len(parts) > 2 and (name := next((group.name for group in FURTHER if group.stem == stem), None)) is not None:
+        return name
+    return ".".join([stem, *(parts[-1:] if parts[-1] in _ENDINGS.values() else [])])
 
 
 def sensor_kind(parameter: str) -> str:

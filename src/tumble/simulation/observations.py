@@ -197,15 +197,16 @@ def _turns(
     before, after = way.attitudes[first], way.attitudes[first + 1]
     vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
     dt = T / SAMPLES
-    late = scenario.instrument.delay(scenario.values)
     sample = np.arange(SAMPLES + AHEAD) - AHEAD + 0.5
     when = (way.rests[first, 1] - way.middle)[:, None] + sample * dt[:, None]
     rate = np.repeat((vector / T[:, None])[:, None], SAMPLES + AHEAD, axis=1)
     force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
     sampled = gyro.sampled(force, rate, when, first)
     sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
-    if late != 0.0:
-        force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T, late)
+    if np.any(late := scenario.instrument.delays(scenario.values)):
+        times, which = np.unique(late, return_inverse=True)
+        each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
+        force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
     felt = accel.sampled(_with_levers(scenario, way, first, force, vector, T), rate, when, first)
     felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     stored = MotionSamples()
@@ -239,25 +240,25 @@ def _turns(
 
 
 def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Array, vector: Array, T: Array) -> Array:
-    """Forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3); the same where no arm is known.
+    """Forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3), or (K, S, n, 3) where accelerometers
+    are late; the same where no arm is known.
 
     At a constant rate ω an arm r feels [ω×]²r, and at the two ends, where the turn begins and stops at once, its
     velocity jumps by ±(ω − ω_rest) × r: the first and the last sample have it in them, turned by half a sample from
-    where it is to their middle, and by the delay."""
+    where it is to their middle, and by the delays."""
     instrument = scenario.instrument
     if instrument.in_motion("lever") is None:
         return force
-    arms, late = instrument.levers(scenario.values), instrument.delay(scenario.values)
+    arms, late = instrument.levers(scenario.values), instrument.delays(scenario.values)
     rate, dt = vector / T[:, None], T / SAMPLES
     earth = np.array(earth_rate(scenario.latitude))
-    out = np.repeat(force[:, :, None], len(arms), axis=2)
+    out = np.repeat(force[:, :, None], len(arms), axis=2) if force.ndim == 3 else force.copy()
     centripetal = skew(rate) @ skew(rate) @ arms.T
     out[:, AHEAD:] += centripetal.swapaxes(1, 2)[:, None]
     for sample, rests, sign in ((AHEAD, first, 1.0), (-1, first + 1, -1.0)):
         jump = skew(rate - earth @ way.attitudes[rests]) @ arms.T
-        out[:, sample] += (rotation_matrix((late - 0.5 * sign * dt)[:, None] * rate) @ jump).swapaxes(1, 2) * (
-            sign / dt
-        )[:, None, None]
+        turned = rotation_matrix((late - 0.5 * sign * dt[:, None])[..., None] * rate[:, None])
+        out[:, sample] += np.einsum("kpij,kjp->kpi", turned, jump) * (sign / dt)[:, None, None]
     return out
 
 

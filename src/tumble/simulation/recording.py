@@ -83,15 +83,18 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
 def _readings(
     scenario: Scenario, attitudes: Array, moves: Array, rests: Array, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Time and readings of both blocks, of which the accelerometers may be late."""
+    """Time and readings of both blocks, of which the accelerometers may be late, each by a time of its own."""
     fs = scenario.profile.sample_rate
     N = math.floor(rests[-1, 1] * fs + 1e-6)
-    late = scenario.instrument.delay(scenario.values)
-    made = [
-        _block_readings(_SampledBlock.of(block, scenario, rests, own, behind), attitudes, moves, rests)
-        for block, own, behind in zip((scenario.accel, scenario.gyro), rng.spawn(2), (late, 0.0), strict=True)
-    ]
-    return np.arange(1, N + 1) / fs, made[0].T, made[1].T
+    of_accel, of_gyro = rng.spawn(2)
+    late, which = np.unique(scenario.instrument.delays(scenario.values), return_inverse=True)
+    streams = [of_accel] if len(late) == 1 else of_accel.spawn(len(late))
+    accel = np.empty((scenario.accel.size, N))
+    for k, (behind, own) in enumerate(zip(late.tolist(), streams, strict=True)):
+        sensors = _SampledBlock.of(scenario.accel, scenario, rests, own, behind)
+        accel[which == k] = _block_readings(sensors, attitudes, moves, rests)[which == k]
+    gyro = _block_readings(_SampledBlock.of(scenario.gyro, scenario, rests, of_gyro, 0.0), attitudes, moves, rests)
+    return np.arange(1, N + 1) / fs, accel.T, gyro.T
 
 
 def _block_readings(sensors: _SampledBlock, attitudes: Array, moves: Array, rests: Array) -> Array:
