@@ -25,8 +25,8 @@ import numpy as np
 from tumble.programme.positions import Programme
 from tumble.recording.gaps import Gap
 from tumble.recording.session import Site
-from tumble.reduction.array_motion import ArrayMoments, array_moments
-from tumble.reduction.blocks import FileBlocks, Reduction
+from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
+from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.matching import Match
 from tumble.reduction.moments import (
@@ -213,6 +213,8 @@ class Observations:
     """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
+    warm_up: float | None = None
+    """Time constant, s, in which biases settle after the start, where they do."""
 
     @property
     def session(self) -> IntArray | None:
@@ -352,9 +354,20 @@ def _arrays(reduction: Reduction, rests: Rests, accel: Block, gyro: Block) -> tu
     if reduction.samples is None:
         return ()
     parts = [(f.first_sample, f.first_sample + f.size * len(f.accel)) for f in reduction.files]
-    at_rest = np.linalg.pinv(gyro.axes) @ rests.gyro.mean(axis=0)
-    found = array_moments(reduction.samples, parts, accel, at_rest)
+    array = MovedArray(
+        accel=accel,
+        gyro=gyro,
+        accel_extremes=_extremes(reduction.accel_channels),
+        gyro_extremes=_extremes(reduction.gyro_channels),
+        at_rest=np.linalg.pinv(gyro.axes) @ rests.gyro.mean(axis=0),
+    )
+    found = array_moments(reduction.samples, parts, array)
     return () if found is None else (found,)
+
+
+def _extremes(channels: tuple[ChannelState, ...]) -> Array:
+    """The least and the most (2, n) that channels read."""
+    return np.array([[channel.minimum for channel in channels], [channel.maximum for channel in channels]])
 
 
 def _thermometer(reduction: Reduction) -> Thermometer:
