@@ -153,6 +153,15 @@ def test_clipped_gyros_and_uneven_intervals_are_left_out() -> None:
     assert np.abs(found[1] - found[0]).max() < 0.1e-3
 
 
+def test_gyros_that_are_all_clipped_together_are_left_out() -> None:
+    shaken = Shaken(2)
+    clipped = np.clip(shaken.gyro, -12.0, 12.0)
+    moments = moments_of(shaken.accel, clipped, shaken.dt)
+    assert moments is not None
+    found, _ = solved(array_levers(moments, INSTRUMENT, shaken.values), rates=1e-4)
+    assert np.abs(in_gauge(placed(found)) - in_gauge(shaken.levers)).max() < 0.1e-3
+
+
 def test_rows_are_the_derivative_of_what_they_linearise() -> None:
     shaken = Shaken(4, seconds=10.0)
     moments = moments_of(shaken.accel, shaken.gyro, shaken.dt)

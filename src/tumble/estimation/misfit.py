@@ -128,9 +128,7 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     remarks += [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
     remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
     warm = ("warm-up",) if observations.warm_up is not None else ()
-    return Misfit(
-        reasons=tuple(reasons), remarks=tuple(remarks), causes=(*warm, *(cause.name for cause in named))
-    )
+    return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=(*warm, *(cause.name for cause in named)))
 
 
 def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
@@ -143,10 +141,10 @@ def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
     for kind, words, (size, unit) in (("accel", "accelerometers", GROUPS[0].unit), ("gyro", "gyros", GROUPS[1].unit)):
         if (members := own.members.get(f"{kind}.bias.warmup")) is not None:
             largest = np.abs(values[members.start - first : members.stop - first]).max() / size
-            said.append(f"of the {words} by {largest:.2g} {unit}".replace(" °", "°"))
+            said.append(f"of the {words} {'' if said else 'settle '}by up to {largest:.2g} {unit}".replace(" °", "°"))
     yield (
         "both",
-        f"warm-up after power-on: biases {' and '.join(said)} settle by as much exponentially, in {settling:.0f} s; "
+        f"warm-up after power-on: biases {' and '.join(said)}, with a time constant of {settling:.0f} s; "
         "parameters are those of the settled device and u contains what is not known of it; switch on earlier",
     )
 

@@ -77,7 +77,8 @@ class MovedArray:
 
 
 def array_moments(samples: MotionSamples, parts: list[tuple[int, int]], array: MovedArray) -> ArrayMoments | None:
-    """The moments of samples start … stop − 1 of every part. None where there are too few accelerometers, or where too little moves."""
+    """The moments of samples start … stop − 1 of every part. None where there are too few accelerometers, or where too
+    little moves."""
     if array.accel.size < FEWEST:
         return None
     columns = columns_of(array.accel.size)
@@ -124,8 +125,8 @@ def _in_motion(samples: MotionSamples, parts: list[tuple[int, int]], array: Move
 def _functions(samples: MotionSamples, start: int, stop: int, array: MovedArray) -> Array:
     """x (m, c) of the samples that move, can be used, and have one before and after that can."""
     rates, forces, intervals, spare = samples.read_with_spare(start, stop)
-    readings = _read(array.accel, forces, spare[:, : array.accel.size - 3])
-    of_gyros = _read(array.gyro, rates, spare[:, array.accel.size - 3 :])
+    readings = read_by(array.accel, forces, spare[:, : array.accel.size - 3])
+    of_gyros = read_by(array.gyro, rates, spare[:, array.accel.size - 3 :])
     whole = _within(readings, array.accel_extremes) & _within(of_gyros, array.gyro_extremes)
     usable = whole & _usable(rates, spare[:, array.accel.size - 3 :], intervals)
     rates = rates - array.at_rest
@@ -140,7 +141,7 @@ def _functions(samples: MotionSamples, start: int, stop: int, array: MovedArray)
     return np.asarray(x[moves & usable[:-2] & usable[inner] & usable[2:]])
 
 
-def _read(block: Block, vectors: Array, spare: Array) -> Array:
+def read_by(block: Block, vectors: Array, spare: Array) -> Array:
     """What every sensor reads (m, n), of vectors in the body (m, 3) and what is spare (m, n − 3)."""
     return np.asarray(vectors @ block.axes.T + spare @ beyond_body(block.axes))
 

@@ -317,12 +317,19 @@ def _series(
     return accel, gyro, kelvin if len(kelvin) == len(pairs) else None
 
 
-def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None, site: Site) -> Observations:
-    """Reduce the rests and turns of a log to observations. At least one rest is needed."""
+def observe(
+    reduction: Reduction,
+    match: Match,
+    accel: Block,
+    gyro: Block | None,
+    site: Site,
+    arrays: tuple[ArrayMoments, ...] | None = None,
+) -> Observations:
+    """Reduce the rests and turns of a log to observations. At least one rest is needed. What an array reads in motion
+    does not depend on the rests: it is made unless it is given, of the same log with other rests."""
     spans = match.rests
     rests, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
     turns, samples, readings = None, None, None
-    arrays: tuple[ArrayMoments, ...] = ()
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         by_file, block_seconds = {f.file: f for f in reduction.files}, reduction.files[0].size / reduction.rate
         accel_series, _, temperatures = _series([by_file[s.file] for s in spans], spans)
@@ -331,7 +338,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         noises = (accel, accel_noise), (gyro, gyro_noise)
         turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
         readings = _turn_readings(by_file, spans, turns, gyro_noise, block_seconds) if gyro.size > 3 else None
-        arrays = _arrays(reduction, rests, accel, gyro)
+        arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
     return Observations(
         accel_block=accel,
         gyro_block=gyro,
@@ -342,7 +349,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         programme=match.programme,
         position=match.position,
         turn_readings=readings,
-        arrays=arrays,
+        arrays=arrays or (),
         rounding=rounded,
         notes=(*_copies(reduction), *rounding_notes(rounded)),
         thermometer=None if rests.temperature is None else _thermometer(reduction),
