@@ -20,14 +20,13 @@ from tumble.simulation.temperature_profile import REFERENCE, REFERENCE_NAME, Tem
 from tumble.units import DEGREE, G_STANDARD, Array
 
 START, RISE = 22.0, 15.0
-SETUP = {"grade": "mems", "positions": 24, "rest": 10.0}
 
 
 def calibrated(seed: int, settles: float, seconds: float) -> tuple[Estimate, Outcome, Array]:
     """The estimate of a device by hand whose biases settle by ± 2 mg and ± 0.2 °/s times `settles` with a time
     constant, what is said of it, and the errors of the linear model, for the settled device, over u."""
     rng = np.random.default_rng([77, seed])
-    scenario = scenario_of(Setup.of(**SETUP), rng, serial="warming")
+    scenario = scenario_of(Setup.of(grade="mems", positions=24, rest=10.0), rng, serial="warming")
     duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
     profile = TemperatureProfile(celsius=(START,), heating=RISE, time_constant=seconds)
     slopes = {

@@ -137,7 +137,7 @@ def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
     if own is None or settling is None:
         return
     first, values = own.linear_count, linearised.point.own[0]
-    said = []
+    said = list[str]()
     for kind, words, (size, unit) in (("accel", "accelerometers", GROUPS[0].unit), ("gyro", "gyros", GROUPS[1].unit)):
         if (members := own.members.get(f"{kind}.bias.warmup")) is not None:
             largest = np.abs(values[members.start - first : members.stop - first]).max() / size

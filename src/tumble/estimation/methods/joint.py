@@ -625,7 +625,8 @@ def _with_warm_up(fitted: _Fitted, problem: Problem) -> _Fitted:
         settling, u, by = _closest(found, settling)
         if settling is not None and abs(np.log(settling / before)) < SETTLED_TO * u:
             break
-    if settling is None or _evidence(fitted) - _evidence(found) < EVIDENT:
+    longest = WARM_UPS[-1] * np.ptp(problem.observations.rests.start)
+    if settling is None or settling > longest or _evidence(fitted) - _evidence(found) < EVIDENT:
         return fitted
     step = found.solved.step
     spread = replace(step, covariance=step.covariance + np.outer(by, by))
@@ -690,7 +691,7 @@ def _evidence(fitted: _Fitted) -> float:
     """−2 log of the likelihood with what is not known of the parameters by their priors, less a constant."""
     problem = fitted.problem
     priors = np.concatenate([problem.measured[1][1:], problem.own_known])
-    return fitted.solved.step.deviance + 2.0 * float(np.log(priors).sum())
+    return fitted.solved.step.deviance + 2.0 * float(np.log(priors[priors > 0.0]).sum())
 
 
 # Priors
