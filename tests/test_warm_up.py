@@ -13,7 +13,7 @@ from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.joint import joint
 from tumble.planning.setup import Setup
-from tumble.sensors.parameters import usual_of
+from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import itinerary, scenario_of
 from tumble.simulation.temperature_profile import REFERENCE, REFERENCE_NAME, TemperatureProfile, truth_at
@@ -37,7 +37,7 @@ def calibrated(seed: int, settles: float, seconds: float) -> tuple[Estimate, Out
     scenario = replace(scenario, truth=dict(scenario.truth) | slopes, climate=profile.climate(1.2 * duration))
     truth = truth_at(dict(scenario.truth) | {REFERENCE_NAME: REFERENCE}, START + RISE)
     seen = simulate_observations(scenario, rng)
-    blind = replace(seen, usual=usual_of("mems"), thermometer=None, rests=replace(seen.rests, temperature=None))
+    blind = replace(seen, usual=usual_sizes("mems"), thermometer=None, rests=replace(seen.rests, temperature=None))
     found = joint(blind)
     assert found.instrument is not None
     linear = found.names[: found.instrument.linear_count]
