@@ -19,9 +19,10 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.by_session import each_session
 from tumble.estimation.causes import Projection
-from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, linearise, noise_of, solve
+from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, linearise, noise_of
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.misfit import misfit
+from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import variables_of
 from tumble.planning.setup import Setup
@@ -30,7 +31,8 @@ from tumble.recording.session import Session, session_of, write_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import prior_of, usual_sizes
+from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.typed_quantities import prior_of
 from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
