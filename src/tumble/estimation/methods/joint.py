@@ -609,7 +609,7 @@ def _with_warm_up(fitted: _Fitted, problem: Problem) -> _Fitted:
         if settling is None:
             return fitted
         before, warm = settling, _settling(problem, settling)
-        found = _fitted(warm, _without_own(warm, found.solved), _Out.nothing(problem))
+        found = _fitted(warm, _without_own(warm, found.solved))
         settling, u, by = _closest(found, settling)
         if settling is not None and abs(np.log(settling / before)) < SETTLED_TO * u:
             break
@@ -644,7 +644,7 @@ def _settling(problem: Problem, settling: float) -> Problem:
 def _without_own(problem: Problem, solved: _Solved) -> _At:
     """The start of a solution from one with another warm-up, or without."""
     point = replace(solved.point, own=np.zeros((len(problem.parts), len(problem.own_known))))
-    return _At.of(problem, point, solved.last.about)
+    return _At.of(problem, point, solved.last.about, solved.last.out)
 
 
 def _at_time_constant(fitted: _Fitted, settling: float) -> Step:
@@ -652,8 +652,7 @@ def _at_time_constant(fitted: _Fitted, settling: float) -> Step:
     other = replace(_settling(fitted.problem, settling), measured=fitted.problem.measured)
     if fitted.problem.own is not None:
         other = replace(other, own_known=fitted.problem.own_known)
-    at = _without_own(other, fitted.solved)
-    return solve(other, at.rows, fitted.out.noise(other, at.rows).weights(fitted.scatter))
+    return _without_own(other, fitted.solved).solved(other, fitted.scatter)
 
 
 def _closest(fitted: _Fitted, settling: float) -> tuple[float | None, float, Array]:
