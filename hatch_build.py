@@ -15,6 +15,7 @@ import importlib.util
 import json
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -42,6 +43,7 @@ DIRECTIVES = {
     "wraparound": False,
     "initializedcheck": False,
     "cdivision": True,
+    "emit_code_comments": False,
 }
 FLAGS = ("-O3", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden", "-w")
 GCC_FLAGS = ("--param=vect-max-version-for-alias-checks=1000",)
@@ -49,9 +51,17 @@ FUSED = {"reduction/moment_kernels", "campaigns/triads"}
 """Modules whose products and sums may be rounded once; the others give the same bits on all processors."""
 PLAIN = {"reduction/kernels"}
 """Modules that newer processors do not run faster."""
+INDEPENDENT = {"reduction/moment_kernels"}
+"""Modules in which the steps of a loop over `i` do not depend on one another. GCC does not see it, and would ask in
+every loop over lanes whether rows overlap."""
 AVX2 = ("-mavx2", "-mfma", "-mbmi2")
 AVX512 = (*AVX2, "-mavx512f", "-mavx512vl", "-mavx512dq", "-mavx512bw", "-mprefer-vector-width=512")
-GENERATIONS = {"_avx512": AVX512, "_avx2": AVX2, "": ()}
+OLD = ("-O1",)
+"""For processors from before 2013 the loops are compiled in a third of the time, and run at two thirds of the speed."""
+GENERATIONS = {"_avx512": AVX512, "_avx2": AVX2, "": OLD}
+
+LOOP_OVER_I = re.compile(r"for \((__pyx_t_\d+) = 0; \1 < __pyx_t_\d+; \1\+=1\) {\s*__pyx_v_i = \1;")
+"""A loop over `i`, to a number that the compiler does not know, as Cython writes it."""
 
 CHOICE = """
 #include <Python.h>
@@ -148,6 +158,8 @@ def _c_of(loops: str, folder: Path) -> Path:
     directives = (word for key, value in DIRECTIVES.items() for word in ("-X", f"{key}={value}"))
     shared = f"--shared={SHARED.replace('/', '.')}"
     _run(sys.executable, "-m", "cython", *directives, shared, SOURCE / f"tumble/{loops}.py", "-o", source)
+    if loops in INDEPENDENT:
+        source.write_text(LOOP_OVER_I.sub(r"\n#pragma GCC ivdep\n\g<0>", source.read_text()))
     return source
 
 
@@ -185,8 +197,9 @@ def build() -> str:
         return str(made["compiler"])
     compiler = Compiler()
     compiled.RECORD.unlink(missing_ok=True)
+    longest_first = sorted(sources, key=lambda loops: -(SOURCE / f"tumble/{loops}.py").stat().st_size)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
-        jobs = [pool.submit(_make, compiler, loops, Path(folder)) for loops in reversed(compiled.LOOPS)]
+        jobs = [pool.submit(_make, compiler, loops, Path(folder)) for loops in longest_first]
         jobs.append(pool.submit(_make_shared, compiler, Path(folder)))
         for job in jobs:
             job.result()

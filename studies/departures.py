@@ -423,7 +423,7 @@ def _rests(
             f"{kind}_drift": np.zeros_like(mean),
             f"{kind}_noise": np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds[:, None]),
         }
-    return Rests(file=np.zeros(len(spans), dtype=int), start=start, stop=stop, temperature=None, **read)
+    return Rests(file=np.zeros(len(spans), dtype=int), start=start, stop=stop, temperatures=None, **read)
 
 
 def session(setting: Setting, off: Departure, seed: int) -> tuple[Observations, dict[str, float]]:

@@ -572,6 +572,198 @@ def _listening(session: int) -> Iterator[str]:
             yield socket.inet_ntoa(struct.pack("<I", int(local.split(":")[0], 16)))
 
 
+# -------------------- the live page --------------------
+
+RECORDED = "bench {out}/n --listen stdin --serial A-1 --port 0"
+OPENED, TAKEN = 30.0, 20.0
+"""How long a page may take to open, and what was sent to be recorded: s."""
+
+
+class _Page:
+    """A bench that records its standard input, until it is ended; what it has said, and what was sent to it."""
+
+    def __init__(self, bench: Bench, command: str = RECORDED, **how: Any) -> None:
+        how = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE} | how
+        self.process = subprocess.Popen(bench.words(command), **how)
+        self.said: list[bytes] = []
+        self.log, self.sent = bench.out / "n" / "log.csv", b""
+        if self.process.stderr is not None:
+            self._reader = threading.Thread(target=_read, args=(os.dup(self.process.stderr.fileno()), self.said))
+            self._reader.start()
+
+    @property
+    def err(self) -> str:
+        return b"".join(self.said).decode(errors="replace")
+
+    def open(self) -> bool:
+        """Whether the page opens."""
+        return _until(lambda: "the page: " in self.err or self.process.poll() is not None, OPENED) and self.alive
+
+    @property
+    def alive(self) -> bool:
+        return self.process.poll() is None
+
+    def send(self, rows: bytes, *, sound: bool = True) -> None:
+        """Send rows, which are recorded as they are where they are `sound`."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(rows)
+        self.process.stdin.flush()
+        self.sent += rows if sound else b""
+
+    def taken(self) -> bool:
+        """Whether all that is sound is in the log."""
+        return _until(lambda: self.log.exists() and self.log.stat().st_size >= len(self.sent), TAKEN)
+
+    def end(self, how: signal.Signals = signal.SIGTERM) -> str:
+        """End it; what is wrong with how it ended."""
+        if self.alive:
+            self.process.send_signal(how)
+        started = time.monotonic()
+        self.process.wait(LONGEST)
+        if self.process.stdin is not None:
+            with suppress(OSError):
+                self.process.stdin.close()
+        if self.process.stderr is not None:
+            self._reader.join()
+        memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+        seconds = time.monotonic() - started
+        ended = Ended(status=self.process.returncode, out="", err=self.err, seconds=seconds, memory=memory)
+        return ended.fault(signals=(-how, 128 + how))
+
+    def differs(self) -> str:
+        """Whether the log is something else than what was sent."""
+        return "" if self.log.read_bytes() == self.sent else "the log is not what was sent"
+
+
+def _until(what: Callable[[], bool], seconds: float) -> bool:
+    until = time.monotonic() + seconds
+    while not what() and time.monotonic() < until:
+        time.sleep(0.02)
+    return what()
+
+
+def live_page(bench: Bench, _: dict[str, str]) -> Found:
+    """The bench: a port that is taken, two on one folder, a closed standard input, a stream of garbage, a full disk,
+    a folder that vanishes, and signals."""
+    lines = (bench.inputs / "csv" / "log.csv").read_bytes().splitlines(keepends=True)
+    rows = [b"".join(lines[at : at + 200]) for at in range(0, 1200, 200)]
+    yield from _not_opened(bench)
+    yield "bench, twice on one folder", _twice(bench, rows)
+    yield "bench, a stream of garbage", _garbage(bench, rows)
+    yield "bench, a folder that vanishes", _vanished(bench, rows)
+    for how in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT):
+        yield f"bench, {how.name} and again", _again(bench, rows, how)
+    with _mounted(bench.emptied(), "size=200k") as mounted:
+        if mounted:
+            yield "bench, a disk that fills up", _filled_up(bench, rows)
+    with _mounted(bench.emptied(), "size=4k") as mounted:
+        if mounted:
+            (bench.out / "full").write_bytes(b"x" * 4096)
+            ended = bench.run_fresh(RECORDED)
+            (bench.out / "full").unlink()
+            yield "bench, a full disk", ended.fault(refused=True) or _left(bench)
+
+
+def _left(bench: Bench) -> str:
+    return f"left behind: {' '.join(bench.left()[:3])}" if bench.left() else ""
+
+
+def _not_opened(bench: Bench) -> Found:
+    bench.emptied()
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        ended = bench.run_fresh(RECORDED.replace("--port 0", f"--port {port}"))
+        yield "bench, a port that is taken", ended.fault(refused=True) or _left(bench)
+    bench.emptied()
+    ended = bench.run_fresh(RECORDED, preexec_fn=lambda: os.close(0))
+    yield "bench, standard input closed", ended.fault(refused=True) or _left(bench)
+    for number, what in ((1, "output"), (2, "error")):
+        bench.emptied()
+        page = _Page(
+            bench, stderr=None if number == 2 else subprocess.PIPE, preexec_fn=lambda number=number: os.close(number)
+        )
+        there = _until(lambda page=page: page.log.exists(), OPENED)
+        time.sleep(1.0)
+        yield f"bench, standard {what} closed", page.end() or ("" if there else "it did not open")
+
+
+def _twice(bench: Bench, rows: list[bytes]) -> str:
+    bench.emptied()
+    first = _Page(bench)
+    if not first.open():
+        return first.end() or "it did not open"
+    first.send(rows[0])
+    second = bench.run_fresh(RECORDED)
+    first.send(rows[1])
+    taken = first.taken()
+    return second.fault(refused=True) or first.end() or ("" if taken else "rows are lost") or first.differs()
+
+
+def _garbage(bench: Bench, rows: list[bytes]) -> str:
+    bench.emptied()
+    page, rng = _Page(bench), np.random.default_rng(1)
+    if not page.open():
+        return page.end() or "it did not open"
+    strange = (rng.bytes(100_000), b"x" * 8_000_000, b"nan,nan\n" * 1000, b"\0" * 1000, b"\xff\xfe1,2\r\n", b",,,,,,\n")
+    for sound, garbage in zip(rows, strange, strict=True):
+        page.send(sound)
+        page.send(b"\x01" + garbage + b"\n", sound=False)
+    taken = page.taken()
+    return page.end() or ("" if taken else "rows are lost") or page.differs()
+
+
+def _vanished(bench: Bench, rows: list[bytes]) -> str:
+    bench.emptied()
+    page = _Page(bench)
+    if not page.open():
+        return page.end() or "it did not open"
+    page.send(rows[0])
+    page.taken()
+    shutil.rmtree(bench.out / "n")
+    page.send(rows[1] + b"garbage\n")
+    time.sleep(2.0)
+    alive = page.alive
+    return page.end() or ("" if alive else "it ended")
+
+
+def _again(bench: Bench, rows: list[bytes], how: signal.Signals) -> str:
+    bench.emptied()
+    page = _Page(bench)
+    if not page.open():
+        return page.end() or "it did not open"
+    page.send(rows[0])
+    taken, found = page.taken(), page.end(how)
+    again = _Page(bench)
+    if found or not again.open():
+        return found or again.end() or "it did not open again"
+    again.sent = page.sent
+    again.send(rows[1])
+    taken = taken and again.taken()
+    return again.end() or ("" if taken else "rows are lost") or again.differs()
+
+
+def _filled_up(bench: Bench, rows: list[bytes]) -> str:
+    page = _Page(bench)
+    if not page.open():
+        return page.end() or "it did not open"
+    page.send(rows[0])
+    page.taken()
+    filler = bench.out / "full"
+    with suppress(OSError), filler.open("wb", buffering=0) as file:
+        while True:
+            file.write(b"x" * 4096)
+    for row in rows[1:]:
+        page.send(b"garbage\n" * 100, sound=False)
+        page.send(row)
+        time.sleep(0.3)
+    alive = page.alive
+    filler.unlink()
+    taken = page.taken()
+    return page.end() or ("" if alive else "it ended") or ("" if taken else "rows are lost") or page.differs()
+
+
 # -------------------- the study --------------------
 
 
@@ -589,6 +781,7 @@ EVERY: dict[str, tuple[Callable[[Bench, dict[str, str]], Found], dict[str, str]]
     "bombs": (bombs, {}),
     "inputs": (inputs_of_others, {}),
     "cluster": (cluster, {}),
+    "bench": (live_page, {}),
 }
 """Kinds of faults, each with the commands that meet it."""
 

@@ -106,7 +106,7 @@ def session(procedure: Procedure, course: Sequence[float], lag: float) -> tuple[
         time = np.arange(0.0, long, 5.0)
         kelvin = kelvin[0] + (kelvin[-1] - kelvin[0]) * (1.0 - np.exp(-time / (60.0 * procedure.warm_up)))
     span = 0.5 * (kelvin.min() + kelvin.max()), max(0.5 * float(np.ptp(kelvin)), 1.0)
-    return Climate(time=time, kelvin=kelvin, reference=REFERENCE, lag=lag, span=span), long
+    return Climate(time=time, kelvin=kelvin[:, None], reference=REFERENCE, lag=lag, span=span), long
 
 
 def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:

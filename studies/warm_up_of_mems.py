@@ -36,7 +36,7 @@ def unit(number: int, *, drawn: bool) -> tuple[Calibration, Calibration, dict[st
     setup = Setup.of(grade="mems", positions=24, rest=10.0, sample_rate=50.0)
     scenario = scenario_of(setup, rng, serial=f"unit-{number}")
     duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
-    profile = TemperatureProfile(celsius=(START,), heating=RISE, time_constant=rng.uniform(FASTEST, SLOWEST))
+    profile = TemperatureProfile(celsius=(START,), heating=((RISE, rng.uniform(FASTEST, SLOWEST)),))
     blocks = {"accel": scenario.accel, "gyro": scenario.gyro}
     thermal = draw_thermal(setup.further, "mems", blocks, rng) if drawn else {}
     for kind, size in SETTLES.items():

@@ -210,6 +210,19 @@ def test_a_full_disk_is_said_and_nothing_is_lost(folder: Path, monkeypatch: pyte
     assert log_of(folder) == [HEADER, row(1), row(2)]
 
 
+def test_a_folder_that_is_gone_is_said_and_the_recording_goes_on(folder: Path) -> None:
+    recorder = Recorder(folder / "log.csv", HEADER)
+    (folder / "log.csv").unlink()
+    (folder / "session.toml").unlink()
+    folder.rmdir()
+    recorder.refuse(b"no row")
+    assert "No such file" in str(recorder.trouble)
+    recorder.append([row(1)])
+    recorder.hold([row(2)])
+    assert "No such file" in str(recorder.trouble)
+    recorder.close()
+
+
 # -------------------- sources --------------------
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -11,9 +12,11 @@ from pathlib import Path
 import pytest
 from bench_driver import SITE, TOKEN, Bench, served
 from browser import Browser, chromium, eventually, inaccessible
+from click.testing import CliRunner
 
 from tumble.bench.laboratory import listed
 from tumble.bench.opening import stations_of
+from tumble.cli import main
 from tumble.errors import InputError
 
 
@@ -117,3 +120,25 @@ def test_benches_that_cannot_be_told_apart_are_refused(tmp_path: Path) -> None:
         stations_of([tmp_path / "a"] * 2, ["simulator:nine"] * 2, site=SITE)
     with pytest.raises(InputError, match="expected a session folder, or --listen"):
         stations_of(folders, site=SITE)
+
+
+def test_a_port_that_is_taken_leaves_no_folder(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        words = ["bench", str(tmp_path / "new"), "--listen", "simulator", "--port", str(taken.getsockname()[1])]
+        result = CliRunner().invoke(main, words)
+    assert result.exit_code == 2
+    assert "expected a free address" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_source_that_is_taken_leaves_no_folder(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        source = f"udp:127.0.0.1:{taken.getsockname()[1]}"
+        words = ["bench", str(tmp_path / "new"), "--listen", source, "--serial", "A-1", "--port", "0"]
+        result = CliRunner().invoke(main, words)
+    assert result.exit_code == 2
+    assert "expected a port that is free" in result.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -354,6 +354,12 @@ def damaged(change: Callable[[Any], None]) -> bytes:
         (damaged(lambda c: c.update(outcome=None)), "found"),
         (damaged(lambda c: c.update(accel=7)), "found"),
         (damaged(lambda c: c.update(device="A-7")), "found"),
+        (damaged(lambda c: c["accel"]["bias"].append(0.0)), "accel: expected a matrix of three columns"),
+        (
+            damaged(lambda c: c.update(axes={"accel": [[1.0, 0.0, 0.0]] * 4})),
+            "axes.accel: expected 3 sensors, as accel.b",
+        ),
+        (damaged(lambda c: c["covariance"][0].__setitem__(0, -1.0)), "covariance[1][1]: expected no variance below 0"),
     ],
 )
 def test_a_file_that_is_none_is_refused_in_one_line(tmp_path: Path, text: bytes, said: str) -> None:

@@ -161,8 +161,8 @@ def test_a_gravity_that_both_state_is_in_the_scale_factors() -> None:
 
 def test_parameters_are_taken_to_the_temperature_of_the_check() -> None:
     observations, calibration = seen(3), device()[1]
-    warm = np.full(3, 40.0 + ZERO_CELSIUS)
-    here = replace(observations, rests=replace(observations.rests, temperature=warm))
+    warm = np.full((3, 1), 40.0 + ZERO_CELSIUS)
+    here = replace(observations, rests=replace(observations.rests, temperatures=warm))
     cold = replace(calibration, reference_temperature=20.0)
     known, same = (known_before(c, here, "mems", {}) for c in (cold, replace(calibration, reference_temperature=40.0)))
     i = 1 + known.instrument.names.index("accel.bias.x")
@@ -173,8 +173,8 @@ def test_parameters_are_taken_to_the_temperature_of_the_check() -> None:
 def test_curvatures_of_the_calibration_are_used() -> None:
     """b(T) = b + θ₁ (T − T₀) + θ₂ (T − T₀)², with u of the curvature as the calibration has it."""
     observations, calibration = seen(3), device()[1]
-    warm = np.full(3, 40.0 + ZERO_CELSIUS)
-    here = replace(observations, rests=replace(observations.rests, temperature=warm))
+    warm = np.full((3, 1), 40.0 + ZERO_CELSIUS)
+    here = replace(observations, rests=replace(observations.rests, temperatures=warm))
     unit = {"t1": "m/s^2/K", "t2": "m/s^2/K^2"}
     values = {"t1": 0.5 * MG, "t2": -0.01 * MG}
     more = tuple(

@@ -90,6 +90,10 @@ CASES: dict[str, Case] = {
         worth=(1.0, DEG),
     ),
     "byte order mark": Case(write=d.named(d.NAMES, encoding="utf-8-sig"), said=(GOOD,)),
+    "two thermometers": Case(
+        write=d.with_thermometers,
+        said=("temperature: accel_temp_C in degC (from the name), gyro_temp [K] in K (from the name), accelerometers",),
+    ),
     "compressed": Case(write=d.compressed, said=("semicolons",)),
     # who writes it
     "phyphox": Case(write=d.named(PHYPHOX), said=("m/s^2 (from the name", "rad/s (from the name")),

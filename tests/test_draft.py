@@ -104,7 +104,7 @@ def test_columns_are_known_by_their_names(
 def test_magnetometers_and_temperature_are_known_by_their_names() -> None:
     found = columns_by_name(["t", *named("acc_"), *named("mag_", unit="_uT"), "temperature"])
     assert found.triads[MAGNETOMETER].unit == "uT"
-    assert found.temperature == "temperature"
+    assert found.temperatures == ("temperature",)
 
 
 @pytest.mark.parametrize(
@@ -112,22 +112,31 @@ def test_magnetometers_and_temperature_are_known_by_their_names() -> None:
     [("Temp [K]", "K"), ("imu_temp_c", "degC"), ("Temperature (°F)", "degF"), ("T", None), ("temp_raw", "raw")],
 )
 def test_thermometers_are_known_with_the_unit_of_their_name(name: str, unit: str | None) -> None:
-    assert columns_by_name(["t", *named("acc_"), name]).temperature == name
+    assert columns_by_name(["t", *named("acc_"), name]).temperatures == (name,)
     assert temperature_unit(name) == unit
 
 
 @pytest.mark.parametrize(
     ("names", "taken"),
     [
-        (("temp_accel", "temp_gyro"), "temp_gyro"),
-        (("gyro_temperature", "accel_temperature"), "gyro_temperature"),
-        (("chip_temp_C", "temp"), "chip_temp_C"),
-        (("temperature_accel_degC",), "temperature_accel_degC"),
-        (("template", "tempo"), None),
+        ("temp_accel temp_gyro", "temp_accel temp_gyro"),
+        ("gyro_temperature accel_temperature", "accel_temperature gyro_temperature"),
+        ("chip_temp_C temp", "chip_temp_C"),
+        ("temp gyro_temp", "gyro_temp"),
+        ("temperature_accel_degC", "temperature_accel_degC"),
+        ("template tempo T_x T_y T_z", ""),
+        ("temp_x temp_y temp_z", "temp_x temp_y temp_z temp_x temp_y temp_z"),
+        ("T1 T2 T3 T4 T5 T6", "T1 T2 T3 T4 T5 T6"),
+        ("T0 T1", "T0"),
+        ("gyro_z_temp gyro_y_temp gyro_x_temp acc_temp", 3 * "acc_temp " + "gyro_x_temp gyro_y_temp gyro_z_temp"),
+        ("temp_ax temp_ay temp_az temp_gx temp_gy temp_gz", "temp_ax temp_ay temp_az temp_gx temp_gy temp_gz"),
     ],
 )
-def test_of_several_thermometers_that_of_the_gyros_is_taken(names: tuple[str, ...], taken: str | None) -> None:
-    assert columns_by_name(["t", *named("acc_"), *names]).temperature == taken
+def test_of_several_thermometers_each_sensor_has_its_own(names: str, taken: str) -> None:
+    found = columns_by_name(["t", *names.split(), *named("acc_"), *named("gyro_")])
+    assert found.temperatures == tuple(taken.split())
+    assert set(names.split()) - set(found.temperatures) - {"template", "tempo", "T_x", "T_y", "T_z"} <= {*found.others}
+    assert [found.triads[kind].columns[0] for kind in (ACCEL, GYRO)] == ["acc_x", "gyro_x"]
 
 
 def test_a_second_imu_in_the_same_log_is_named_and_angular_accelerations_are_nobodys() -> None:
@@ -285,7 +294,7 @@ def test_the_unit_of_a_thermometer_is_found_or_asked_for(
     thermometer = session.log.temperature
     assert (thermometer is None) == (found is None)
     if thermometer is not None:
-        assert {"columns": [thermometer.column], "unit": thermometer.unit_name} == found
+        assert {"columns": list(thermometer.columns), "unit": thermometer.unit_name} == found
     assert said in printed
 
 

@@ -460,7 +460,7 @@ def at_rest(readings_si: Array, noise: float) -> Observations:
             gyro_covariance=np.empty((n, 0, 0)),
             gyro_drift=np.empty((n, 0)),
             gyro_noise=np.empty((n, 0)),
-            temperature=None,
+            temperatures=None,
         ),
         turns=None,
         turn_samples=None,

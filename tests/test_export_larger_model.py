@@ -33,7 +33,8 @@ def run(compiler: str, folder: Path, made: Calibration, kind: str, given: Array,
     n, count = len(model.bias), given.shape[1]
     text = PROGRAM % {"n": n, "function": f"{kind}_at" if warm else kind, "digits": 10, "type": "double"}
     text = text.replace(f"r[{n}]", f"r[{count}]").replace(f"i < {n}", f"i < {count}")
-    force, celsius = f", r + {n}" if kind == "gyro" else "", f", r[{count - 1}]" if warm else ""
+    force, first = (f", r + {n}", n + 3) if kind == "gyro" else ("", n)
+    celsius = "" if not warm else f", r[{first}]" if count == first + 1 else f", r + {first}"
     text = text.replace("(r, t)", f"(r{force}{celsius}, t)")
     (folder / "main.c").write_text(text)
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function"]

@@ -265,7 +265,7 @@ def test_every_instance_of_a_flight_log_is_offered_with_what_its_autopilot_did(r
 
 
 def temperature_of(path: Path) -> tuple[str | None, Array]:
-    """The message of the thermometer that `tumble new` finds in a recording, and its temperatures."""
+    """The message, or the columns, of the thermometers that `tumble new` finds in a recording, and what they read."""
     draft, _ = new_session(path.parent / f"{path.name}-session", path)
     keys = draft.content["log"].get("temperature")
     named = [said for said in draft.said if said.startswith("temperature from")]
@@ -273,7 +273,8 @@ def temperature_of(path: Path) -> tuple[str | None, Array]:
         return None, np.empty(0)
     assert keys["unit"] == "degC"
     log = pl.read_parquet(path.parent / f"{path.name}-session" / "log.parquet")
-    return named[0].split()[2].rstrip(",") if named else keys["columns"][0], log[keys["columns"][0]].to_numpy()
+    celsius = np.squeeze(log.select(keys["columns"]).to_numpy())
+    return named[0].split()[2].rstrip(",") if named else " ".join(keys["columns"]), celsius
 
 
 @pytest.fixture(scope="module")
@@ -289,7 +290,7 @@ def test_px4_has_the_thermometer_of_the_accelerometers_else_of_the_gyros_else_of
 ) -> None:
     no = math.nan
     for warmth, name, celsius in (
-        ((25.0, 26.0), "accel_temperature", 25.0),
+        ((25.0, 26.0), "accel_temperature gyro_temperature", (25.0, 26.0)),
         ((no, 26.0), "gyro_temperature", 26.0),
         ((no, no), "sensor_baro.0", 31.0),
     ):
@@ -297,7 +298,7 @@ def test_px4_has_the_thermometer_of_the_accelerometers_else_of_the_gyros_else_of
         write_ulog(path, at_rest, warmth)
         found, temperatures = temperature_of(path)
         assert found == name
-        np.testing.assert_array_equal(temperatures, celsius)
+        np.testing.assert_array_equal(temperatures, np.broadcast_to(celsius, temperatures.shape))
 
 
 def test_ardupilot_has_the_thermometer_of_the_imu_unless_it_reads_zero(at_rest: Array, tmp_path: Path) -> None:
@@ -306,7 +307,7 @@ def test_ardupilot_has_the_thermometer_of_the_imu_unless_it_reads_zero(at_rest: 
     assert name == "temperature"
     np.testing.assert_array_equal(temperatures, 41.5)
     first, second = messages(tmp_path / "warm.bin")
-    assert (first.temperature, second.temperature) == ("temperature", None)
+    assert (first.temperatures, second.temperatures) == (("temperature",), ())
 
 
 def test_a_topic_with_temperatures_is_interpolated_at_the_times_of_the_sensors(at_rest: Array, tmp_path: Path) -> None:

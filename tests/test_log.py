@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from tumble.errors import LogError
 from tumble.recording import gaps as bridging
 from tumble.recording import readers as log_files
+from tumble.recording import unpacked
 from tumble.recording.description import description_of
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
@@ -337,10 +338,25 @@ def test_archive_that_unpacks_to_a_thousand_times_its_size_is_refused_in_little_
     (tmp_path / "log.csv.gz").write_bytes(gzip.compress(",".join(NAMES).encode() + b"\n" + b"1" * 200_000_000, 9))
     tracemalloc.start()
     try:
-        assert "expected lines of numbers, found one of more than" in refusal(lambda: opened(tmp_path, "log.csv.gz"))
-        assert tracemalloc.get_traced_memory()[1] < 100e6
+        message = refusal(lambda: opened(tmp_path, "log.csv.gz"))
+        assert "an archive of 0.194 MB holds at most 67.1 MB, found 200 MB stated; if it is a log, unpack it" in message
+        assert tracemalloc.get_traced_memory()[1] < 1e6
     finally:
         tracemalloc.stop()
+
+
+def test_archive_that_does_not_state_its_size_is_refused_while_it_is_read(tmp_path: Path) -> None:
+    table = [NAMES, *([row[0], *(f"{float(value):.500f}" for value in row[1:])] for row in lines()[1:])]
+    stream = zstd.ZstdCompressor()
+    unstated = stream.compress(text(table).encode()) + stream.flush()
+    (tmp_path / "log.csv.zst").write_bytes(unstated)
+    (tmp_path / "log.csv.gz").write_bytes(gzip.compress(text(table).encode()) + gzip.compress(b"\n"))
+    for file in ("log.csv.zst", "log.csv.gz"):
+        log = opened(tmp_path, file)
+        assert len(whole(log)["time"]) == ROWS
+        with mock.patch.multiple(unpacked, SMALL_BYTES=1 << 19, LARGEST_RATIO=1):
+            message = refusal(lambda: whole(opened(tmp_path, file)))  # noqa: B023
+            assert "holds at most 0.524 MB, found 1.0" in message
 
 
 @pytest.mark.parametrize("names", ["t,ax,a\ry", "t," + "x" * 200_000])
@@ -534,7 +550,7 @@ def test_units_of_a_log_become_si(tmp_path: Path) -> None:
     np.testing.assert_allclose(samples["accel"][199], expected, rtol=1e-15)
     rate = np.array(row[4:7]) / 0.01 * math.pi / 180
     np.testing.assert_allclose(samples["gyro"][199], rate, rtol=1e-12)
-    assert samples["temperature"][199] == row[7] + 273.15
+    assert samples["temperature"][199, 0] == row[7] + 273.15
 
 
 @pytest.mark.parametrize(
@@ -553,12 +569,11 @@ def test_a_thermometer_has_the_unit_that_is_said(tmp_path: Path, keys: dict[str,
     assert description_of(log.session)["log"]["temperature"]["unit"] == keys["unit"]
 
 
-def test_arrays_are_contiguous_by_sample(tmp_path: Path) -> None:
+def test_the_samples_of_a_sensor_are_contiguous(tmp_path: Path) -> None:
     chunk = next(parquet_log(tmp_path, numbers(lines())).chunks(100))
     assert chunk.gyro is not None
     assert chunk.accel.shape == chunk.gyro.shape == (100, 3)
-    assert chunk.accel.flags.c_contiguous
-    assert chunk.gyro.flags.c_contiguous
+    assert all(sensor.flags.c_contiguous for sensor in (*chunk.accel.T, *chunk.gyro.T))
 
 
 def test_log_without_gyros_and_temperature_has_none(tmp_path: Path) -> None:
@@ -579,7 +594,7 @@ def check_ramp(samples: dict[str, Array], rows: int = ROWS) -> None:
         np.testing.assert_allclose(samples["accel"][:, j], RAMP[name][0] + RAMP[name][1] * k, rtol=0, atol=1e-6)
     for j, name in enumerate(("gx", "gy", "gz")):
         np.testing.assert_allclose(samples["gyro"][:, j], RAMP[name][0] + RAMP[name][1] * k, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(samples["temperature"], 298.15 + 0.01 * k, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(samples["temperature"][:, 0], 298.15 + 0.01 * k, rtol=0, atol=1e-6)
 
 
 def test_not_finite_numbers_are_bridged_and_reported(tmp_path: Path) -> None:

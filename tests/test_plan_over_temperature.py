@@ -66,7 +66,7 @@ def devices(setup: Setup, sessions: tuple[ChamberSession, ...], seed: int) -> li
     for session in sessions:
         still = replace(base, truth=truth, course=replace(course, programme=session.programme))
         time, kelvin = session.course(float(itinerary(still, np.random.default_rng(0)).rests[-1, 1]))
-        climate = Climate(time=time, kelvin=kelvin, reference=20.0 + ZERO_CELSIUS, lag=LAG)
+        climate = Climate(time=time, kelvin=kelvin[:, None], reference=20.0 + ZERO_CELSIUS, lag=LAG)
         out.append(replace(still, truth=truth | slopes, climate=climate, usual=usual))
     return out
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
 from tumble.cli import main
+from tumble.commands.arguments import working
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, quantity
 
 
@@ -121,3 +125,40 @@ def test_plans_and_requirements_are_data_too() -> None:
     require = json.loads(run("require", "--want", "accel.scale=100ppm", "--grade", "mems", "--json").stdout)
     assert require["feasible"]
     assert require["rows"][0]["wanted"] == pytest.approx(1e-4)
+
+
+def test_plans_over_temperature_are_data_too() -> None:
+    words = "plan --grade mems --programme rough-table --temperature -20/4,20,60 --want accel.bias=1ug --json"
+    result = run(*words.split())
+    plan = json.loads(result.stdout)
+    assert result.exit_code == 1
+    assert plan["reasons"][0].startswith("accel.bias: expected 1 µg (rms) from -20.0 to 60.0 °C".replace("-", "−"))
+    assert [(each["name"], each["rests"]) for each in plan["recordings"]] == [("-20/4", 4), ("20", 15), ("60", 15)]
+    assert plan["duration"] == pytest.approx(
+        sum(each[part] for each in plan["recordings"] for part in ("change", "soak", "recording"))
+    )
+    of = {p["name"]: p for p in plan["parameters"]}
+    assert of["accel.bias.x.t1"]["unit"] == "m/s^2/K"
+    assert of["accel.bias.x"]["u"] < min(of["accel.bias.x"]["u_low"], of["accel.bias.x"]["u_high"])
+    assert plan["recordings"][0]["alone"]["gyro.scale"] is None
+
+
+class Terminal(io.StringIO):
+    """Standard error that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("quiet", "shown"), [(False, True), (True, False)])
+def test_a_plan_shows_from_the_start_that_it_is_being_made(
+    quiet: bool, shown: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    context = click.Context(click.Command("tumble"))
+    context.params["quiet"] = quiet
+    with context, working("planning") as told:
+        told(1, 6)
+    assert ("planning" in terminal.getvalue()) is shown

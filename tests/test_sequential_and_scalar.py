@@ -85,7 +85,7 @@ def observations(
             gyro_covariance=np.tile((stated * GYRO_NOISE) ** 2 * np.eye(3), (n, 1, 1)),
             gyro_drift=no,
             gyro_noise=no,
-            temperature=None,
+            temperatures=None,
         ),
         turns=replace(
             turns,

@@ -179,9 +179,26 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         {"log": {"temperature": {"columns": ["t"]}}},
         'log.temperature.columns: expected every column once, found "t" in log.time too',
     ),
-    "two temperatures": (
-        {"log": {"temperature": {"columns": ["T1", "T2"]}}},
-        "log.temperature.columns: expected a list of one column name",
+    "three temperatures": (
+        {"log": {"temperature": {"columns": ["T1", "T2", "T3"]}}},
+        "log.temperature.columns: expected one column for all sensors, two for the accelerometers and the gyros, or 6, "
+        "one a sensor, accelerometers first, found 3",
+    ),
+    "one thermometer as two": (
+        {"log": {"temperature": {"columns": ["T", "T"]}}},
+        'log.temperature.columns: expected every column once, found "T" twice',
+    ),
+    "no thermometer": (
+        {"log": {"temperature": {"columns": []}}},
+        "log.temperature.columns: expected a list of column names",
+    ),
+    "scales of thermometers": (
+        {"log": {"temperature": {"columns": ["T1", "T2"], "unit": "raw", "scale": [340.0]}}},
+        "log.temperature.scale: expected a number or 2 numbers, one per column, found 1",
+    ),
+    "two scales of a thermometer": (
+        {"log": {"temperature": {"columns": 5 * ["T1"] + ["T1"], "unit": "raw", "scale": [1, 1, 1, 1, 1, 2]}}},
+        "log.temperature.scale: expected one scale and offset for a column that is named again, found others",
     ),
     "temperature unit": (
         {"log": {"temperature": {"columns": ["T"], "unit": "C"}}},

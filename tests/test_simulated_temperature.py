@@ -23,7 +23,7 @@ from tumble.simulation.temperature_profile import (
     draw_thermal,
     temperature_profile,
     thermal_groups,
-    thermometer_column,
+    thermometer_columns,
     truth_at,
 )
 
@@ -41,8 +41,8 @@ from tumble.simulation.temperature_profile import (
 )
 def test_a_profile_is_what_its_text_says(text: str, at: list[float], celsius: list[float]) -> None:
     duration = 1200.0
-    found = thermometer_column(temperature_profile(text).climate(duration), duration * np.array(at))
-    np.testing.assert_allclose(found, celsius, atol=1e-4)
+    found = thermometer_columns(temperature_profile(text).climate(duration), duration * np.array(at))
+    np.testing.assert_allclose(found["T"], celsius, atol=1e-4)
 
 
 @pytest.mark.parametrize("text", ["", "warm", "20:", "20:abc", "22+15@0", "22+15", "-300", "20:900", "1e2"])
@@ -63,7 +63,7 @@ def test_the_log_has_a_thermometer_and_the_truth_its_reference(warm: Path) -> No
     session, truth = read_session(warm), read_truth(warm / "truth.json")
     log = pl.read_parquet(warm / "log.parquet")
     assert session.log.temperature is not None
-    assert session.log.temperature.column == "T"
+    assert session.log.temperature.columns == ("T",)
     assert (log["T"][0], log["T"][-1]) == (pytest.approx(-10.0, abs=0.02), pytest.approx(50.0, abs=0.02))
     assert truth["temperature.reference"] == pytest.approx(REFERENCE)
     assert {f"{group.name.rpartition('.')[0]}.x.{group.name.rpartition('.')[2]}" for group in thermal_groups()} <= set(

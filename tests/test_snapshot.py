@@ -53,7 +53,7 @@ def chunks(recording: Recording, sizes: Sequence[int], *, stop: int | None = Non
                 dt=np.full(b - a, 1.0 / RATE),
                 accel=recording.accel[a:b],
                 gyro=recording.gyro[a:b],
-                temperature=np.linspace(290.0, 300.0, len(recording.time))[a:b],
+                temperature=np.linspace(290.0, 300.0, len(recording.time))[a:b, None],
             )
         )
     return out

@@ -165,7 +165,7 @@ def observations(
         gyro_covariance=np.tile((u_gyro**2 + observing.GYRO_FLOOR**2) * np.eye(ng), (N, 1, 1)),
         gyro_drift=np.zeros((N, ng)),
         gyro_noise=np.full((N, ng), noise.gyro),
-        temperature=None,
+        temperatures=None,
     )
     stored, integrals = MotionSamples(), []
     to_body = np.linalg.pinv(device.gyro.axes)

@@ -97,7 +97,7 @@ def of_rests(readings: Array, sigma: float) -> Observations:
         gyro_covariance=np.empty((n, 0, 0)),
         gyro_drift=none,
         gyro_noise=none,
-        temperature=None,
+        temperatures=None,
     )
     return Observations(
         accel_block=ACCEL,

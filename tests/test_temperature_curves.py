@@ -12,7 +12,7 @@ from calibrated import HEXAD, calibration, warmed
 
 from tumble.calibration.calibration_file import read_calibration
 from tumble.calibration.results import Launch, coverage_factor
-from tumble.calibration.temperature_curves import changing, curve, measured_range, model_at, rest_temperatures
+from tumble.calibration.temperature_curves import changing, curve, measured_range, model_at, warm_rests
 from tumble.report.blocks import Figure, ReportTable
 from tumble.report.content import Source, document
 from tumble.report.over_temperature import section
@@ -76,7 +76,7 @@ def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
     assert found is not None
     assert (found.low, found.high) == (-18.5, 57.25)
     assert str(found) == "-18.5 to 57.2 °C"
-    assert len(rest_temperatures(launches)) == 3
+    assert len(warm_rests(launches)) == 3
     assert measured_range(calibration()) is None
     assert changing(calibration()) == ()
     assert measured_range(warmed(calibration(), low=22.0, high=22.01)) is None

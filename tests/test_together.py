@@ -62,7 +62,9 @@ def ramp(*celsius: float, lag: float = 0.0) -> Climate:
     """Temperatures that are passed through at a constant rate."""
     kelvin = np.array(celsius) + ZERO_CELSIUS
     span = 0.5 * (kelvin.min() + kelvin.max()), max(0.5 * float(np.ptp(kelvin)), 1.0)
-    return Climate(time=np.linspace(0.0, LONG, len(kelvin)), kelvin=kelvin, reference=REFERENCE, lag=lag, span=span)
+    return Climate(
+        time=np.linspace(0.0, LONG, len(kelvin)), kelvin=kelvin[:, None], reference=REFERENCE, lag=lag, span=span
+    )
 
 
 def together(scenario: Scenario, climates: list[Climate], seed: int = 2) -> Observations:
@@ -276,8 +278,9 @@ def test_a_ramp_that_turns_back_within_a_turn_is_followed() -> None:
     ends = within[0][turns.first[k]], within[0][turns.last[k]]
     assert within[1][k] > max(ends) + 1.0
     times = observations.rests.stop[turns.first], observations.rests.start[turns.last]
-    offset = np.mean(steep.means(observations.rests.start, observations.rests.stop)["temperature"]) - within[0].mean()
-    np.testing.assert_allclose(within[1] + offset, steep.means(*times)["temperature"], atol=0.02)
+    one, rests = np.zeros(1, dtype=np.int64), observations.rests
+    offset = np.mean(steep.means(rests.start, rests.stop, one)["temperature"]) - within[0].mean()
+    np.testing.assert_allclose(within[1] + offset, steep.means(*times, one)["temperature"], atol=0.02)
 
 
 # -------------------- from logs --------------------
@@ -410,7 +413,7 @@ def test_the_command_writes_the_calibration(made: tuple[Scenario, list[Session],
             readings = np.concatenate([getattr(chunk, stem) for chunk in whole])
             columns |= {f"{stem[0]}{x}": column for x, column in zip("xyz", readings.T, strict=True)}
         kelvin = np.concatenate([chunk.temperature for chunk in whole if chunk.temperature is not None])
-        pl.DataFrame(columns | {"T": kelvin - ZERO_CELSIUS}).write_parquet(tmp_path / name / "log.parquet")
+        pl.DataFrame(columns | {"T": kelvin[:, 0] - ZERO_CELSIUS}).write_parquet(tmp_path / name / "log.parquet")
         content = described(CUBE)
         write_session(tmp_path / name, content | {"log": {"file": "log.parquet"} | content["log"]})
     folders, out = [str(tmp_path / "cold"), str(tmp_path / "hot")], tmp_path / "out.json"

@@ -14,16 +14,23 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import polars as pl
 import pytest
 
+from tumble.calibration.calibrate import Terms, calibrate
 from tumble.estimation.causes import Projection, weighted_chance
 from tumble.estimation.diagnosis import gravity_said, listed, verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.likelihood import Scatter
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.misfit import misfit
+from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
-from tumble.units import DEGREE
+from tumble.simulation.session import simulate_session
+from tumble.units import DEGREE, Array
+
+Samples = tuple[Array, Array]
+"""Of accelerometers and gyros."""
 
 
 @cache
@@ -88,6 +95,30 @@ def test_lost_samples_are_refused() -> None:
     outcome = verdict(*estimated("0.2 % of samples lost", seed=1))
     assert outcome.verdict == "not accepted"
     assert any("lost or held samples" in reason for reason in outcome.reasons)
+
+
+@pytest.fixture(scope="module")
+def unstamped(tmp_path_factory: pytest.TempPathFactory) -> Samples:
+    """Twelve positions by hand at 20 Hz, without time stamps."""
+    setup = Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=20.0)
+    folder = tmp_path_factory.mktemp("unstamped") / "session"
+    log = pl.read_parquet(simulate_session(folder, replace(setup, first_rest=6.0), seed=7, launch=1) / "log.parquet")
+    return log.select("ax", "ay", "az").to_numpy(), log.select("gx", "gy", "gz").to_numpy()
+
+
+@pytest.mark.parametrize("terms", ["linear", "full"])
+def test_rows_lost_at_the_start_of_a_turn_are_named(unstamped: Samples, terms: Terms) -> None:
+    """What the other turns of a short session cannot contradict: its velocity does."""
+    accel, gyro = unstamped
+    whole = calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
+    assert whole.outcome.verdict == "accepted"
+    turn = whole.turns[8]
+    start = round(whole.rests[turn.first].stop * 20.0)
+    moving = start + int(np.argmax(np.linalg.norm(gyro[start:], axis=1) > 0.05))
+    accel, gyro = (np.delete(each, [moving, moving + 1], axis=0) for each in unstamped)
+    lost = calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
+    assert lost.outcome.verdict == "not accepted"
+    assert any("the turn from rest 9 to rest 10" in reason for reason in lost.outcome.reasons)
 
 
 def test_gyros_that_are_not_linear_leave_the_accelerometers() -> None:

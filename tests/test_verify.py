@@ -86,7 +86,7 @@ def observed(positions: Positions) -> Observations:
             gyro_covariance=np.empty((count, 0, 0)),
             gyro_drift=none,
             gyro_noise=none,
-            temperature=None,
+            temperatures=None,
         ),
         turns=None,
         turn_samples=None,

@@ -28,7 +28,7 @@ def calibrated(seed: int, settles: float, seconds: float) -> tuple[Estimate, Out
     rng = np.random.default_rng([77, seed])
     scenario = scenario_of(Setup.of(grade="mems", positions=24, rest=10.0), rng, serial="warming")
     duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
-    profile = TemperatureProfile(celsius=(START,), heating=RISE, time_constant=seconds)
+    profile = TemperatureProfile(celsius=(START,), heating=((RISE, seconds),))
     slopes = {
         f"{kind}.bias.{axis}.t1": float(rng.choice([-1.0, 1.0]) * settles * size / RISE)
         for kind, size in (("accel", 2e-3 * G_STANDARD), ("gyro", 0.2 * DEGREE))
@@ -37,7 +37,7 @@ def calibrated(seed: int, settles: float, seconds: float) -> tuple[Estimate, Out
     scenario = replace(scenario, truth=dict(scenario.truth) | slopes, climate=profile.climate(1.2 * duration))
     truth = truth_at(dict(scenario.truth) | {REFERENCE_NAME: REFERENCE}, START + RISE)
     seen = simulate_observations(scenario, rng)
-    blind = replace(seen, usual=usual_sizes("mems"), thermometer=None, rests=replace(seen.rests, temperature=None))
+    blind = replace(seen, usual=usual_sizes("mems"), thermometers=None, rests=replace(seen.rests, temperatures=None))
     found = joint(blind)
     assert found.instrument is not None
     linear = found.names[: found.instrument.linear_count]

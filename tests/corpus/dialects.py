@@ -71,6 +71,15 @@ def plain(log: pl.DataFrame, folder: Path) -> str:
     return written(folder / "log.csv", table(log, NAMES))
 
 
+def with_thermometers(log: pl.DataFrame, folder: Path) -> str:
+    """A chip with accelerometers, and one with gyros that is warmer."""
+    rows = table(log, [*NAMES, "accel_temp_C", "gyro_temp [K]"])
+    settled = 1.0 - np.exp(-np.arange(len(rows) - 1) / 2000.0)
+    for row, warmer in zip(rows[1:], settled.tolist(), strict=True):
+        row += [f"{27.0 + 0.5 * warmer:.2f}", f"{304.15 + warmer:.2f}"]
+    return written(folder / "log.csv", rows)
+
+
 def with_delimiter(delimiter: str, ending: str = ".txt") -> Callable[[pl.DataFrame, Path], str]:
     return lambda log, folder: written(folder / f"log{ending}", table(log, NAMES), delimiter=delimiter)
 

@@ -73,7 +73,10 @@ class Chain:
         n = len(log.accel.columns)
         accel = log.accel.to_si(samples.values[:, :n], dt)
         gyro = None if log.gyro is None else log.gyro.to_si(samples.values[:, n : n + len(log.gyro.columns)], dt)
-        temperature = log.temperature.to_celsius(samples.values[:, -1]) + ZERO_CELSIUS if log.temperature else None
+        temperature = None
+        if log.temperature is not None:
+            warmth = samples.values[:, -len(log.temperature.columns) :]
+            temperature = log.temperature.to_celsius(warmth) + ZERO_CELSIUS
         if len(dt):
             chunk = Chunk(file=0, time=samples.time, dt=dt, accel=accel, gyro=gyro, temperature=temperature)
             self._reducer.feed(chunk)
@@ -96,7 +99,7 @@ class Chain:
             edges=file.edges,
             force=_in_body(file.accel, self._to_body[0]),
             rate=None if file.gyro is None else _in_body(file.gyro, self._to_body[1]),
-            temperature=file.temperature,
+            temperature=None if file.temperature is None else file.temperature.mean(axis=1),
         )
 
     def rests(self, reduction: Reduction, excluded: tuple[Exclusion, ...], first: int = 0) -> Segmentation | None:

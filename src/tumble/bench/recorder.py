@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from tumble.errors import InputError
@@ -81,7 +82,7 @@ class Recorder:
 
     def refuse(self, raw: bytes) -> None:
         """Keep what was received and is no row of the log."""
-        with self.refused.open("ab") as file:
+        with self._troubled(), self.refused.open("ab") as file:
             if file.tell() < REFUSED_BYTES:
                 file.write(raw.rstrip(b"\n") + b"\n")
 
@@ -89,7 +90,16 @@ class Recorder:
         """Keep rows that wait: these, and no others."""
         text = "".join(f"{line}\n" for line in lines)
         if text or self.held.exists():
-            self.held.write_text(text, encoding="utf-8")
+            with self._troubled():
+                self.held.write_text(text, encoding="utf-8")
+
+    @contextmanager
+    def _troubled(self) -> Iterator[None]:
+        """What the disk does not do is said, and the recording goes on."""
+        try:
+            yield
+        except OSError as error:
+            self.trouble = f"the disk takes nothing: {error.strerror}"
 
     def waiting(self) -> list[str]:
         """Whole rows that waited when the recording ended."""
@@ -109,13 +119,15 @@ class Recorder:
         if time.monotonic() - self._synced >= SYNC_SECONDS:
             if self._pending:
                 self._write()
-            os.fsync(self._descriptor)
+            with self._troubled():
+                os.fsync(self._descriptor)
             self._synced = time.monotonic()
 
     def close(self) -> None:
         """End the recording; it may go on later."""
         self._write()
-        os.fsync(self._descriptor)
+        with self._troubled():
+            os.fsync(self._descriptor)
         os.close(self._descriptor)
         if self.held.exists() and not self.held.stat().st_size:
             self.held.unlink()

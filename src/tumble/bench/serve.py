@@ -6,33 +6,40 @@ import socket
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 from tumble.bench.access import Access, lasting_token
 from tumble.bench.station import Station
 from tumble.errors import InputError, needs_extra
+from tumble.files import nothing_left
 
 LOOPBACK = "127.0.0.1"
 _ANY = ("0.0.0.0", "::")
 
 
 def serve(
-    stations: Sequence[Station],
+    stations: Callable[[], Sequence[Station]],
     *,
+    folders: Sequence[Path],
     host: str = LOOPBACK,
     port: int = 8422,
     browser: bool = False,
     say: Callable[[str], None],
 ) -> None:
-    """Serve the pages of stations until the process is interrupted. `say` gets the link."""
+    """Serve the pages of stations, which are opened when the address is had, until the process is interrupted. `say`
+    gets the link. Of `folders` that are new nothing is left where they cannot be opened or started."""
     with needs_extra("the bench page", "bench", "fastapi", "uvicorn", "starlette"):
         import uvicorn
 
         from tumble.bench.server import app_of
-    with _listening(host, port) as bound:
+    with _listening(host, port) as bound, ExitStack() as running:
+        opened = _started(stations, folders)
+        for station in opened:
+            running.callback(station.stop)
         port = bound.getsockname()[1]
         access = Access(host=host, port=port, token=lasting_token())
-        app = app_of(stations, access)
+        app = app_of(opened, access)
         server = _server(uvicorn, app)
         link = f"http://{_reachable(host)}:{port}/?token={access.token}"
         say(f"the page: {link}")
@@ -40,11 +47,24 @@ def serve(
             say(_qr(link))
         if browser:
             webbrowser.open(link)
-        with ExitStack() as running:
-            for station in stations:
-                running.callback(station.stop)
+        server.run(sockets=[bound])
+
+
+def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path]) -> Sequence[Station]:
+    """Stations that record."""
+    with ExitStack() as new:
+        for folder in folders:
+            if not folder.exists():
+                new.enter_context(nothing_left(folder))
+        opened = stations()
+        try:
+            for station in opened:
                 station.start()
-            server.run(sockets=[bound])
+        except BaseException:
+            for station in opened:
+                station.stop()
+            raise
+    return opened
 
 
 def _server(uvicorn: Any, app: Any) -> Any:
@@ -55,20 +75,21 @@ def _server(uvicorn: Any, app: Any) -> Any:
             app.state.stopping = True
             await super().shutdown(sockets)
 
-    return Server(uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=3))
+    config = uvicorn.Config(app, log_config=None, log_level="warning", access_log=False, timeout_graceful_shutdown=3)
+    return Server(config)
 
 
 @contextmanager
 def _listening(host: str, port: int) -> Iterator[socket.socket]:
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        bound = socket.socket(family, socket.SOCK_STREAM)
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        bound.bind((host, port))
-        bound.listen(128)
-    except OSError as error:
-        raise InputError(f"--host {host} --port {port}: expected a free address, found: {error.strerror}") from None
-    with bound:
+    with ExitStack() as opened:
+        try:
+            family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+            bound = opened.enter_context(socket.socket(family, socket.SOCK_STREAM))
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bound.bind((host, port))
+            bound.listen(128)
+        except OSError as error:
+            raise InputError(f"--host {host} --port {port}: expected a free address, found: {error.strerror}") from None
         yield bound
 
 

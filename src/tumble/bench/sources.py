@@ -100,6 +100,8 @@ class StandardInput:
     trouble: str | None = None
 
     def __init__(self, descriptor: int | None = None) -> None:
+        if descriptor is None and sys.stdin is None:
+            raise InputError("--listen stdin: expected standard input, found it closed")
         self._descriptor = sys.stdin.fileno() if descriptor is None else descriptor
 
     def read(self, timeout: float) -> bytes:

@@ -103,8 +103,16 @@ class Station:
         while not self._stop.wait(STEP_SECONDS):
             try:
                 self.step()
+            except OSError as error:
+                self._say(f"{self.folder}: cannot be read: {error.strerror}")
             except Exception:
                 log.exception("the state could not be made")
+
+    def _say(self, message: str) -> None:
+        """Show the state as it was, with a message."""
+        with self._changed:
+            self.state = {**self.state, "message": message}
+            self._changed.notify_all()
 
     def stop(self) -> None:
         """End following and recording."""

@@ -28,6 +28,7 @@ import polars as pl
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.correction import at_one_point, corrected, true_force, true_rate
 from tumble.calibration.observed import inspect_session
+from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import InputError, LogError
 from tumble.estimation.variables import sensors_at
 from tumble.files import FilePath
@@ -40,7 +41,7 @@ from tumble.recording.session import Channels, LogSpec, Magnetometer, Session, s
 from tumble.recording.writer import write_tables
 from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import ZERO_CELSIUS, Array, Unit
 
@@ -102,7 +103,7 @@ class _Correction:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Piece:
     """Rows of a log: readings (N, n), SI, by kind of sensor, times (N,), s, from any start, the intervals (N,) of
-    increments, s, and temperatures (N,), °C; the last two None where nothing needs them."""
+    increments, s, and temperatures (N, T), °C, of the thermometers; the last two None where nothing needs them."""
 
     readings: Mapping[str, Array]
     time: Array
@@ -173,7 +174,8 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
             f"the delay of the accelerometers, {1e3 * compensator.delay:.3g} ms, is not undone: shift their times"
         )
     if compensator.warm and session.log.temperature is None:
-        at = "the reference" if compensator.reference is None else f"{compensator.reference:.1f} °C"
+        reference = calibration.reference_temperature
+        at = "the reference" if reference is None else f"{reference:.1f} °C"
         out.append(f"the session has no temperature: parameters are those at {at}")
     elif compensator.warm and compensator.lag != 0.0:
         out.append(f"sensors follow the thermometer with a lag of {compensator.lag:z.0f} s")
@@ -200,6 +202,7 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...
             f"{session.name}: expected the device of the calibration, {calibration.serial!r}, found "
             f"{session.device.serial!r}; calibrate that device"
         )
+    check_thermometers(calibration, session)
     parts = [_part("accel", calibration.accel, session.log.accel, session)]
     if session.log.gyro is not None:
         parts.append(_part("gyro", calibration.gyro, session.log.gyro, session))
@@ -255,7 +258,7 @@ def _tables(
                 raise LogError(
                     f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
                 )
-            true = _true(compensator, piece, parts, interval if moved else None)
+            true = _true(compensator, piece, parts, session, interval if moved else None)
             new = {name: c for part in parts for name, c in part.columns(true[part.kind][own]).items()}
             yield table.with_columns(pl.Series(name, np.ascontiguousarray(c)) for name, c in new.items())
 
@@ -285,26 +288,32 @@ def _with_neighbours(pieces: Iterable[tuple[pl.DataFrame, _Piece]]) -> Iterator[
 
 
 def _true(
-    compensator: Compensator, piece: _Piece, parts: tuple[_Correction, ...], interval: float | None
+    compensator: Compensator, piece: _Piece, parts: tuple[_Correction, ...], session: Session, interval: float | None
 ) -> dict[str, Array]:
     """True vectors (N, 3) by kind of sensor, increments where the readings are; of accelerometers with lever arms, at
     the last one, where the usual `interval`, s, is given."""
     dt = {part.kind: piece.dt if part.increments else None for part in parts}
-    warmth, accel = piece.temperature, piece.readings["accel"]
+    accel, warmth = piece.readings["accel"], _by_sensor(piece.temperature, session.accel_block)
     true = {part.kind: corrected(part.model, piece.readings["mag"]) for part in parts if part.kind == "mag"}
     true["accel"] = true_force(compensator, accel, dt=dt["accel"], temperature=warmth)
     if "gyro" not in dt:
         return true
     gyro, force = piece.readings["gyro"], _a_second(true["accel"], dt["accel"])
-    true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=warmth)
+    of_gyros = _by_sensor(piece.temperature, session.gyro_block)
+    true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=of_gyros)
     if interval is None:
         return true
     rate = _a_second(true["gyro"], dt["gyro"])
     moved = at_one_point(compensator, _a_second(accel, dt["accel"]), rate, piece.time, interval)
     force = true_force(compensator, moved, temperature=warmth)
     true["accel"] = force if dt["accel"] is None else force * dt["accel"][:, None]
-    true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=warmth)
+    true["gyro"] = true_rate(compensator, gyro, force, dt=dt["gyro"], temperature=of_gyros)
     return true
+
+
+def _by_sensor(temperatures: Array | None, block: Block | None) -> Array | None:
+    """Temperatures (N, n) of the sensors of a block, of those of the thermometers (N, T)."""
+    return None if temperatures is None or block is None else temperatures[:, block.thermometer]
 
 
 def _a_second(values: Array, dt: Array | None) -> Array:
@@ -312,10 +321,11 @@ def _a_second(values: Array, dt: Array | None) -> Array:
     return values if dt is None else np.asarray(values / dt[:, None], dtype=float)
 
 
-@dataclass(kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True, eq=False)
 class _Reader:
     """Readings, times and temperatures of one file, table after table. `last`: time of the last row, s; `rows`: how
-    many there were; `warmth`: the last temperature that was known, °C, and `behind` that of what follows it."""
+    many there were; `warmth`: the last temperatures (T,) that were known, °C, and `behind` those of what follows
+    them."""
 
     path: Path
     session: Session
@@ -324,8 +334,8 @@ class _Reader:
     interval: float
     last: float | None = None
     rows: int = 0
-    warmth: float | None = None
-    behind: float | None = None
+    warmth: Array | None = None
+    behind: Array | None = None
 
     def piece(self, table: pl.DataFrame) -> _Piece:
         """What the rows of a table hold."""
@@ -365,28 +375,43 @@ class _Reader:
         return np.asarray(steps / np.maximum(np.floor(steps / self.interval + 0.5), 1.0))
 
     def _temperatures(self, table: pl.DataFrame) -> Array | None:
-        """Temperatures (N,), °C, where parameters change with them: a lost one is the one before, or the reference."""
-        thermometer, reference = self.session.log.temperature, self.compensator.reference
-        if thermometer is None or reference is None or not self.compensator.warm:
+        """Temperatures (N, T), °C, where parameters change with them: a lost one is the one before, or the
+        reference."""
+        thermometers, references = self.session.log.temperature, self.compensator.references
+        if thermometers is None or not references or not self.compensator.warm:
             return None
         with rows_of_numbers(self.path):
-            numbers = table[thermometer.column].cast(pl.Float64).to_numpy()
-        known = pl.Series(thermometer.to_celsius(numbers)).fill_nan(None).fill_null(strategy="forward")
-        filled = np.asarray(known.fill_null(reference if self.warmth is None else self.warmth).to_numpy(), dtype=float)
+            numbers = table.select(pl.col(thermometers.columns).cast(pl.Float64)).to_numpy()
+        last = self.warmth
+        if last is None:
+            last = np.zeros(numbers.shape[1])
+            for block in (self.compensator.accel, self.compensator.gyro):
+                if block is not None:
+                    last[block.thermometer] = references[block.kind]
+        celsius = thermometers.to_celsius(numbers)
+        filled = np.column_stack([_forward(each, float(t)) for each, t in zip(celsius.T, last, strict=True)])
         if not len(filled):
             return filled
-        before, self.warmth = self.warmth, float(filled[-1])
+        before, self.warmth = self.warmth, filled[-1].copy()
         return self._of_sensors(filled, before)
 
-    def _of_sensors(self, celsius: Array, before: float | None) -> Array:
-        """Temperatures (N,), °C, of the sensors, which follow those of the thermometer; `before` is its last one."""
+    def _of_sensors(self, celsius: Array, before: Array | None) -> Array:
+        """Temperatures (N, T), °C, of the sensors, which follow those of the thermometers; `before` are their last."""
         lag = self.compensator.lag
         if lag == 0.0:
             return celsius
-        whole = celsius if before is None else np.append(before, celsius)
-        behind = followed(whole, self.interval, abs(lag), self.behind)[len(whole) - len(celsius) :]
-        self.behind = float(behind[-1])
+        whole = celsius if before is None else np.vstack([before, celsius])
+        first = whole[0] if self.behind is None else self.behind
+        every = [followed(each, self.interval, abs(lag), float(t)) for each, t in zip(whole.T, first, strict=True)]
+        behind = np.column_stack(every)[len(whole) - len(celsius) :]
+        self.behind = behind[-1].copy()
         return behind if lag > 0.0 else np.asarray(2.0 * celsius - behind)
+
+
+def _forward(celsius: Array, before: float) -> Array:
+    """Temperatures (N,) in which a lost one is the one before it."""
+    known = pl.Series(celsius).fill_nan(None).fill_null(strategy="forward")
+    return np.asarray(known.fill_null(before).to_numpy(), dtype=float)
 
 
 def _rows(source: LogSource, parts: tuple[_Correction, ...], spec: LogSpec) -> Iterator[pl.DataFrame]:
@@ -434,8 +459,9 @@ def rest_residuals(calibration: Calibration | FilePath, session: Session | FileP
         raise InputError(f"{session.name}: expected rests to verify with, found {found}; leave out --verify")
     rests, g = observations.rests, session.site.gravity
     warmth = None
-    if rests.temperature is not None:
-        warmth = sensors_at(observations, rests.temperature, compensator.lag) - ZERO_CELSIUS
+    if rests.temperatures is not None:
+        at_rest = sensors_at(observations, rests.temperatures, compensator.lag) - ZERO_CELSIUS
+        warmth = _by_sensor(at_rest, session.accel_block)
     forces = session.accel_block.nominal().apply(rests.accel), compensator.force(rests.accel, warmth)
     before, after = (np.linalg.norm(force, axis=1) - g for force in forces)
     return tuple(

@@ -29,16 +29,18 @@ from tumble.estimation.methods.magnetometer import magnetometer
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
+from tumble.estimation.misfit import lost_by_velocities
 from tumble.files import FilePath
-from tumble.recording.arrays import session_of_arrays
+from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Log
 from tumble.recording.session import Channels, Session, session_from
 from tumble.reduction import exclusion
-from tumble.reduction.observations import Observations
+from tumble.reduction.observations import Observations, Rests
 from tumble.rotation import rotation_vector
 from tumble.sensors.frames import Convention, Frame, convert
 from tumble.sensors.grades import guessed_grade
+from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, sensor_kind, usual_sizes
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
@@ -70,7 +72,7 @@ def calibrate(
     gyro: npt.ArrayLike | None = ...,
     time: npt.ArrayLike | None = ...,
     rate: float | None = ...,
-    temperature: npt.ArrayLike | None = ...,
+    temperature: Temperatures | None = ...,
     latitude: float | None = ...,
     height: float = ...,
     gravity: float | None = ...,
@@ -200,7 +202,11 @@ def estimated(
     notes, clock_u = observations.notes + said, session.log.gyro_clock_u
     observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u)
     try:
-        return _with_time_base(method(observations), observations), observations
+        estimate = _with_time_base(method(observations), observations)
+        if terms == "linear" and estimate.linearised is not None and session.log.unstamped:
+            lost = lost_by_velocities(replace(observations, usual=_usual(session, observations, "full")[0]))
+            estimate = replace(estimate, reasons=(*estimate.reasons, *lost))
+        return estimate, observations
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(broken,))
@@ -338,8 +344,12 @@ def _rest_results(estimate: Estimate, observations: Observations) -> tuple[RestR
             residual=float(estimate.rest_residual[i]),
             sigmas=float(estimate.rest_sigmas[i]),
             attitude=_attitude(observations, i),
-            accel=_sensors_at_rest(rests.accel[i], rests.accel_noise[i], rests.accel_drift[i]),
-            gyro=_sensors_at_rest(rests.gyro[i], rests.gyro_noise[i], rests.gyro_drift[i]),
+            accel=_sensors_at_rest(
+                rests.accel[i], rests.accel_noise[i], rests.accel_drift[i], _celsius(rests, i, observations.accel_block)
+            ),
+            gyro=_sensors_at_rest(
+                rests.gyro[i], rests.gyro_noise[i], rests.gyro_drift[i], _celsius(rests, i, observations.gyro_block)
+            ),
             temperature=None if rests.temperature is None else float(rests.temperature[i]) - ZERO_CELSIUS,
         )
         for i in range(len(rests))
@@ -352,10 +362,18 @@ def _attitude(observations: Observations, rest: int) -> str | None:
     return observations.programme.positions[int(observations.position[rest])].attitude
 
 
-def _sensors_at_rest(mean: Array, noise: Array, drift: Array) -> SensorsAtRest | None:
+def _sensors_at_rest(mean: Array, noise: Array, drift: Array, celsius: Array) -> SensorsAtRest | None:
     if len(mean) == 0:
         return None
-    return SensorsAtRest(mean=tuple(mean.tolist()), noise=tuple(noise.tolist()), drift=tuple(drift.tolist()))
+    each = (tuple(values.tolist()) for values in (mean, noise, drift, celsius))
+    return SensorsAtRest(**dict(zip(("mean", "noise", "drift", "temperature"), each, strict=True)))
+
+
+def _celsius(rests: Rests, i: int, block: Block | None) -> Array:
+    """Temperatures (n,), °C, of the sensors of a block at a rest; none where there is no thermometer."""
+    if rests.temperatures is None or block is None:
+        return np.empty(0)
+    return np.asarray(rests.temperatures[i, block.thermometer] - ZERO_CELSIUS)
 
 
 def _turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnResult, ...]:
@@ -448,6 +466,8 @@ def result_of(
         prediction=estimate.prediction,
         axes=_axes(observations),
         reference_temperature=_reference(observations),
+        thermometers=_thermometers(session, observations),
+        references=references_of(observations),
         imu=session.device.imu,
         clock_u=observations.clock_u,
     )
@@ -459,10 +479,27 @@ def _axes(observations: Observations) -> dict[str, SensingAxes]:
     return {block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks if block is not None}
 
 
+def _thermometers(session: Session, observations: Observations) -> dict[str, tuple[str, ...]]:
+    """The column of the thermometer of each sensor by kind."""
+    known, blocks = session.log.temperature, (observations.accel_block, observations.gyro_block)
+    if known is None or observations.rests.temperatures is None:
+        return {}
+    return {block.kind: known.names(block.kind) for block in blocks if block is not None}
+
+
 def _reference(observations: Observations) -> float | None:
-    """The temperature, °C, at which parameters have their values: the mean of the rests."""
+    """The temperature, °C, at which parameters have their values: the mean of the thermometers over the rests."""
     temperature = observations.rests.temperature
     return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS
+
+
+def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
+    """The same of each sensor by kind, °C, by its own thermometer."""
+    kelvin, blocks = observations.rests.temperatures, (observations.accel_block, observations.gyro_block)
+    if kelvin is None:
+        return {}
+    celsius = kelvin.mean(axis=0) - ZERO_CELSIUS
+    return {block.kind: tuple(celsius[block.thermometer].tolist()) for block in blocks if block is not None}
 
 
 def _dof(estimate: Estimate, i: int) -> float | None:

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from tumble.calibration.correction import true_force, true_rate
 from tumble.calibration.coverage import with_degrees
+from tumble.calibration.given_temperatures import given_temperatures
 from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
     Launch,
@@ -47,13 +48,13 @@ from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
-from tumble.recording.arrays import celsius_of, numbers_of
+from tumble.recording.arrays import Temperatures, numbers_of
 from tumble.recording.autopilot import AutopilotSensor, sensors_content, sensors_from
 from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_content, circumstances_from
 from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import Block, SensorKind, SensorModel
 from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
 from tumble.units import Array
 
@@ -103,7 +104,11 @@ class Calibration:
     axes: Mapping[str, SensingAxes] = field(default_factory=dict)
     """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     reference_temperature: float | None = None
-    """°C, at which parameters that change with temperature have their values."""
+    """°C, at which parameters that change with temperature have their values; of several thermometers the mean."""
+    references: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """The same of each sensor of "accel" and "gyro", by its own thermometer."""
+    thermometers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """The column of the thermometer of each sensor of "accel" and "gyro", where there are such."""
     measured_between: tuple[float, float] | None = None
     """°C, the range of rests that are not here, as those of a calibration that a check has updated."""
     circumstances: Circumstances = UNKNOWN
@@ -122,21 +127,45 @@ class Calibration:
         """What corrects readings: the whole model. Raises CalibrationError without accelerometers."""
         if self.accel is None:
             raise CalibrationError("calibration: expected one with accelerometers, found none")
-        accel = Block(kind="accel", axes=self._axes("accel", self.accel))
-        gyro = None if self.gyro is None else Block(kind="gyro", axes=self._axes("gyro", self.gyro))
+        accel = self._block("accel", self.accel)
+        gyro = None if self.gyro is None else self._block("gyro", self.gyro)
         values = {p.name: p.value for p in self.parameters if sensor_kind(p.name) != "mag"}
         models = self.accel, self.gyro
-        return Compensator.of((accel, gyro), models, values, self.reference_temperature)
+        references = {str(block.kind): self._references(block) for block in (accel, gyro) if block is not None}
+        known = references if self.reference_temperature is not None else {}
+        return Compensator.of((accel, gyro), models, values, known)
 
-    def _axes(self, kind: str, model: SensorModel) -> Array:
-        return np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
+    def _references(self, block: Block) -> Array:
+        """The reference temperature (n,), °C, of each channel of a block."""
+        return np.array(self.references.get(block.kind, block.size * (self.reference_temperature or 0.0,)))
+
+    def reference_of(self, name: str) -> float:
+        """The temperature, °C, by the thermometer of its sensor, at which a parameter has its value; 0 where there is
+        none."""
+        kind, sensor = sensor_kind(name), within_group(name).partition(".")[0]
+        model = {"accel": self.accel, "gyro": self.gyro}.get(kind)
+        if kind not in self.references or model is None:
+            return self.reference_temperature or 0.0
+        block = self._block("accel" if kind == "accel" else "gyro", model)
+        channel = dict(zip(block.sensors, block.channels.tolist(), strict=True)).get(sensor)
+        return (self.reference_temperature or 0.0) if channel is None else float(self._references(block)[channel])
+
+    def _block(self, kind: SensorKind, model: SensorModel) -> Block:
+        axes = np.array(self.axes[kind]) if kind in self.axes else _nominal_axes(model)
+        numbers = {column: t for t, column in enumerate(dict.fromkeys(chain(*self.thermometers.values())))}
+        own = tuple(numbers[column] for column in self.thermometers.get(kind, ()))
+        return Block(kind=kind, axes=axes, thermometers=own)
 
     @property
     def temperature_range(self) -> tuple[float, float] | None:
-        """The lowest and the highest temperature of the rests of all launches, °C; None where they have none."""
+        """The lowest and the highest temperature, °C, that the rests of all launches have of every sensor; None where
+        they have none."""
         every = chain(self.rests, *(launch.rests for launch in self.launches))
-        found = [rest.temperature for rest in every if rest.temperature is not None]
-        return (min(found), max(found)) if found else self.measured_between
+        by_sensor = list(zip(*(rest.temperatures for rest in every if rest.temperature is not None), strict=False))
+        if not by_sensor:
+            return self.measured_between
+        low, high = max(map(min, by_sensor)), min(map(max, by_sensor))
+        return (low, high) if low <= high else None
 
     def __getitem__(self, name: str) -> Parameter:
         """The parameter of that name."""
@@ -178,13 +207,14 @@ class Calibration:
         gyro: npt.ArrayLike | None = None,
         *,
         dt: npt.ArrayLike | None = None,
-        temperature: npt.ArrayLike | None = None,
+        temperature: Temperatures | None = None,
     ) -> tuple[Array, Array | None]:
         """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
         readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
         squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
         readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in
-        a stream it follows the thermometer with temperature.lag); without it they are those of the reference
+        a stream it follows the thermometer with temperature.lag), of accelerometers and gyros with thermometers of
+        their own a mapping of "accel" and "gyro", (...) or (..., n); without it they are those of the reference
         temperature. Lever arms and the delay, which need the motion, are not applied: see `apply_to_session`.
 
         Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
@@ -193,10 +223,9 @@ class Calibration:
         force_readings = _checked(None if compensator is None else compensator.accel, "accel", accel, dt)
         assert compensator is not None
         shape = force_readings.shape[:-1]
-        steps, warmth = _by_sample("dt", dt, shape), _by_sample("temperature", temperature, shape)
-        celsius = None if warmth is None else celsius_of(warmth)
+        steps, celsius = _intervals(dt, shape), given_temperatures(temperature, compensator, shape)
         flat = force_readings.reshape(-1, compensator.accel.size)
-        force = true_force(compensator, flat, dt=steps, temperature=celsius)
+        force = true_force(compensator, flat, dt=steps, temperature=celsius["accel"])
         felt = force.reshape(*shape, 3)
         if gyro is None:
             return felt, None
@@ -209,7 +238,7 @@ class Calibration:
             )
         turned = rate_readings.reshape(-1, compensator.gyro.size)
         force = force if steps is None else force / steps[:, None]
-        rate = true_rate(compensator, turned, force, dt=steps, temperature=celsius)
+        rate = true_rate(compensator, turned, force, dt=steps, temperature=celsius["gyro"])
         return felt, rate.reshape(*rate_readings.shape[:-1], 3)
 
     def in_frame(self, frame: str) -> Calibration:
@@ -230,10 +259,15 @@ class Calibration:
         except InputError as error:
             raise CalibrationError(str(error)) from error
 
-    def _lag(self) -> dict[str, float]:
-        """The lag of the sensors behind the thermometer, s, where it is known."""
-        found = [p.value for p in self.parameters if p.name == "temperature.lag"]
-        return {"lag": found[0]} if found else {}
+    def _temperature_content(self) -> dict[str, Any]:
+        """The reference and the range, °C, and where they are known the thermometers and the lag behind them, s."""
+        content: dict[str, Any] = {"reference": self.reference_temperature, "range": self.temperature_range}
+        if self.thermometers:
+            content["thermometers"] = {kind: list(of) for kind, of in self.thermometers.items()}
+        if self.references:
+            content["references"] = {kind: list(of) for kind, of in self.references.items()}
+        lag = [p.value for p in self.parameters if p.name == "temperature.lag"]
+        return content | ({"lag": lag[0]} if lag else {})
 
     def _with_further(self, kind: str, content: dict[str, Any] | None) -> dict[str, Any] | None:
         """The model of a kind of sensor, and beside it the values of the groups beyond it."""
@@ -292,7 +326,7 @@ class Calibration:
             "groups": [_group_content(group) for group in self.groups],
             "prediction": None if self.prediction is None else asdict(self.prediction),
             "axes": {kind: [list(axis) for axis in axes] for kind, axes in self.axes.items()},
-            "temperature": {"reference": self.reference_temperature, "range": self.temperature_range} | self._lag(),
+            "temperature": self._temperature_content(),
             "iterations": [
                 {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
             ],
@@ -357,13 +391,13 @@ def _checked(block: Block | None, kind: str, given: npt.ArrayLike, dt: npt.Array
     return readings
 
 
-def _by_sample(what: str, given: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array | None:
-    """A number for each sample, flat; one for all of them is repeated."""
+def _intervals(given: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array | None:
+    """An interval for each sample, flat; one for all of them is repeated."""
     if given is None:
         return None
-    numbers = numbers_of(what, given)
+    numbers = numbers_of("dt", given)
     if numbers.shape not in ((), shape):
-        raise InputError(f"{what}: expected a number for each sample, {shape}, found the shape {numbers.shape}")
+        raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {numbers.shape}")
     return np.ravel(np.broadcast_to(numbers, shape))
 
 
@@ -449,6 +483,10 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         prediction=optional(_prediction_from, content.get("prediction")),
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
         reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
+        thermometers={kind: tuple(of) for kind, of in content.get("temperature", {}).get("thermometers", {}).items()},
+        references={
+            kind: tuple(map(float, of)) for kind, of in content.get("temperature", {}).get("references", {}).items()
+        },
         measured_between=optional(_pair, content.get("temperature", {}).get("range")),
         imu=sensors_from(content["device"].get("imu", {})),
         sample_rate=optional(float, content.get("sample_rate")),

@@ -6,7 +6,7 @@ Further keys may be there or not. A message names the key: "found 'much' in plac
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import date, datetime
 from math import inf, isfinite
 from typing import Annotated, Any, Literal, Self
@@ -170,6 +170,8 @@ class _TemperatureKeys(_Keys):
     reference: Number | None = None
     range: Pair | None = None
     lag: Number | None = None
+    thermometers: dict[Text, list[Text]] = {}
+    references: dict[Text, Vector] = {}
 
 
 class _IncrementKeys(_Keys):
@@ -185,6 +187,13 @@ class _AtRestKeys(_Keys):
     mean: Vector
     noise: Vector
     drift: Vector
+    temperature: Vector = []
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not len(self.mean) == len(self.noise) == len(self.drift):
+            raise ValueError("expected as many means as noises and drifts, one for each sensor, found others")
+        return self
 
 
 class _RestKeys(_Keys):
@@ -268,6 +277,11 @@ class _ResultKeys(_Keys):
         if rows and {len(rows), *map(len, rows)} != {len(self.parameters)}:
             shape = f"({len(rows)}, {len(rows[0])}) for {len(self.parameters)} parameters"
             raise PydanticCustomError("shape", "a covariance of shape {shape}", {"shape": shape})
+        for number, row in enumerate(rows, 1):
+            if row[number - 1] < 0.0:
+                raise ValueError(
+                    f"covariance[{number}][{number}]: expected no variance below 0, found {row[number - 1]:g}"
+                )
         for name, count in Counter(parameter.name for parameter in self.parameters).items():
             if count > 1:
                 raise ValueError(f"parameters: expected every name once, found {name!r} twice")
@@ -322,6 +336,36 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     together: list[_MemberKeys] = Field(default=[], max_length=MOST_LAUNCHES)
     rests: list[_RestKeys] = Field(max_length=MOST_RESTS)
     provenance: dict[Text, Text]
+
+    @model_validator(mode="after")
+    def _check_sensors(self) -> Self:
+        for kind in ("accel", "gyro"):
+            counts = dict(self._sensors(kind))
+            if len(set(counts.values())) > 1:
+                (first, expected), *others = counts.items()
+                key, found = next((key, found) for key, found in others if found != expected)
+                raise ValueError(f"{key}: expected {expected} sensors, as {first} has, found {found}")
+        return self
+
+    def _sensors(self, kind: str) -> Iterator[tuple[str, int]]:
+        """How many sensors of a kind each part of the file has, by its key."""
+        model = getattr(self, kind)
+        if model is not None:
+            yield f"{kind}.bias", len(model.bias)
+        if kind in self.axes:
+            yield f"axes.{kind}", len(self.axes[kind])
+        if kind in self.readings:
+            yield f"readings.{kind}", len(self.readings[kind].columns)
+        launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(self.launches, 1)]
+        for place, rests in (("rests", self.rests), *launches):
+            for number, rest in enumerate(rests, 1):
+                at_rest = getattr(rest, kind)
+                if at_rest is not None:
+                    yield f"{place}[{number}].{kind}", len(at_rest.mean)
+        for key in ("thermometers", "references"):
+            found = getattr(self.temperature, key).get(kind)
+            if found is not None:
+                yield f"temperature.{key}.{kind}", len(found)
 
 
 def check_keys(content: Any, name: str) -> None:

@@ -25,11 +25,12 @@ from datetime import UTC, datetime
 import numpy as np
 
 from tumble import __version__
-from tumble.calibration.calibrate import grade_of, readings_of_session
+from tumble.calibration.calibrate import grade_of, readings_of_session, references_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter
+from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
@@ -63,6 +64,7 @@ class FieldCheck:
     frame: str
     instrument: Instrument
     temperature: float | None
+    references: Mapping[str, tuple[float, ...]]
 
     @property
     def valid(self) -> bool:
@@ -135,6 +137,7 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
         frame=given.frame,
         instrument=known.instrument,
         temperature=_celsius(observations),
+        references=references_of(observations),
     )
 
 
@@ -156,6 +159,7 @@ def _check_given(calibration: Calibration, session: Session) -> None:
                 f"{session.name}: log.{block.kind}: expected the {len(model.bias)} sensors of the calibration, found "
                 f"{block.size}"
             )
+    check_thermometers(calibration, session)
     for kind, now in readings_of_session(session).items():
         then = calibration.readings.get(kind)
         raw = then is not None and (now.unit in _RAW or then.unit in _RAW)
@@ -258,8 +262,12 @@ def _doubt_of_launches(calibration: Calibration) -> float:
 
 def _to_temperature(calibration: Calibration, observations: Observations, instrument: Instrument) -> Array:
     """The matrix (m, m) that takes parameters from the temperature of the calibration to that of the session."""
-    then, now = calibration.reference_temperature, _celsius(observations)
-    return to_temperature(instrument.names, 0.0 if then is None or now is None else now - then)
+    now = references_of(observations)
+    if calibration.reference_temperature is None or not now:
+        return np.eye(len(instrument.names))
+    here = replace(calibration, references=now)
+    warmer = [here.reference_of(name) - calibration.reference_of(name) for name in instrument.names]
+    return to_temperature(instrument.names, np.array(warmer))
 
 
 def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> Array:
@@ -312,6 +320,7 @@ def _updated(check: FieldCheck) -> Calibration:
         if before.site is None
         else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=rate),
         reference_temperature=check.temperature if before.reference_temperature is not None else None,
+        references=check.references if before.reference_temperature is not None else {},
         measured_between=before.temperature_range,
         notes=(_how(check), *before.notes),
         provenance={

@@ -27,7 +27,8 @@ def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> A
 def true_force(
     compensator: Compensator, readings: Array, *, dt: Array | None = None, temperature: Array | None = None
 ) -> Array:
-    """Specific force (N, 3) of readings (N, n) at temperatures (N,), °C, SI; with `dt` (N,) both are increments."""
+    """Specific force (N, 3) of readings (N, n), SI, at temperatures (N, n) or (N, 1), °C; with `dt` (N,) both are
+    increments."""
     if compensator.linear:
         return corrected(compensator.model("accel"), readings, dt)
     interval = _column(dt)
@@ -42,8 +43,8 @@ def true_rate(
     dt: Array | None = None,
     temperature: Array | None = None,
 ) -> Array:
-    """Angular rate (N, 3) of readings (N, n) in a specific force (N, 3), m/s², at temperatures (N,), °C, SI; with `dt`
-    (N,) rate and readings are increments."""
+    """Angular rate (N, 3) of readings (N, n) in a specific force (N, 3), m/s², at temperatures (N, n) or (N, 1), °C,
+    SI; with `dt` (N,) rate and readings are increments."""
     if compensator.linear:
         return corrected(compensator.model("gyro"), readings, dt)
     interval = _column(dt)

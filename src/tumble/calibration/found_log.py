@@ -334,7 +334,9 @@ def _copied(
     sensors = [c for triad in log.columns.triads.values() for c in triad.columns]
     signed = [c for kind in wraps for c in log.columns.triads[kind].columns]
     used = [
-        c for c in (log.columns.time if time is None else time[0], *sensors, log.columns.temperature) if c is not None
+        c
+        for c in (log.columns.time if time is None else time[0], *sensors, *dict.fromkeys(log.columns.temperatures))
+        if c is not None
     ]
     clock = log.columns.time if log.columns.time is not None and log.is_clock(log.columns.time) else None
     stamp = log.columns.time if time is None else TIME
@@ -473,7 +475,7 @@ def _of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
         time=TIME,
         time_unit="s",
         triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
-        temperature=None,
+        temperatures=(),
         others=(),
     )
     said = f"{named}: one log at the times of the gyros, written to {folder / 'log.parquet'}"

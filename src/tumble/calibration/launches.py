@@ -114,7 +114,8 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     _check_alike(runs)
     common = [p.name for p in first.parameters if all(p.name in _named(run) for run in runs)]
     reference = _mean_reference(runs)
-    moves = [_to_temperature(run, common, reference) for run in runs]
+    references = _mean_references(runs)
+    moves = [_to_temperature(run, common, reference, references) for run in runs]
     values = np.array(
         [move @ [_named(run)[name].value for name in common] for run, move in zip(runs, moves, strict=True)]
     )
@@ -148,6 +149,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         groups=_groups(runs, parameters),
         prediction=_prediction(runs, common, mean, covariance),
         reference_temperature=reference,
+        references=references,
         clock_u=_clock_u(runs),
         provenance=dict(first.provenance) | {"log_sha256": _digest_of_all(runs)},
     )
@@ -400,10 +402,25 @@ def _mean_reference(runs: Sequence[Run]) -> float | None:
     return float(np.mean(found)) if len(found) == len(runs) else None
 
 
-def _to_temperature(run: Run, names: list[str], reference: float | None) -> Array:
-    """The matrix (m, m) that takes parameters of a launch to another reference temperature."""
-    own = run.calibration.reference_temperature
-    return to_temperature(names, 0.0 if reference is None or own is None else reference - own)
+def _mean_references(runs: Sequence[Run]) -> dict[str, tuple[float, ...]]:
+    """Those of each sensor by its own thermometer."""
+    first, every = runs[0].calibration.references, [run.calibration.references for run in runs]
+    if any(
+        {kind: len(own) for kind, own in each.items()} != {k: len(own) for k, own in first.items()} for each in every
+    ):
+        return {}
+    return {kind: tuple(np.mean([each[kind] for each in every], axis=0).tolist()) for kind in first}
+
+
+def _to_temperature(
+    run: Run, names: list[str], reference: float | None, references: Mapping[str, tuple[float, ...]]
+) -> Array:
+    """The matrix (m, m) that takes parameters of a launch to other reference temperatures."""
+    own = run.calibration
+    if reference is None or own.reference_temperature is None:
+        return np.eye(len(names))
+    there = replace(own, reference_temperature=reference, references=references)
+    return to_temperature(names, np.array([there.reference_of(name) - own.reference_of(name) for name in names]))
 
 
 def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:

@@ -8,6 +8,7 @@ comment.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +32,8 @@ from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns,
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
 from tumble.recording.session import SESSION_FILE, session_of
-from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS
+from tumble.recording.session_keys import TemperatureTable
+from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS
 
 _HEAD = 20_000
 _TOLERANCE = 0.3
@@ -137,7 +139,7 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     log = folder / "log.parquet"
     folder.mkdir(parents=True, exist_ok=True)
-    apart = [] if _temperature(accel, gyro, None) else [m for m in found if m.thermometer]
+    apart = [] if _temperatures(accel, gyro, None) else [m for m in found if m.thermometer]
     thermometer = max(apart, key=lambda m: _shared(m.name, accel.name), default=None)
     formats.as_log(log, accel, gyro, thermometer)
     said = [f"{recording.name}: message {accel.name}, written to {log}"]
@@ -155,7 +157,7 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
         time=TIME if accel.timed else None,
         time_unit=None,
         triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
-        temperature=_temperature(accel, gyro, thermometer),
+        temperatures=_temperatures(accel, gyro, thermometer),
         others=(),
     )
     written = mended(FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), folder, given.rate)
@@ -170,10 +172,12 @@ def _shared(name: str, other: str) -> int:
     return next((i for i, same in enumerate(alike) if not same), len(alike))
 
 
-def _temperature(accel: Message, gyro: Message | None, thermometer: Message | None) -> str | None:
-    """The column of the temperature: beside the accelerometers, beside the gyros, or in a message of its own."""
-    messages = (accel, gyro, thermometer)
-    return next((m.temperature for m in messages if m is not None and m.temperature), None)
+def _temperatures(accel: Message, gyro: Message | None, thermometer: Message | None) -> tuple[str, ...]:
+    """The columns of the temperatures: beside the accelerometers and beside the gyros, or in a message of its own."""
+    beside = [m.temperatures for m in {id(m): m for m in (accel, gyro) if m is not None}.values() if m.temperatures]
+    if len(beside) == 2 and max(map(len, beside)) == 1:
+        return beside[0] + beside[1]
+    return next(iter(beside), () if thermometer is None else thermometer.temperatures)
 
 
 def _named(found: list[Message], name: str | None, recording: Path) -> Message:
@@ -204,26 +208,44 @@ def _content(log: FoundLog, times: Times, found: Columns) -> tuple[dict[str, Any
         said += more
     else:
         said.append("no gyros were found: the accelerometers alone will be calibrated")
-    if found.temperature is not None:
-        thermometer, remark = _thermometer(log, found.temperature)
-        table |= {} if thermometer is None else {"temperature": thermometer}
+    if found.temperatures:
+        thermometers, remark = _thermometers(log, found.temperatures)
+        table |= {} if thermometers is None else {"temperature": thermometers}
         said.append(remark)
     return {"format": 1, "device": {"serial": "unknown"}, "log": table}, said, unknown
 
 
-def _thermometer(log: FoundLog, column: str) -> tuple[dict[str, Any] | None, str]:
-    """The table [log.temperature], None where its numbers are raw: the unit that the name says, or in which they are
-    temperatures of the air on Earth or of a chamber."""
+def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
+    """The table [log.temperature], None where numbers are raw. Columns in several units are, as raw ones, with what
+    their numbers are worth."""
+    found = {column: _temperature_unit(log, column) for column in columns}
+    listed, units = list(columns), [found[column][0] for column in columns]
+    whose = {1: "", 2: ", accelerometers and gyros"}.get(len(listed), ", one a sensor, accelerometers first")
+    said = ", ".join(f"{column} in {unit} ({how})" for column, (unit, how, _) in found.items())
+    if TemperatureTable.RAW in units:
+        column = listed[units.index(TemperatureTable.RAW)]
+        return None, (
+            f"temperature: {column}, about {found[column][2]:.6g}, in no unit that is known; to use it, add "
+            f'[log.temperature] with columns = {json.dumps(listed)}, unit = "raw", scale, raw numbers per degC, and '
+            "offset, that at 0 degC"
+        )
+    table: dict[str, Any] = {"columns": listed, "unit": units[0]}
+    if len(set(units)) > 1:
+        worth = [TEMPERATURE_UNITS[unit] for unit in units]
+        scale, offset = [1.0 / gain for gain, _ in worth], [-shift / gain for gain, shift in worth]
+        table |= {"unit": TemperatureTable.RAW, "scale": scale, "offset": offset}
+    return table, f"temperature: {said}{whose}"
+
+
+def _temperature_unit(log: FoundLog, column: str) -> tuple[str, str, float]:
+    """The unit that the name of a column says, or in which its numbers are temperatures of the air on Earth or of a
+    chamber; how it was found; and their median."""
     middle = float(np.nanmedian(log.read([column], rows=_HEAD)))
     named = temperature_unit(column)
-    likely = next((unit for unit, (low, high) in _LIKELY.items() if low <= middle <= high), "raw")
-    unit, how = (named, "from the name") if named is not None else (likely, "by its numbers")
-    if unit == "raw":
-        return None, (
-            f"temperature: {column}, about {middle:.6g}, in no unit that is known; to use it, add [log.temperature] "
-            f'with columns = ["{column}"], unit = "raw", scale, raw numbers per degC, and offset, that at 0 degC'
-        )
-    return {"columns": [column], "unit": unit}, f"temperature: {column} in {unit} ({how})"
+    if named is not None:
+        return named, "from the name", middle
+    likely = next((unit for unit, (low, high) in _LIKELY.items() if low <= middle <= high), TemperatureTable.RAW)
+    return likely, "by its numbers", middle
 
 
 def _accel(log: FoundLog, sensors: Sensors, times: Times) -> tuple[dict[str, Any], list[str]]:

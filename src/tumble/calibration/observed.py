@@ -66,6 +66,10 @@ class Observed:
         return self.reduction.rate
 
 
+LARGEST_SQUARED = 1e100
+"""SI: of larger numbers sums of products are none."""
+
+
 def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chunks) -> Observed:
     """The rests and turns of a session, a `Session` or the path of its folder, without matching them to a programme,
     and what is wrong with the recording. Raises InputError for a session or a log that cannot be read.
@@ -105,8 +109,9 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
 
 
 def _observed(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...]) -> Observations | None:
-    """The observations of all of these rests."""
-    if not rests:
+    """The observations of all of these rests; None where there is none, or numbers that have no squares."""
+    channels = (*reduction.accel_channels, *reduction.gyro_channels)
+    if not rests or max(max(-each.minimum, each.maximum) for each in channels) > LARGEST_SQUARED:
         return None
     match = Match(rests=rests, programme=None, position=None)
     return observe(reduction, match, session.accel_block, session.gyro_block, session.site)

@@ -65,11 +65,13 @@ class Readings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorsAtRest:
-    """Of each of n sensors over a rest, SI: mean reading, density of its noise (unit/√Hz) and drift, its change."""
+    """Of each of n sensors over a rest, SI: mean reading, density of its noise (unit/√Hz) and drift, its change; and
+    the temperature of its thermometer, °C, where they have some."""
 
     mean: tuple[float, ...]
     noise: tuple[float, ...]
     drift: tuple[float, ...]
+    temperature: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -86,6 +88,12 @@ class RestResult:
     accel: SensorsAtRest | None = None
     gyro: SensorsAtRest | None = None
     temperature: float | None = None
+
+    @property
+    def temperatures(self) -> tuple[float, ...]:
+        """Those of its sensors, °C, the accelerometers first; that of the rest where they are not known apart."""
+        own = sum((sensors.temperature for sensors in (self.accel, self.gyro) if sensors is not None), ())
+        return own or (() if self.temperature is None else (self.temperature,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -218,7 +226,8 @@ def rest_from(content: Mapping[str, Any]) -> RestResult:
 
 
 def _at_rest(content: Mapping[str, Any]) -> SensorsAtRest:
-    return SensorsAtRest(**{key: tuple(map(float, content[key])) for key in ("mean", "noise", "drift")})
+    keys = ("mean", "noise", "drift", "temperature")
+    return SensorsAtRest(**{key: tuple(map(float, content.get(key, ()))) for key in keys})
 
 
 def turn_from(content: Mapping[str, Any]) -> TurnResult:

@@ -45,9 +45,27 @@ def warm_rests(calibration: Calibration) -> list[RestResult]:
     return [rest for rest in rests if rest.temperature is not None]
 
 
-def rest_temperatures(calibration: Calibration) -> list[float]:
-    """Their temperatures, °C."""
-    return [rest.temperature for rest in warm_rests(calibration) if rest.temperature is not None]
+def temperature_of(rest: RestResult, kind: str) -> float:
+    """The mean temperature, °C, of the sensors of a kind at a rest; that of the rest where they are not known."""
+    sensors = rest.accel if kind == "accel" else rest.gyro
+    own = () if sensors is None else sensors.temperature
+    return math.nan if rest.temperature is None else float(np.mean(own or rest.temperature))
+
+
+def own_thermometers(calibration: Calibration) -> list[str]:
+    """Which thermometer the temperature of each sensor is that of, where there are several."""
+    if len(set(chain(*calibration.thermometers.values()))) < 2:
+        return []
+    said = []
+    for kind, own in calibration.thermometers.items():
+        celsius = calibration.references.get(kind, ())
+        at = [f"{name} ({T:.1f} degC)" for name, T in zip(own, celsius, strict=False)] or list(own)
+        said.append(
+            f"{kind} that of {at[0]}" if len(set(own)) == 1 else f"{kind} those of {', '.join(at)}, one a sensor"
+        )
+    return [
+        f"the temperature of each sensor, and its reference, is that of its own thermometer: of {'; of '.join(said)}"
+    ]
 
 
 def measured_range(calibration: Calibration) -> Range | None:
@@ -82,7 +100,7 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
     places = {p.name: i for i, p in enumerate(calibration.parameters)}
     powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(_ENDINGS, 1))]
     known = [(d, places[each]) for d, each in powers if each in places]
-    warmer = temperature - _reference(calibration)
+    warmer = temperature - calibration.reference_of(name)
     P = np.stack([warmer**d for d, _ in known], axis=1)
     own = [i for _, i in known]
     expanded = None
@@ -123,13 +141,14 @@ def coefficients(calibration: Calibration, kind: str, what: str) -> Array:
 
 
 def model_at(calibration: Calibration, kind: str, temperature: float) -> SensorModel:
-    """Matrix and bias of a kind of sensors at a temperature, °C: a scale factor 1 + k changes the length of its row."""
+    """Matrix and bias of a kind of sensors at a temperature, °C, by all its thermometers: a scale factor 1 + k changes
+    the length of its row."""
     model = calibration.accel if kind == "accel" else calibration.gyro
     assert model is not None
-    warmer = temperature - _reference(calibration)
-    powers = np.array([warmer, warmer**2])
-    longer = coefficients(calibration, kind, "scale") @ powers / np.linalg.norm(model.matrix, axis=1)
-    bias = model.bias + coefficients(calibration, kind, "bias") @ powers
+    warmer = temperature - references(calibration, kind)
+    powers = np.column_stack([warmer, warmer**2])
+    longer = (coefficients(calibration, kind, "scale") * powers).sum(axis=1) / np.linalg.norm(model.matrix, axis=1)
+    bias = model.bias + (coefficients(calibration, kind, "bias") * powers).sum(axis=1)
     return SensorModel(matrix=(1.0 + longer)[:, None] * model.matrix, bias=bias)
 
 
@@ -140,6 +159,7 @@ def _block(calibration: Calibration, kind: str) -> Block:
     return block
 
 
-def _reference(calibration: Calibration) -> float:
-    """T₀, °C; a calibration without one has no parameter that changes."""
-    return 0.0 if calibration.reference_temperature is None else calibration.reference_temperature
+def references(calibration: Calibration, kind: str) -> Array:
+    """T₀ (n,), °C, of the channels of a kind of sensors; a calibration without one has no parameter that changes."""
+    block = _block(calibration, kind)
+    return calibration.compensator.references.get(block.kind, np.zeros(block.size))

@@ -137,7 +137,8 @@ def _check_alike(sessions: Sequence[Session]) -> None:
             )
         if not (_same(session.accel_block, first.accel_block) and _same(session.gyro_block, first.gyro_block)):
             raise InputError(
-                f"{session.name}: expected the sensors of the first session, found others; list them alike"
+                f"{session.name}: expected the sensors and thermometers of the first session, found others; list them "
+                "alike"
             )
         if not _same_place(session, first):
             raise InputError(
@@ -149,7 +150,9 @@ def _check_alike(sessions: Sequence[Session]) -> None:
 def _same(block: Block | None, other: Block | None) -> bool:
     if block is None or other is None:
         return block is other
-    return block.axes.shape == other.axes.shape and bool(np.allclose(block.axes, other.axes, rtol=0.0, atol=1e-9))
+    if block.axes.shape != other.axes.shape or not np.array_equal(block.thermometer, other.thermometer):
+        return False
+    return bool(np.allclose(block.axes, other.axes, rtol=0.0, atol=1e-9))
 
 
 def _same_place(session: Session, other: Session) -> bool:

@@ -31,18 +31,23 @@ from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.case import Verticals, verticals_of
 from tumble.calibration.observed import inspect_session
 from tumble.calibration.readings_table import read_table
+from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, sigmas
+from tumble.estimation.variables import sensors_at
 from tumble.files import FilePath
 from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import LINEAR, group_name, sensor_kind
-from tumble.units import Array, engineering
+from tumble.sensors.parameters import LINEAR, Variable, group_name, sensor_kind
+from tumble.units import ZERO_CELSIUS, Array, engineering
 
 CHANCE = 0.01
 """How often a good calibration is refused."""
+
+_OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
+"""What readings at a temperature change with, and its power."""
 
 NOTHING_LEFT = 1e-6
 """1 − h below which nothing but the position itself determines what it is compared with."""
@@ -51,7 +56,8 @@ NOTHING_LEFT = 1e-6
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Positions:
     """Readings at rest to verify a calibration with: mean readings (N, n) of a block with covariance (N, n, n), SI,
-    what the positions are called, gravity with its standard uncertainty, m/s², and the SHA-256 of their source."""
+    what the positions are called, gravity with its standard uncertainty, m/s², the SHA-256 of their source, and where
+    they are known the temperatures (N, n), °C, of the sensors."""
 
     block: Block
     readings: Array
@@ -60,6 +66,7 @@ class Positions:
     gravity: float
     gravity_u: float
     sha256: str
+    celsius: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -104,17 +111,24 @@ def positions_of(given: Session | FilePath, calibration: Calibration) -> Positio
             f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
             f"{session.device.serial!r}"
         )
-    return rests_of(session)
+    if calibration.accel is None:
+        return rests_of(session)
+    check_thermometers(calibration, session)
+    return rests_of(session, calibration.compensator.lag)
 
 
-def rests_of(session: Session) -> Positions:
-    """Every rest of a session. Raises InputError where there is none."""
+def rests_of(session: Session, lag: float = 0.0) -> Positions:
+    """Every rest of a session, the sensors following their thermometers with a lag, s. Raises InputError where there is
+    none."""
     found = inspect_session(session)
     observations = found.observations
     if observations is None or found.faults:
         said = found.faults[0] if found.faults else "no rests; look at it with `tumble inspect`"
         raise InputError(f"{session.name}: expected rests to verify with, found {said}")
-    rests = observations.rests
+    rests, celsius = observations.rests, None
+    if rests.temperatures is not None:
+        at_rest = sensors_at(observations, rests.temperatures, lag)
+        celsius = at_rest[:, observations.accel_block.thermometer] - ZERO_CELSIUS
     return Positions(
         block=observations.accel_block,
         readings=rests.accel,
@@ -126,6 +140,7 @@ def rests_of(session: Session) -> Positions:
         gravity=session.site.gravity,
         gravity_u=session.site.gravity_u,
         sha256=found.sha256,
+        celsius=celsius,
     )
 
 
@@ -199,7 +214,7 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
     by_parameters = _length_by_parameters(calibration, positions, seen)
     known = np.einsum("im,mk,ik->i", by_parameters, seen.parameter_covariance, by_parameters)
-    difference = positions.gravity - np.linalg.norm(calibration.compensator.force(positions.readings), axis=1)
+    difference = positions.gravity - np.linalg.norm(_force(calibration, positions), axis=1)
     if own:
         known = np.maximum(known - positions.gravity_u**2, 0.0)
         return _left_out(positions, difference, variance, known, fit)
@@ -249,10 +264,9 @@ def verticals(calibration: Calibration, positions: Positions) -> Verticals:
             f"calibration of {calibration.serial!r}: expected an accepted one of accelerometers, found "
             f"{'; '.join(calibration.outcome.reasons) or 'none of accelerometers'}"
         )
-    block = positions.block
-    names = _accelerometer_names(calibration, block)
-    force = calibration.compensator.force(positions.readings)
-    change = _change(calibration, block, force)
+    names = _accelerometer_names(calibration, positions)
+    force = _force(calibration, positions)
+    change = _change(calibration, positions, force)
     index = [i for i, p in enumerate(calibration.parameters) if p.name in names]
     known = np.zeros((len(index), len(index)))
     if calibration.covariance is not None:
@@ -260,10 +274,24 @@ def verticals(calibration: Calibration, positions: Positions) -> Verticals:
     return verticals_of(calibration.accel, force, change, positions.covariance, known)
 
 
-def _accelerometer_names(calibration: Calibration, block: Block) -> tuple[str, ...]:
+def _force(calibration: Calibration, positions: Positions) -> Array:
+    """Specific force (N, 3) in the positions, by the parameters at their temperatures."""
+    return calibration.compensator.force(positions.readings, positions.celsius)
+
+
+def _beyond(calibration: Calibration, positions: Positions) -> Instrument:
+    """The accelerometers with what a reading at rest depends on beyond the linear model, with the changes over
+    temperature where the positions have temperatures."""
+    found = {group_name(p.name) for p in calibration.parameters}
+    warm = positions.celsius is not None and calibration.reference_temperature is not None
+    return Instrument.of(positions.block, None, found, variables=_OVER_TEMPERATURE if warm else ())
+
+
+def _accelerometer_names(calibration: Calibration, positions: Positions) -> tuple[str, ...]:
     """The parameters that a reading of the accelerometers at rest depends on, in their order. Raises InputError where
     the linear ones are not those of the block."""
     assert calibration.accel is not None
+    block = positions.block
     convention = Convention(frame=frame_of(calibration.frame), block=block)
     linear = {group.name for group in LINEAR}
     found = [p.name for p in calibration.parameters if sensor_kind(p.name) == block.kind]
@@ -272,24 +300,29 @@ def _accelerometer_names(calibration: Calibration, block: Block) -> tuple[str, .
             f"calibration of {calibration.serial!r}: expected readings of its {len(calibration.accel.bias)} "
             f"accelerometers, found {block.size} with other axes; verify with recordings of the same device"
         )
-    further = Instrument.of(block, None, {group_name(name) for name in found}, variables=())
+    further = _beyond(calibration, positions)
     return convention.names + further.names[further.linear_count :]
 
 
-def _change(calibration: Calibration, block: Block, force: Array) -> Array:
+def _change(calibration: Calibration, positions: Positions, force: Array) -> Array:
     """Derivative (N, n, m) of the readings with the parameters of `_accelerometer_names`, in specific forces (N, 3)."""
+    block = positions.block
     convention = Convention(frame=frame_of(calibration.frame), block=block)
     linear = convention.jacobian(np.array([calibration[name].value for name in convention.names]))
     own = np.einsum("pkm,ik->ipm", linear[:, :3], force) + linear[:, 3]
-    found = {group_name(p.name) for p in calibration.parameters}
-    instrument = Instrument.of(block, None, found, variables=())
-    derivative = instrument.derivative(block, np.zeros(len(instrument.names)))[:, :, instrument.linear_count :]
-    further = np.einsum("npb,pbm->npm", functions(block, force, np.zeros_like(force)), derivative)
-    return np.concatenate([own, further], axis=2)
+    instrument = _beyond(calibration, positions)
+    derivative = instrument.derivative(block, np.zeros(len(instrument.names)))
+    every = np.einsum("npb,pbm->npm", functions(block, force, np.zeros_like(force)), derivative)
+    for changed, base, variable in instrument.changes:
+        assert positions.celsius is not None
+        assert calibration.reference_temperature is not None
+        warmer = positions.celsius - calibration.reference_temperature
+        every[:, :, changed] = (warmer ** _OVER_TEMPERATURE[variable])[:, :, None] * every[:, :, base]
+    return np.concatenate([own, every[:, :, instrument.linear_count :]], axis=2)
 
 
 def _length_by_parameters(calibration: Calibration, positions: Positions, seen: Verticals) -> Array:
     """Derivative (N, m) of |true| with the parameters of the accelerometers."""
     assert calibration.accel is not None
-    change = _change(calibration, positions.block, calibration.compensator.force(positions.readings))
+    change = _change(calibration, positions, _force(calibration, positions))
     return np.asarray(-np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change))

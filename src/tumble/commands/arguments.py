@@ -15,6 +15,8 @@ from tumble import usual_setup
 from tumble.documents import plain
 
 if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
+
     from tumble.planning.setup import Setup
     from tumble.recording.log import Chunk, Log
 
@@ -42,7 +44,7 @@ FRAMES = ["accelerometer", "case", "paper", "symmetric"]
 
 def with_progress(log: Log) -> Iterator[Chunk]:
     """The chunks of a log; on a terminal, with a progress bar once reading has taken a second."""
-    if not sys.stderr.isatty():
+    if not _watched():
         yield from log.chunks()
         return
     from rich.console import Console
@@ -60,9 +62,19 @@ def with_progress(log: Log) -> Iterator[Chunk]:
 def say(line: str) -> None:
     """A line to standard error, as it can be shown: what was written where, notes. Nothing where `tumble -q` asks for
     results alone."""
-    context = click.get_current_context(silent=True)
-    if context is None or not context.find_root().params.get("quiet"):
+    if not _quiet():
         warn(line)
+
+
+def _quiet() -> bool:
+    """Whether `tumble -q` asks for results alone."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.find_root().params.get("quiet"))
+
+
+def _watched() -> bool:
+    """Whether progress is shown: on a terminal, unless results alone are asked for."""
+    return sys.stderr is not None and sys.stderr.isatty() and not _quiet()
 
 
 def warn(line: str) -> None:
@@ -140,25 +152,48 @@ def cluster_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-@contextmanager
-def task_progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A function to be called with the number of tasks that are done and of all; on a terminal it shows a progress bar
-    with the remaining time."""
-    if not sys.stderr.isatty():
-        yield lambda _done, _all: None
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+Tell = Callable[[int, int], None]
+"""What is told the number of tasks that are done and of all."""
 
-    left = TextColumn("left"), TimeRemainingColumn()
-    columns = TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), *left
-    with Progress(*columns, console=Console(stderr=True), transient=True, speed_estimate_period=120.0) as bar:
+
+@contextmanager
+def task_progress(what: str) -> Iterator[Tell]:
+    """A function that is told how many tasks are done; on a terminal it shows a progress bar with the remaining
+    time."""
+    if not _watched():
+        yield _untold
+        return
+    from rich.progress import MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()
+    with _bar(what, *columns) as told:
+        yield told
+
+
+@contextmanager
+def working(what: str) -> Iterator[Tell]:
+    """The same from the start for what takes seconds and may not know of how many parts it is: on a terminal a bar
+    with the time that has passed."""
+    if not _watched():
+        yield _untold
+        return
+    from rich.progress import TimeElapsedColumn
+
+    with _bar(what, TimeElapsedColumn()) as told:
+        yield told
+
+
+def _untold(_done: int, _all: int) -> None:
+    """Nobody watches."""
+
+
+@contextmanager
+def _bar(what: str, *columns: ProgressColumn) -> Iterator[Tell]:
+    """A bar with these columns on standard error, which is gone at the end."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    shown = TextColumn(what), BarColumn(), *columns
+    with Progress(*shown, console=Console(stderr=True), transient=True, speed_estimate_period=120.0) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, every: bar.update(task, completed=done, total=every)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -80,7 +81,8 @@ def bench(
     from tumble.bench.serve import serve
 
     site = {"latitude_deg": latitude} | ({} if gravity is None else {"gravity": gravity})
-    stations = stations_of(
+    stations = partial(
+        stations_of,
         sessions,
         listen,
         serials=serial_numbers,
@@ -90,4 +92,4 @@ def bench(
         grade=grade,
         registry=registry,
     )
-    serve(stations, host=host, port=port, browser=browser, say=lambda text: say(text))
+    serve(stations, folders=sessions, host=host, port=port, browser=browser, say=lambda text: say(text))

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import BUDGETED_METHODS, JSON, say, setup_of, setup_options
+from tumble.commands.arguments import BUDGETED_METHODS, JSON, say, setup_of, setup_options, working
 
 
 @click.command()
@@ -24,8 +24,9 @@ def budget(methods: tuple[str, ...], iterations: int, as_json: bool, **options: 
     from tumble.terminal.text import print_report
 
     setup = setup_of(options)
-    expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]
-    least = None if options["noiseless"] else bound(setup)
+    with working("planning"):
+        expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]
+        least = None if options["noiseless"] else bound(setup)
     if as_json:
         print_data(budget_data(expected, least))
     else:

@@ -129,7 +129,7 @@ def calibrate(
         )
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    known = None if true is None else truth_at(true, result.reference_temperature)
+    known = None if true is None else truth_at(true, result.reference_temperature, result.reference_of)
     if as_json:
         print_data(calibration_data(result, *others))
     else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from tumble.commands.arguments import JSON, say, setup_of, setup_options, warn
+from tumble.commands.arguments import JSON, say, setup_of, setup_options, warn, working
 
 if TYPE_CHECKING:
     from tumble.planning.setup import Setup
@@ -59,13 +59,13 @@ def plan(
     if temperature is not None:
         if positions is not None:
             raise click.UsageError("--positions: expected none with --temperature, found one; plan the positions first")
-        if as_json:
-            raise click.UsageError("--json: expected none with --temperature, whose plan is a table alone")
-        _over_temperature(setup, temperature, (chamber_rate, time_constant), wanted, gyros=not accel_only)
+        chamber = chamber_rate, time_constant
+        _over_temperature(setup, temperature, chamber, wanted, gyros=not accel_only, as_json=as_json)
     wishes = wanted_of(wanted, None, setup) if wanted else {}
     aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
     table = TurnTable.of(axes, step)
-    found = best(setup, positions=positions, aim=aim, table=table)
+    with working("planning") as progress:
+        found = best(setup, positions=positions, aim=aim, table=table, progress=progress)
     reasons = short_of(found.bound, aim, found.setup)
     if as_json:
         print_data(plan_data(found, reasons))
@@ -77,21 +77,27 @@ def plan(
 
 
 def _over_temperature(
-    setup: Setup, text: str, chamber: tuple[float, float], wanted: tuple[str, ...], *, gyros: bool
+    setup: Setup, text: str, chamber: tuple[float, float], wanted: tuple[str, ...], *, gyros: bool, as_json: bool
 ) -> NoReturn:
     """Print the plan of recordings over temperature, and exit."""
     from tumble.planning.over_temperature import Chamber, plan_over_temperature, wanted_over_temperature
     from tumble.simulation.chamber import chamber_sessions
+    from tumble.terminal.data import print_data
+    from tumble.terminal.planning_data import thermal_plan_data
     from tumble.terminal.text import print_report
     from tumble.terminal.thermal_plan import short_over_temperature, thermal_plan_report
 
     wishes, (rate, time_constant) = wanted_over_temperature(wanted), chamber
     chosen = Chamber.of(per_minute=rate, time_constant=time_constant)
-    found = plan_over_temperature(setup, chamber_sessions(text, setup), chamber=chosen, gyros=gyros)
-    print_report(thermal_plan_report(found))
-    for note in found.notes:
-        say(f"note: {note}")
+    with working("planning"):
+        found = plan_over_temperature(setup, chamber_sessions(text, setup), chamber=chosen, gyros=gyros)
     reasons = short_over_temperature(found, wishes)
+    if as_json:
+        print_data(thermal_plan_data(found, reasons))
+    else:
+        print_report(thermal_plan_report(found))
+        for note in found.notes:
+            say(f"note: {note}")
     for reason in reasons:
         warn(reason)
     sys.exit(1 if reasons else 0)

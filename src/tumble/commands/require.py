@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_options
+from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_options, working
 
 
 @click.command()
@@ -42,7 +42,8 @@ def require(
 
     setup = setup_of(options)
     asked = wanted_of(wanted, relative, setup)
-    needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)  # type: ignore[arg-type]
+    with working("planning"):
+        needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)  # type: ignore[arg-type]
     if as_json:
         print_data(requirements_data(needs))
     else:

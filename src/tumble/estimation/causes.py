@@ -198,10 +198,10 @@ def variance_chance(projection: Projection, rest: Array, turn: Array) -> float:
     (N, r, q) and turns (K, t, q), each of a number of its own."""
     if max(rest.shape[2], turn.shape[2]) == 0:
         return 1.0
-    return weighted_chance(*_sum_of_squares(projection, _apart(projection, rest, turn)))
+    return weighted_chance(*_sum_of_squares(projection, apart(projection, rest, turn)))
 
 
-def _apart(projection: Projection, rest: Array, turn: Array) -> Array:
+def apart(projection: Projection, rest: Array, turn: Array) -> Array:
     """Whitened directions, a column for each rest or turn and each of the q."""
     N, K, q = len(rest), len(turn), max(rest.shape[2], turn.shape[2])
     wide_rest, wide_turn = np.zeros((N, rest.shape[1], N, q)), np.zeros((K, turn.shape[1], N, q))
@@ -318,7 +318,7 @@ def _kinds(session: _Session) -> list[tuple[Literal["accel", "gyro"], Block]]:
 
 def _of_time(session: _Session) -> Iterator[_Columns]:
     """Drift, beyond what its prior allows for, and warm-up."""
-    at_rest, in_turn = session.problem.variables["time"]
+    at_rest, in_turn = (values[:, 0] for values in session.problem.variables["time"])
     span = max(float(np.ptp(at_rest)), 1.0)
     rows = session.linearised.rows
     for kind, block in _kinds(session):
@@ -550,13 +550,13 @@ def _tested(candidate: _Columns, session: _Session, projection: Projection) -> C
     return Cause(
         name=candidate.name,
         concerns=candidate.concerns,
-        probability=_chance(projection, session.linearised.scatter, fall, q),
+        probability=chance(projection, session.linearised.scatter, fall, q),
         damage=damage,
         sentence=candidate.sentence.format(size=f"{largest / scale:.2g} {unit}".replace(" °", "°")),
     )
 
 
-def _chance(projection: Projection, scatter: Scatter, fall: float, q: int) -> float:
+def chance(projection: Projection, scatter: Scatter, fall: float, q: int) -> float:
     """Probability of a fall of chi-square with q parameters."""
     if not np.any(scatter.variances > 0.0):
         return float(special.chdtrc(q, fall))
@@ -647,7 +647,7 @@ def _along(session: _Session, projection: Projection, directions: Array) -> tupl
     """The sum of squares along directions (K, 3, q) of the rotations, each turn's of sizes of their own."""
     rest, turn = session.nothing(directions.shape[2])
     turn[:, :3] = directions
-    return _sum_of_squares(projection, _apart(projection, rest, turn))
+    return _sum_of_squares(projection, apart(projection, rest, turn))
 
 
 def _ratio_chance(one: tuple[float, Array], other: tuple[float, Array]) -> float:

@@ -304,7 +304,7 @@ def _explains(observations: Observations, gyro: SensorModel, miss: Array) -> flo
 def _lost(observations: Observations, k: int, miss: float) -> str:
     """Turn k, in which nominal gyros lose the vertical, in words."""
     return (
-        f"the gyros lose the vertical in {_turn_named(observations, k)}: they miss it by {miss / DEGREE:.0f}°; look "
+        f"the gyros lose the vertical in {observations.turn_named(k)}: they miss it by {miss / DEGREE:.0f}°; look "
         "there for damaged or lost samples"
     )
 
@@ -508,7 +508,7 @@ def _scattering_turns(estimate: Estimate, observations: Observations) -> Iterato
     """Turns that scatter beyond anything a gyro does."""
     turns = estimate.fits.get("gyro turns")
     if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
-        worst = _turn_named(observations, int(np.argmax(estimate.turn_sigmas)))
+        worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
         yield (
             f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
             f"for damaged or lost samples of the gyros, first in {worst}"
@@ -559,16 +559,7 @@ def _misfits(estimate: Estimate, observations: Observations) -> Iterator[str]:
     if observations.turns is None:
         return
     for k in np.flatnonzero(estimate.turn_sigmas > FIT_SIGMAS):
-        yield f"{_turn_named(observations, int(k))} does not fit: {estimate.turn_sigmas[k]:.1f} sigma"
-
-
-def _turn_named(observations: Observations, k: int) -> str:
-    """Turn k by the rests at its ends and its times."""
-    turns, rests = observations.turns, observations.rests
-    assert turns is not None
-    a, b = turns.first[k], turns.last[k]
-    before, after = observations.rest_named(int(a)), observations.rest_named(int(b)).rpartition(": ")[2]
-    return f"the turn from {before} to {after} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
+        yield f"{observations.turn_named(int(k))} does not fit: {estimate.turn_sigmas[k]:.1f} sigma"
 
 
 # What is missing

@@ -220,7 +220,7 @@ class Problem:
     earth: Array
     measured: tuple[Array, Array]
     variables: Variables
-    """What parameters may change with, of the rests (N,) and of the turns (K,)."""
+    """What parameters may change with."""
     parts: tuple[SessionSpan, ...]
     """The sessions."""
     of_session: tuple[IntArray, IntArray]
@@ -311,6 +311,12 @@ class Problem:
         change = {} if self.lag_known else by_lag(self.observations, lag)
         return replace(self, variables=variables_of(self.observations, lag), by_lag=change, at_lag=lag)
 
+    def goes_with(self, of: Variables, variable: Variable, own: slice, place: int) -> Array:
+        """What the parameters at `own` go with (·, m), or (·, 1) where all go with the same, at rest (`place` 0) or in
+        the turns (1): each with the temperature of its sensor's thermometer."""
+        every = of[variable][place]
+        return every if every.shape[1] == 1 else every[:, self.instrument.thermometers[own]]
+
     def values_in(self, point: Point, place: int) -> Array:
         """Parameters (·, m + q) of every rest (`place` 0) or turn (1), those of its session after the common ones."""
         of = self.of_session[place]
@@ -328,7 +334,9 @@ class Problem:
             D = self.instrument.derivative(block, point.values)
             change = np.zeros((len(values), block.size, FUNCTIONS))
             for own, base, variable in self.changes:
-                change += np.einsum("pbm,km->kpb", D[:, :, base], variables[variable][1][:, None] * values[:, own])
+                change += np.einsum(
+                    "pbm,km->kpb", D[:, :, base], self.goes_with(variables, variable, own, 1) * values[:, own]
+                )
             out.append(change)
         return out[0], out[1]
 
@@ -424,9 +432,9 @@ def _with_changes(problem: Problem, point: Point, by: Array, place: int) -> None
         return
     values = problem.values_in(point, place)
     for own, base, variable in problem.changes:
-        by[:, :, own] = problem.variables[variable][place][:, None, None] * by[:, :, base]
+        by[:, :, own] = problem.goes_with(problem.variables, variable, own, place)[:, None] * by[:, :, base]
         if variable in problem.by_lag:
-            moved = problem.by_lag[variable][place][:, None] * values[:, own]
+            moved = problem.goes_with(problem.by_lag, variable, own, place) * values[:, own]
             by[:, :, problem.lag] += np.einsum("krm,km->kr", by[:, :, base], moved)
 
 

@@ -18,6 +18,8 @@ from tumble.estimation.by_session import each_session
 from tumble.estimation.causes import Cause, Concerns, Projection, causes, variance_chance
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Linearised, Scatter
+from tumble.estimation.lost_in_a_turn import lost_in_a_turn, with_one_turn
+from tumble.estimation.methods.joint import joint
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
@@ -25,7 +27,7 @@ GROUP_PROBABILITY = 1e-3
 """A group of residuals is larger than its noise where chance alone would make it so less often: one of four."""
 
 CAUSE_PROBABILITY = 1e-4
-"""A cause stands out where chance alone would show as much less often: one of about fifteen."""
+"""A cause stands out where chance alone would show as much less often: one of about sixteen."""
 
 NAMED_PROBABILITY = 0.02
 """A cause is named for scatter that is there where chance alone would show as much less often."""
@@ -113,7 +115,8 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     observations, limit = linearised.problem.observations, share * CAUSE_PROBABILITY
     chances = group_chances(linearised)
     larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
-    found = causes(linearised, Projection(linearised, linearised.scatter))
+    projection = Projection(linearised, linearised.scatter)
+    found = with_one_turn(causes(linearised, projection), linearised, projection)
     named = [cause for cause in found if cause.probability < limit]
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     if larger:
@@ -214,6 +217,16 @@ def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Conc
         f"the {group.words} scatter by {_said(group, ratio, linearised)}, more than {MANY:.0f}: something is there "
         "that the model does not have" + ("; look for lost or held samples" if group.component == "turn" else ""),
     )
+
+
+def lost_by_velocities(observations: Observations) -> tuple[str, ...]:
+    """The turn that lacks samples, as a reason, where an estimate of all groups of parameters shows it: the velocities
+    of turns, which the linear model does without, tell more of it than their rotations."""
+    linearised = joint(observations).linearised
+    assert linearised is not None
+    found = lost_in_a_turn(linearised, Projection(linearised, linearised.scatter))
+    stands = found is not None and found.probability < CAUSE_PROBABILITY and found.damage > DAMAGE
+    return (_damaging(found),) if found is not None and stands else ()
 
 
 def _damaging(cause: Cause) -> str:

@@ -1,9 +1,9 @@
 """What parameters change with: time, temperature and its square, the direction in which the temperature came, and, of
 several sessions, that they are several.
 
-Temperatures are those of the thermometer, or of what follows it with a lag (dynamics method, §8 and A5), as means over
+Temperatures are those of each thermometer, or of what follows it with a lag (dynamics method, §8 and A5), as means over
 each rest and each turn: where a ramp turns back within a turn the rests beside it do not say how warm it was, and the
-mean of a square is not the square of a mean. The reference T₀ is the mean of the thermometer over the rests, so that
+mean of a square is not the square of a mean. The reference T₀ is the mean of each thermometer over the rests, so that
 T − T₀ is small and a parameter has its value at T₀. Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1 over the range of the
 thermometer in the recording: it is nothing where the temperature turns back.
 """
@@ -29,40 +29,41 @@ SHORTEST = 1e-6  # s: of a turn
 LAG_STEP = 1.0  # s, of the difference for the derivative
 
 Variables = Mapping[Variable, tuple[Array, Array]]
-"""Of the rests (N,) and of the turns (K,)."""
+"""Of the rests (N, T) and of the turns (K, T): by thermometer, or (·, 1) where all parameters go with the same."""
 
 
 def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array]]:
-    """What parameters may change with, of the rests (N,) and of the turns (K,): time from the middle of the session, s,
-    temperature from its mean, K, and its square, and the direction it came from; and of several sessions, each of
-    them."""
+    """What parameters may change with, of the rests and of the turns: time from the middle of the session, s, the
+    temperature of each thermometer from its mean, K, and its square, and the direction it came from; and of
+    several sessions, each of them."""
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
     for of in (slice(None),) if session is None else (session == s for s in range(session[-1] + 1)):
         time[of] -= 0.5 * (time[of].min() + time[of].max())
-    at_rest: dict[Variable, Array] = {"time": time}
+    at_rest: dict[Variable, Array] = {"time": time[:, None]}
     if session is not None:
-        at_rest["launch"] = np.ones(len(rests))
+        at_rest["launch"] = np.ones((len(rests), 1))
     if turns is None:
-        out = {name: (values, np.zeros(0)) for name, values in at_rest.items()}
+        out = {name: (values, np.zeros((0, 1))) for name, values in at_rest.items()}
     else:
         out = {name: (v, 0.5 * (v[turns.first] + v[turns.last])) for name, v in at_rest.items()}
     if observations.warm_up is not None:
         out["warm-up"] = left_of_warm_up(observations, observations.warm_up)
-    if rests.temperature is not None:
-        out |= _of_temperature(observations, rests.temperature, lag)
+    if rests.temperatures is not None:
+        out |= _of_temperature(observations, rests.temperatures, lag)
     return out
 
 
 def left_of_warm_up(observations: Observations, settling: float) -> tuple[Array, Array]:
-    """What is left of a warm-up with a time constant, s: means of e^(−t/τ) over the rests (N,) and turns (K,), t from
-    the start of the first rest."""
+    """What is left of a warm-up with a time constant, s: means of e^(−t/τ) over the rests (N, 1) and turns (K, 1), t
+    from the start of the first rest."""
     rests, turns = observations.rests, observations.turns
     first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
 
     def mean(start: Array, stop: Array) -> Array:
         passed = np.maximum(stop - start, SHORTEST) / settling
-        return np.asarray(np.exp((rests.start[0] - start) / settling) * -np.expm1(-passed) / passed)
+        left = np.exp((rests.start[0] - start) / settling) * -np.expm1(-passed) / passed
+        return np.asarray(left[:, None])
 
     return mean(rests.start, rests.stop), mean(rests.stop[first], rests.start[last])
 
@@ -70,35 +71,35 @@ def left_of_warm_up(observations: Observations, settling: float) -> tuple[Array,
 def _of_temperature(observations: Observations, kelvin: Array, lag: float) -> dict[Variable, tuple[Array, Array]]:
     """What goes with the temperature."""
     rest, turn = _warmth(observations, kelvin, lag)
-    reference = float(kelvin.mean())
+    reference = kelvin.mean(axis=0)
     warmer = rest.kelvin - reference, turn.kelvin - reference
     square = warmer[0] ** 2 + rest.variance, warmer[1] ** 2 + turn.variance
     out: dict[Variable, tuple[Array, Array]] = {"temperature": warmer, "temperature²": square}
     if lag_is_sought(observations):
-        out["lag"] = np.zeros(len(warmer[0])), np.zeros(len(warmer[1]))
+        out["lag"] = np.zeros_like(warmer[0]), np.zeros_like(warmer[1])
     if both_ways(observations):
         out["hysteresis"] = rest.hysteresis, turn.hysteresis
     return out
 
 
 def sensors_at(observations: Observations, kelvin: Array, lag: float) -> Array:
-    """Mean temperatures (N,), K, of sensors that follow the thermometer with a lag, at rests where it has `kelvin`
-    (N,)."""
+    """Mean temperatures (N, T), K, of sensors that follow each thermometer with a lag, at rests where it has `kelvin`
+    (N, T)."""
     return _warmth(observations, kelvin, lag)[0].kelvin
 
 
 def _warmth(observations: Observations, kelvin: Array, lag: float) -> tuple[Warmth, Warmth]:
-    """What the sensors have in the rests and in the turns, by the record of the thermometer; without one the `kelvin`
-    (N,) of the rests, and of the turns what is between."""
-    rests, turns, thermometer = observations.rests, observations.turns, observations.thermometer
+    """What the sensors have in the rests and in the turns, by the records of the thermometers; without them the
+    `kelvin` (N, T) of the rests, and of the turns what is between."""
+    rests, turns, thermometers = observations.rests, observations.turns, observations.thermometers
     first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
-    if thermometer is None:
+    if thermometers is None:
         between = 0.5 * (kelvin[first] + kelvin[last])
         at_rest, in_turns = (Warmth(kelvin=k, variance=0.0 * k, hysteresis=0.0 * k) for k in (kelvin, between))
         return at_rest, in_turns
     file = np.concatenate([rests.file, rests.file[first]])
     when = np.concatenate([rests.start, rests.stop[first]]), np.concatenate([rests.stop, rests.start[last]])
-    every = thermometer.means(file, *when, lag)
+    every = thermometers.means(file, *when, lag)
     return every[: len(rests)], every[len(rests) :]
 
 
@@ -117,23 +118,26 @@ def by_lag(observations: Observations, lag: float) -> dict[Variable, tuple[Array
 
 def lag_is_sought(observations: Observations) -> bool:
     """Whether a lag of the sensors behind the thermometer may matter: the temperatures differ by enough."""
-    kelvin = observations.rests.temperature
-    return observations.thermometer is not None and kelvin is not None and bool(np.ptp(kelvin) >= OVER_TEMPERATURE)
+    kelvin = observations.rests.temperatures
+    if observations.thermometers is None or kelvin is None:
+        return False
+    return bool(np.ptp(kelvin, axis=0).max() >= OVER_TEMPERATURE)
 
 
 def directions(observations: Observations) -> Array:
-    """Whether the temperature of each rest (N,) came from below, 1, or from above, −1, or 0."""
-    rests, thermometer = observations.rests, observations.thermometer
-    if thermometer is None:
-        return np.zeros(len(rests))
-    return thermometer.direction(rests.file, 0.5 * (rests.start + rests.stop))
+    """Whether the temperatures of each rest (N, T) came from below, 1, or from above, −1, or 0."""
+    rests, thermometers = observations.rests, observations.thermometers
+    if thermometers is None:
+        return np.zeros((len(rests), 1))
+    return thermometers.direction(rests.file, 0.5 * (rests.start + rests.stop))
 
 
 def both_ways(observations: Observations) -> bool:
-    """Whether enough rests within the range of temperatures came from below, and from above."""
-    kelvin = observations.rests.temperature
+    """Whether enough rests within the range of every thermometer came from below, and from above."""
+    kelvin = observations.rests.temperatures
     if kelvin is None or not lag_is_sought(observations):
         return False
-    inner: BoolArray = np.abs(kelvin - 0.5 * (kelvin.min() + kelvin.max())) < INNER * 0.5 * np.ptp(kelvin)
-    came = directions(observations)[inner]
-    return bool(min((came > 0.0).sum(), (came < 0.0).sum()) >= BOTH_WAYS)
+    low, high = kelvin.min(axis=0), kelvin.max(axis=0)
+    inner: BoolArray = np.abs(kelvin - 0.5 * (low + high)) < INNER * 0.5 * (high - low)
+    came = inner * directions(observations)
+    return bool(min((came > 0.0).sum(axis=0).min(), (came < 0.0).sum(axis=0).min()) >= BOTH_WAYS)

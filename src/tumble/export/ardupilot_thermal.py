@@ -35,7 +35,10 @@ LETTERS = {"accel": "ACC", "gyro": "GYR"}
 def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Exported:
     """The .param file of a calibration over temperature; `imu` is the number of the IMU, from 1, where the recording
     has not said it."""
-    found, sensors = thermal(calibration, "ardupilot-thermal"), sensors_of(calibration, imu, "ardupilot-thermal", MOST)
+    found, sensors = (
+        thermal(calibration, "ardupilot-thermal", (("accel", "gyro"),)),
+        sensors_of(calibration, imu, "ardupilot-thermal", MOST),
+    )
     numbers = {kind: sensors[kind].number for kind in found.slopes}
     if max(numbers.values()) > NUMBER_INSIDE:
         raise InputError(
@@ -54,7 +57,7 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
     )
     comments = [
         *origin(calibration),
-        f"offsets and scales are those at {found.reference:g} degC, INS_ACC{numbers['accel']}_CALTEMP",
+        f"offsets and scales are those at {found.reference('accel'):g} degC, INS_ACC{numbers['accel']}_CALTEMP",
         *found.examples(offsets),
         *losses,
     ]
@@ -72,7 +75,7 @@ def _ends(found: Thermal, numbers: Mapping[str, int]) -> list[tuple[str, str]]:
     ends: dict[str, float] = {}
     for number in sorted(set(numbers.values())):
         ends |= {f"INS_TCAL{number}_TMIN": found.measured.low, f"INS_TCAL{number}_TMAX": found.measured.high}
-    ends |= {f"INS_{LETTERS[kind]}{number}_CALTEMP": found.reference for kind, number in numbers.items()}
+    ends |= {f"INS_{LETTERS[kind]}{number}_CALTEMP": found.reference(kind) for kind, number in numbers.items()}
     return list(zip(ends, written(np.array(list(ends.values()))), strict=True))
 
 
@@ -88,14 +91,14 @@ def _of_kind(found: Thermal, kind: str, number: int) -> list[tuple[str, str]]:
 def _coefficients(found: Thermal, kind: str) -> Array:
     """C1, C2, C3 (3, 3) of the axes: θ₁ (t − d) + θ₂ (t − d)² with d = T₀ − 35, without what does not depend on t."""
     linear, square = found.slopes[kind].T
-    d = found.reference - ORIGIN
+    d = found.reference(kind) - ORIGIN
     return np.stack([linear - 2.0 * square * d, square, np.zeros(3)], axis=1) / SCALE
 
 
 def _offsets(found: Thermal, kind: str, temperature: Array) -> Array:
     """Everything that ArduPilot takes off the readings, (N, 3), from the numbers in the file."""
     low, high, reference = np.array(
-        [found.measured.low, found.measured.high, found.reference], dtype=np.float32
+        [found.measured.low, found.measured.high, found.reference(kind)], dtype=np.float32
     ).astype(float)
     C = single(_coefficients(found, kind))
     constant = found.held.accel_offset if kind == "accel" else found.held.gyro_offset

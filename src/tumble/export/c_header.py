@@ -27,7 +27,7 @@ from itertools import pairwise
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import changing, coefficients, measured_range
+from tumble.calibration.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
 from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.reduction.thermometer import followed
@@ -98,9 +98,9 @@ _BY_FORCE = """\
             left[j] -= by_force[j][0] * force[0] + by_force[j][1] * force[1] + by_force[j][2] * force[2];"""
 
 _WARM = """\
-    const {type} warmer = celsius - ({type}){reference!r};
     {type} shift[{n}], gain[{n}];
     for (int j = 0; j < {n}; j++) {{
+        const {type} warmer = celsius{own} - {reference};
         shift[j] = warmer * (bias_slope[j] + warmer * bias_curve[j]);
         gain[j] = 1 + warmer * (scale_slope[j] + warmer * scale_curve[j]);
     }}"""
@@ -186,7 +186,8 @@ def _temperatures(calibration: Calibration) -> list[str]:
     known = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"
     return [
         f"functions without a temperature are for {calibration.reference_temperature:g} degC; those in _at take it, "
-        f"in degC{known}"
+        f"in degC{known}",
+        *own_thermometers(calibration),
     ]
 
 
@@ -197,7 +198,7 @@ def _lagging(lag: float) -> list[str]:
     readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
     return [
         f"sensors lag behind the thermometer by {lag:.6g} s: give functions in _at what imu_sensors_celsius makes of "
-        "every reading",
+        "every reading, with a state for each thermometer",
         f"example lag: the thermometer reads {readings}; the sensors have {shown(sensors_celsius(lag).round(9))}",
     ]
 
@@ -220,16 +221,19 @@ def _over_temperature(kind: str, model: SensorModel, at: Calibration | None, *, 
     scale = scale / np.linalg.norm(model.matrix, axis=1)[:, None]
     columns = {"bias_slope": bias[:, 0], "bias_curve": bias[:, 1], "scale_slope": scale[:, 0]}
     columns["scale_curve"] = scale[:, 1]
+    n, apart = len(model.bias), len(set(at.thermometers.get(kind, ()))) > 1
+    columns |= {"reference": references(at, kind)} if apart else {}
     tables = [_table(name, values, single=single) for name, values in columns.items()]
-    body = _WARM.format(type=number, n=len(model.bias), reference=float(at.reference_temperature or 0.0))
+    reference = "reference[j]" if apart else f"({number}){float(references(at, kind)[0])!r}"
+    body = _WARM.format(type=number, n=n, reference=reference, own="[j]" if apart else "")
     return {
         "at": "_at",
         "warm": "\n".join([*tables, body]),
         "less": " - shift[j]",
         "over": " / gain[j]",
         "divided": "            left[j] /= gain[j];",
-        "needs_at": " and a temperature, degC",
-        "argument_at": f"{number} celsius, ",
+        "needs_at": " and their temperatures, degC" if apart else " and a temperature, degC",
+        "argument_at": f"const {number} celsius[{n}], " if apart else f"{number} celsius, ",
     }
 
 

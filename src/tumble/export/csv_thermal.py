@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import Curve, Range, changing, curve, model_at
+from tumble.calibration.temperature_curves import Curve, Range, changing, curve, model_at, own_thermometers
 from tumble.export.exported import Exported, example, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.export.thermal import range_of, said, warm_end
@@ -41,6 +41,7 @@ def csv_thermal(calibration: Calibration) -> Exported:
         *origin(calibration),
         f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
         f"{measured.high:.1f} degC, nothing is known outside",
+        *own_thermometers(calibration),
         *(_example(calibration, kind, warm_end(measured)) for kind in known),
         *losses,
     ]

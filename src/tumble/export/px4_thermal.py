@@ -36,7 +36,10 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None, im
     """The .params file of a calibration over temperature; `ids` are the device ids of accelerometer and gyro, and `imu`
     the number of the IMU, from 1, where the recording has not said them."""
     ids, place = ids or _recorded(calibration), 0 if imu is None else imu - 1
-    found, sensors = thermal(calibration, "px4-thermal"), sensors_of(calibration, imu, "px4-thermal", MOST_PLACES)
+    found, sensors = (
+        thermal(calibration, "px4-thermal", (("accel",), ("gyro",))),
+        sensors_of(calibration, imu, "px4-thermal", MOST_PLACES),
+    )
     held = found.held
     accel, gyro = (sensors[kind].number - 1 for kind in ("accel", "gyro"))
 
@@ -51,10 +54,11 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None, im
         *([] if ids is not None else [_no_ids(sensors, place)]),
         *whose(calibration, imu),
     )
+    at = dict.fromkeys(f"{found.reference(kind):g}" for kind in found.slopes)
     comments = [
         *origin(calibration),
         f"CAL_ACC{accel}_ID and CAL_GYRO{gyro}_ID have to be the ids of these sensors already",
-        f"CAL_*OFF and CAL_*SCALE are those at {found.reference:g} degC",
+        f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(at)} degC",
         *found.examples(offsets),
         *losses,
         "",
@@ -99,7 +103,7 @@ def _of_kind(found: Thermal, of: tuple[str, int], device: int | None) -> list[tu
     stem = f"TC_{LETTERS[kind]}{place}"
     rows = [(f"TC_{LETTERS[kind]}_ENABLE", "1", INT32)]
     rows += [] if device is None else [(f"{stem}_ID", str(signed(device)), INT32)]
-    ends = {"TREF": found.reference, "TMIN": found.measured.low, "TMAX": found.measured.high}
+    ends = {"TREF": found.reference(kind), "TMIN": found.measured.low, "TMAX": found.measured.high}
     rows += [(f"{stem}_{name}", value, REAL32) for name, value in zip(ends, written(_row(ends)), strict=True)]
     for degree, column in enumerate(_coefficients(found, kind).T):
         rows += [(f"{stem}_X{degree}_{axis}", value, REAL32) for axis, value in enumerate(written(column))]
@@ -119,7 +123,7 @@ def _coefficients(found: Thermal, kind: str) -> Array:
 def _offsets(found: Thermal, kind: str, temperature: Array) -> Array:
     """Everything that PX4 takes off the readings, (N, 3), from the numbers in the file."""
     reference, low, high = np.array(
-        [found.reference, found.measured.low, found.measured.high], dtype=np.float32
+        [found.reference(kind), found.measured.low, found.measured.high], dtype=np.float32
     ).astype(float)
     d = (np.clip(temperature, low, high) - reference)[:, None]
     X = single(_coefficients(found, kind))

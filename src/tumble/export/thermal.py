@@ -9,17 +9,28 @@ the ends of what was measured. Scale factors have one value each, that at the re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.temperature_curves import Range, changing, coefficients, measured_range, model_at
+from tumble.calibration.results import RestResult
+from tumble.calibration.temperature_curves import (
+    Range,
+    changing,
+    coefficients,
+    measured_range,
+    model_at,
+    references,
+    warm_rests,
+)
 from tumble.errors import InputError
 from tumble.export.autopilot import Diagonal, diagonal
 from tumble.export.exported import example, shown, worst
 from tumble.export.larger_model import session_rate
+from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE, G_STANDARD, Array
 
@@ -36,14 +47,19 @@ Offsets = Callable[[str, Array], Array]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Thermal:
-    """What an autopilot holds of a calibration over temperature: what it holds at the `reference`, °C, and by kind how
-    the biases change, (3, 2), per K and per K², within the range that was measured."""
+    """What an autopilot holds of a calibration over temperature, its references being temperatures of the target: what
+    it holds at these, and by kind how the biases change, (3, 2), per K and per K², within the range that was measured;
+    and what is lost where sensors `shared` a thermometer there only."""
 
     held: Diagonal
     calibration: Calibration
-    reference: float
     measured: Range
     slopes: dict[str, Array]
+    shared: tuple[str, ...]
+
+    def reference(self, kind: str) -> float:
+        """The temperature of the target, °C, at which sensors of a kind have their values."""
+        return float(references(self.calibration, kind)[0])
 
     def losses(self, offsets: Offsets) -> tuple[str, ...]:
         """What is lost over temperature, and how much of it within the measured range; `offsets` are the target's."""
@@ -51,6 +67,7 @@ class Thermal:
             self._curves(offsets),
             self._scales(),
             *self._hysteresis(),
+            *self.shared,
             f"outside {_plain(self.measured)} nothing was measured: the target keeps the offsets of the nearer end",
         )
 
@@ -70,8 +87,7 @@ class Thermal:
 
     def steepest(self) -> tuple[float, float]:
         """The largest change of a bias per K within the range: accelerometers, m/s²/K, and gyros, rad/s/K."""
-        ends = np.array([self.measured.low, self.measured.high]) - self.reference
-        found = {kind: float(np.abs(own[:, :1] + 2.0 * own[:, 1:] * ends).max()) for kind, own in self.slopes.items()}
+        found = {kind: _steepest(self.calibration, kind, self.measured) for kind in self.slopes}
         return found["accel"], found.get("gyro", 0.0)
 
     def _curves(self, offsets: Offsets) -> str:
@@ -87,15 +103,15 @@ class Thermal:
 
     def _biases(self, kind: str, temperature: Array) -> Array:
         """The biases (N, 3) of the calibration."""
-        warmer = (temperature - self.reference)[:, None]
+        warmer = (temperature - self.reference(kind))[:, None]
         linear, square = self.slopes[kind].T
         return np.asarray(self.held.known[kind].bias + linear * warmer + square * warmer**2)
 
     def _scales(self) -> str:
         """The largest error that scale factors without a temperature make."""
         rate, error = session_rate(self.calibration), {}
-        warmer = (self.measured.temperatures() - self.reference)[:, None]
         for kind, model in self.held.known.items():
+            warmer = (self.measured.temperatures() - self.reference(kind))[:, None]
             linear, square = coefficients(self.calibration, kind, "scale").T
             longer = linear * warmer + square * warmer**2
             unit = model.matrix / np.linalg.norm(model.matrix, axis=1)[:, None]
@@ -117,18 +133,45 @@ class Thermal:
         return [f"hysteresis of the biases: no place in this file, up to {said(accel, gyro)}"] if any(largest) else []
 
 
-def thermal(calibration: Calibration, target: str) -> Thermal:
-    """What an autopilot can hold of a calibration over temperature. Raises InputError where nothing changes with it,
-    or where the rests were all at one."""
+def thermal(calibration: Calibration, target: str, together: Sequence[tuple[SensorKind, ...]]) -> Thermal:
+    """What an autopilot can hold of a calibration over temperature, in which the sensors of these kinds have a
+    thermometer `together`, that of the first. Raises InputError where nothing changes with temperature, or where the
+    rests were all at one."""
     held = diagonal(calibration, target, apart=(*HELD, *SCALES))
     measured = range_of(calibration, target)
+    seen = {kind: tuple(references(calibration, kind).tolist()) for kind in held.known}
+    seen = {
+        kind: len(own) * (float(np.mean(seen[of[0]])),) for of in together for kind, own in seen.items() if kind in of
+    }
     return Thermal(
         held=held,
-        calibration=calibration,
-        reference=float(calibration.reference_temperature or 0.0),
+        calibration=replace(calibration, references=seen),
         measured=measured,
         slopes={kind: coefficients(calibration, kind, "bias") for kind in held.known},
+        shared=tuple(said for kinds in together for said in _shared(calibration, kinds, measured)),
     )
+
+
+def _steepest(calibration: Calibration, kind: str, measured: Range) -> float:
+    """The largest change of a bias per K within the range, SI."""
+    linear, square = coefficients(calibration, kind, "bias").T
+    ends = np.array([[measured.low], [measured.high]]) - references(calibration, kind)
+    return float(np.abs(linear + 2.0 * square * ends).max())
+
+
+def _shared(calibration: Calibration, kinds: Sequence[SensorKind], measured: Range) -> list[str]:
+    """What is lost because sensors of these kinds have one temperature in the target: by what they differ at rests
+    other than in the mean, which their references contain."""
+    names = dict.fromkeys(chain(*(calibration.thermometers.get(kind, ()) for kind in kinds)))
+    if len(names) < 2:
+        return []
+    mean = {kind: references(calibration, kind) for kind in kinds}
+    apart = max((_apart(rest, mean) for rest in warm_rests(calibration)), default=0.0)
+    sizes = [_in_field_units(kind, apart * _steepest(calibration, kind, measured)) for kind in kinds]
+    return [
+        f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests they "
+        f"differ by up to {apart:.1f} K more or less than in the mean, an error of up to {' and '.join(sizes)}"
+    ]
 
 
 def range_of(calibration: Calibration, target: str) -> Range:
@@ -151,10 +194,21 @@ def warm_end(measured: Range) -> float:
     return math.floor(10.0 * measured.high) / 10.0
 
 
+def _apart(rest: RestResult, mean: Mapping[SensorKind, Array]) -> float:
+    """By how much temperatures of sensors, less those in the mean, differ at a rest, K."""
+    own = {kind: getattr(rest, kind) for kind in mean}
+    off = [np.array(at.temperature) - mean[kind] for kind, at in own.items() if at is not None and at.temperature]
+    return float(np.ptp(np.concatenate(off))) if off else 0.0
+
+
 def said(accel: float, gyro: float | None) -> str:
     """Errors of accelerometers, m/s², and gyros, rad/s, in mg and deg/s, rounded up."""
-    in_mg = f"{_at_most(accel / (1e-3 * G_STANDARD))} mg"
-    return in_mg if gyro is None else f"{in_mg} and {_at_most(gyro / DEGREE)} deg/s"
+    in_mg = _in_field_units("accel", accel)
+    return in_mg if gyro is None else f"{in_mg} and {_in_field_units('gyro', gyro)}"
+
+
+def _in_field_units(kind: SensorKind, error: float) -> str:
+    return f"{_at_most(error / (1e-3 * G_STANDARD))} mg" if kind == "accel" else f"{_at_most(error / DEGREE)} deg/s"
 
 
 def _at_most(value: float) -> str:

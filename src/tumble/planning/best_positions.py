@@ -20,7 +20,7 @@ taken. Nothing is random: of equally good candidates the first is taken, and tur
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -53,6 +53,14 @@ _FIRST: Mapping[Letter, tuple[Letter, ...]] = {"A": ("A", "D"), "D": ("D",)}
 
 COMPARED = ("nine", "cube-14", "rough-table", "faces-edges-18")
 """What an optimised programme is compared with: the nine, 14, 15 and 18 positions of the literature."""
+
+
+Progress = Callable[[int, int], None]
+"""What is told how many parts of a search are done, and of how many."""
+
+
+def untold(_done: int, _all: int) -> None:
+    """Nobody is told."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -244,8 +252,11 @@ def _repeated(last: Array, q: int) -> Array:
 # Optimised programmes
 
 
-def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: TurnTable = ANY) -> Programme:
-    """A programme of so many positions that shows most by a criterion; the set-up's own does not count.
+def optimised(
+    setup: Setup, positions: int, aim: Aim = Aim(), table: TurnTable = ANY, progress: Progress = untold
+) -> Programme:
+    """A programme of so many positions that shows most by a criterion; the set-up's own does not count. `progress` is
+    told how many searches are done, and of how many.
 
     Raises InputError for fewer than two positions, for values that make no sense, and where there is no noise."""
     if positions < 2:
@@ -253,7 +264,11 @@ def optimised(setup: Setup, positions: int, aim: Aim = Aim(), table: TurnTable =
     setup = _timeless(setup)
     places = Places.of(table, setup, gyros=aim.gyros)
     starts = [int(np.argmax(places.attitudes[:, 1, p] > UPRIGHT)) for p in range(3)]
-    found = [_from(start, positions, places, setup, aim, first) for start in starts for first in _FIRST[aim.letter]]
+    searches = [(start, first) for start in starts for first in _FIRST[aim.letter]]
+    found: list[tuple[Ways, float]] = []
+    for start, first in searches:
+        progress(len(found), len(searches))
+        found.append(_from(start, positions, places, setup, aim, first))
     way, _ = min(found, key=lambda one: round(np.log(one[1]), 8))
     return Programme(
         name=f"{aim.letter}-optimal",

@@ -132,10 +132,10 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
     triangle, spread = seen.information(), seen.problem.spread[:linear]
     own, solution = _marginal(triangle, linear, spread)
     natural = _natural_units(setup, instrument.units[:linear])
-    size, direction = np.linalg.eigh(solution.covariance / np.outer(natural, natural))
+    direction, size, _ = np.linalg.svd(_root(solution, spread) / natural[:, None])
     null = solution.null * spread / natural
     null /= np.linalg.norm(null, axis=1, keepdims=True)
-    worst = null[0] if len(null) else direction[:, -1]
+    worst = null[0] if len(null) else direction[:, 0]
     return Bound(
         names=instrument.names,
         units=instrument.units,
@@ -144,9 +144,9 @@ def bound_of(course: Course, setup: Setup, *, gyros: bool = True) -> Bound:
         observable=np.append(solution.observable, np.ones(len(own) - linear, dtype=bool)),
         natural=natural,
         null=null,
-        condition=np.inf if len(null) else float(np.sqrt(size[-1] / size[0])),
+        condition=np.inf if len(null) else float(size[0]) / max(float(size[-1]), np.finfo(float).tiny),
         worst=worst * np.sign(worst[np.argmax(np.abs(worst))]),
-        worst_u=np.inf if len(null) else float(np.sqrt(size[-1])),
+        worst_u=np.inf if len(null) else float(size[0]),
         further=tuple(findings(instrument, setup, np.diag(own))),
     )
 
@@ -158,10 +158,16 @@ def _marginal(triangle: Array, linear: int, spread: Array) -> tuple[Array, Solut
     R = np.asarray(np.linalg.qr(np.roll(triangle, further, axis=1), mode="r"))
     F, X, L = R[:further, :further], R[:further, further:], R[further:, further:]
     solution = least_squares(L, np.zeros(len(L)), spread)
-    back, inverse = np.linalg.solve(F, X), np.linalg.inv(F)
-    across = -solution.covariance @ back.T
-    own = inverse @ inverse.T - back @ across
+    back, inverse, root = np.linalg.solve(F, X), np.linalg.inv(F), _root(solution, spread)
+    carried = back @ root
+    across = -root @ carried.T
+    own = inverse @ inverse.T + carried @ carried.T
     return np.block([[solution.covariance, across], [across.T, own]]), solution
+
+
+def _root(solution: Solution, spread: Array) -> Array:
+    """A root W of a solution's covariance W Wᵀ, of which rounding makes no variance negative."""
+    return np.hstack([solution.gain, spread[:, None] * solution.null.T])
 
 
 def findings(instrument: Instrument, setup: Setup, variance: Array) -> Iterator[GroupFinding]:
@@ -333,7 +339,7 @@ def _rests(course: Course, setup: Setup, gyros: bool) -> Rests:
         gyro_covariance=np.broadcast_to(gyro * np.eye(n), (N, n, n)),
         gyro_drift=np.zeros((N, n)),
         gyro_noise=np.full((N, n), noise.gyro_white),
-        temperature=None,
+        temperatures=None,
     )
 
 

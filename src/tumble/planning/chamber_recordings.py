@@ -27,7 +27,7 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
 from tumble.reduction.observations import Observations, Together, Turns
 from tumble.reduction.segmentation import margin_of
-from tumble.reduction.thermometer import Thermometer
+from tumble.reduction.thermometer import Thermometers
 from tumble.reduction.together import MOST_PARTS, SHORTEST_PART, WARMED, held
 from tumble.units import Array
 
@@ -143,7 +143,8 @@ def _warmed(
     start, stop = (np.concatenate([getattr(each, end) for each in recorded]) for end in ("start", "stop"))
     counts = [len(each.start) for each in recorded]
     file = np.repeat(np.arange(len(sessions)), counts)
-    thermometer = Thermometer.of({i: session.course(recorded[i].stop[-1]) for i, session in enumerate(sessions)})
+    courses = [session.course(each.stop[-1]) for session, each in zip(sessions, recorded, strict=True)]
+    thermometers = Thermometers.of({i: (time, kelvin[:, None]) for i, (time, kelvin) in enumerate(courses)})
     longer = (setup.rest / (stop - start))[:, None, None]
     rests = observations.rests
     return replace(
@@ -155,9 +156,9 @@ def _warmed(
             stop=stop,
             accel_covariance=longer * rests.accel_covariance,
             gyro_covariance=longer * rests.gyro_covariance,
-            temperature=thermometer.means(file, start, stop).kelvin,
+            temperatures=thermometers.means(file, start, stop).kelvin,
         ),
-        thermometer=thermometer,
+        thermometers=thermometers,
         together=Together(
             names=tuple(session.name for session in sessions),
             session=file,
@@ -183,7 +184,7 @@ def _with_lag(problem: Problem, rows: Rows) -> Rows:
     for by, place in ((rest[:, :, 4:-1], 0), (turn[:, :, 7:-1], 1)):
         for own, base, variable in problem.changes:
             if variable == "temperature" and len(by):
-                warmer = problem.by_lag[variable][place][:, None]
+                warmer = problem.goes_with(problem.by_lag, variable, own, place)[:, None]
                 slopes = problem.measured[1][1:][own]
-                by[:, :, problem.lag] += warmer * (by[:, :, base] @ slopes)
+                by[:, :, problem.lag] += (warmer * by[:, :, base]) @ slopes
     return replace(rows, rest=rest, turn=turn)

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from tumble.planning.best_positions import Aim, Compared, Next, compared, next_positions, of_the_literature, optimised
+from tumble.planning.best_positions import (
+    Aim,
+    Compared,
+    Next,
+    Progress,
+    compared,
+    next_positions,
+    of_the_literature,
+    optimised,
+    untold,
+)
 from tumble.planning.bounds import Bound, bound
 from tumble.planning.reachable_attitudes import ANY, TurnTable
 from tumble.planning.setup import Setup, check_setup, with_all_groups
@@ -26,10 +36,17 @@ class PlanResult:
     programmes: tuple[Compared, ...]
 
 
-def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, table: TurnTable = ANY) -> PlanResult:
+def plan(
+    setup: Setup,
+    *,
+    positions: int | None = None,
+    aim: Aim = FOR_ALL,
+    table: TurnTable = ANY,
+    progress: Progress = untold,
+) -> PlanResult:
     """The least uncertainty that the programme of a set-up allows, and the best next positions on a table; with
-    `positions` the best programme of so many that is found, beside those of the literature. Raises InputError for
-    values that make no sense, and where there is no noise.
+    `positions` the best programme of so many that is found, beside those of the literature, its search told to
+    `progress`. Raises InputError for values that make no sense, and where there is no noise.
 
     >>> import tumble
     >>> setup = tumble.Setup.of(rest=120.0)
@@ -43,7 +60,7 @@ def plan(setup: Setup, *, positions: int | None = None, aim: Aim = FOR_ALL, tabl
         return PlanResult(
             setup=setup, bound=best, whole=whole, following=next_positions(setup, aim, table), programmes=()
         )
-    setup = replace(setup, programme=optimised(setup, positions, aim, table))
+    setup = replace(setup, programme=optimised(setup, positions, aim, table, progress))
     rows = compared(setup, (setup.programme, *of_the_literature()), aim)
     whole = bound(with_all_groups(setup), gyros=aim.gyros)
     return PlanResult(setup=setup, bound=rows[0].bound, whole=whole, following=(), programmes=rows)

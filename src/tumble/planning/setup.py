@@ -151,6 +151,10 @@ def check_setup(setup: Setup, iterations: int) -> None:
         raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
     for name in ("rest", "turn_rate", "gravity"):
         expect(name, getattr(setup, name), least="more than 0")
+    if not LEAST_GRAVITY <= setup.gravity <= MOST_GRAVITY:
+        raise InputError(
+            f"gravity: expected {LEAST_GRAVITY:g} to {MOST_GRAVITY:g} m/s^2, as a planet has, found {setup.gravity:g}"
+        )
     for name in ("table_error", "mounting_error", "gravity_u"):
         expect(name, getattr(setup, name), least="0 or more")
     for noise in fields(setup.noise):
@@ -160,6 +164,7 @@ def check_setup(setup: Setup, iterations: int) -> None:
             expect(f"{kind}.{what}", getattr(getattr(setup, kind), what), least="more than 0")
 
 
+LEAST_GRAVITY, MOST_GRAVITY = 1.0, 100.0  # m/s²
 LARGEST = 1e30
 """No number of a set-up is larger, and none that is not zero is smaller than its inverse."""
 

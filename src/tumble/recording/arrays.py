@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, ZERO_CELSIUS, Array
 SI = {"accel": ("m/s^2", "m/s"), "gyro": ("rad/s", "rad")}
 """Units of rates and of increments."""
 _UNITS = {"accel": ACCEL_UNITS, "gyro": GYRO_UNITS}
+Temperatures = npt.ArrayLike | Mapping[str, npt.ArrayLike]
+"""Those of one thermometer, or by kind of sensors."""
 _COLDEST = 150.0  # K; what is less was in °C
 _GRAVITY_LIKE = (7.0, 13.0)
 """m/s²: the median length of readings that are mostly taken at rest."""
@@ -27,7 +29,7 @@ def session_of_arrays(
     gyro: npt.ArrayLike | None = None,
     time: npt.ArrayLike | None = None,
     rate: float | None = None,
-    temperature: npt.ArrayLike | None = None,
+    temperature: Temperatures | None = None,
     latitude: float | None = None,
     height: float = 0.0,
     gravity: float | None = None,
@@ -38,9 +40,10 @@ def session_of_arrays(
     serial: str = "unknown",
 ) -> Session:
     """The session of SI readings (N, n) in memory: specific force, m/s², and angular rate, rad/s, as arrays, polars or
-    pandas frames; the end times of the samples (N,), s, or their rate, Hz; temperature (N,), K; geodetic latitude, rad,
-    height, m, gravity and its standard uncertainty, m/s². The nominal axes (n, 3) of more than three sensors are
-    unit vectors in the body. `programme` names a built-in programme or lists attitude codes.
+    pandas frames; the end times of the samples (N,), s, or their rate, Hz; temperature (N,), K, or where they
+    have thermometers of their own those of "accel" and "gyro", (N,) or (N, n); geodetic latitude, rad, height, m,
+    gravity and its standard uncertainty, m/s². The nominal axes (n, 3) of more than three sensors are unit vectors in
+    the body. `programme` names a built-in programme or lists attitude codes.
 
     Raises InputError for another shape, another unit, and numbers that are not finite.
 
@@ -67,11 +70,12 @@ def session_of_arrays(
     if time is not None:
         data["time"] = _series("time", time)
     if temperature is not None:
-        data["temperature"] = _series("temperature", temperature)
-        log["temperature"] = {"columns": ["temperature"], "unit": "degC"}
+        sensors = {kind: len(log[kind]["columns"]) for kind in SI if kind in log}
+        columns, thermometers = _thermometers(temperature, sensors)
+        _check_lengths(data | thermometers)
+        data |= {name: celsius_of(kelvin) for name, kelvin in thermometers.items()}
+        log["temperature"] = {"columns": columns, "unit": "degC"}
     _check_lengths(data)
-    if temperature is not None:
-        data["temperature"] = celsius_of(data["temperature"])
     description: dict[str, Any] = {
         "format": 1,
         "device": {"serial": serial},
@@ -161,6 +165,33 @@ def _check_gravity(accel: Array) -> None:
         raise InputError(
             f"accel: expected m/s^2, about 9.8 at rest, found {length:.4g} at the median; multiply readings in g by "
             "9.80665, divide increments by their intervals"
+        )
+
+
+def _thermometers(given: Temperatures, sensors: Mapping[str, int]) -> tuple[list[str], dict[str, Array]]:
+    """The columns of the thermometers, one for all sensors or one a sensor, and their temperatures, K."""
+    if not isinstance(given, Mapping):
+        return ["temperature"], {"temperature": _series("temperature", given)}
+    check_kinds(given, sensors)
+    columns: list[str] = []
+    data: dict[str, Array] = {}
+    for kind, count in sensors.items():
+        values = numbers_of(f"temperature of {kind}", given[kind])
+        if values.ndim not in (1, 2) or values.shape[1:] not in ((), (count,)):
+            raise InputError(
+                f"temperature of {kind}: expected the shape (samples,) or (samples, {count}), found {values.shape}"
+            )
+        names = count * [f"temperature_{kind}"] if values.ndim == 1 else _columns(f"temperature_{kind}", count)
+        columns += names
+        data |= dict(zip(names, count * [values] if values.ndim == 1 else values.T, strict=True))
+    return columns, data
+
+
+def check_kinds(given: Mapping[str, npt.ArrayLike], kinds: Iterable[str]) -> None:
+    """Raises InputError unless temperatures are given of just these kinds of sensors."""
+    if set(given) != set(kinds):
+        raise InputError(
+            f"temperature: expected those of {' and '.join(kinds)}, found {', '.join(map(str, given)) or 'none'}"
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.circumstances import Circumstances, circumstances_content
 from tumble.recording.dialect import Dialect
-from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, TemperatureChannel
+from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, TemperatureChannels
 from tumble.recording.session_keys import CLOCK, TemperatureTable
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 
@@ -76,7 +77,7 @@ def _log(spec: LogSpec) -> dict[str, Any]:
         "clock_ppm_u": 1e6 * spec.clock_u or None,
         "accel": _channels(spec.accel, ACCEL_UNITS),
         "gyro": None if spec.gyro is None else _channels(spec.gyro, GYRO_UNITS),
-        "temperature": None if spec.temperature is None else _thermometer(spec.temperature),
+        "temperature": None if spec.temperature is None else _thermometers(spec.temperature),
         "magnetometer": None
         if magnetometer is None
         else {"columns": list(magnetometer.columns), "unit": magnetometer.unit},
@@ -84,11 +85,14 @@ def _log(spec: LogSpec) -> dict[str, Any]:
     return _given(values | _dialect(spec.dialect))
 
 
-def _thermometer(thermometer: TemperatureChannel) -> dict[str, Any]:
-    content: dict[str, Any] = {"columns": [thermometer.column], "unit": thermometer.unit_name}
-    if thermometer.unit_name == TemperatureTable.RAW:
-        scale = 1.0 / thermometer.gain
-        content |= {"scale": scale, "offset": -thermometer.shift * scale}
+def _thermometers(given: TemperatureChannels) -> dict[str, Any]:
+    of_kinds = [list(dict.fromkeys(numbers)) for numbers in (given.accel, given.gyro)]
+    one_each = max(map(len, of_kinds)) == 1
+    listed = list(dict.fromkeys(chain(*of_kinds))) if one_each else [*given.accel, *given.gyro]
+    content: dict[str, Any] = {"columns": [given.columns[t] for t in listed], "unit": given.unit_name}
+    if given.unit_name == TemperatureTable.RAW:
+        scale = 1.0 / given.gain
+        content |= {"scale": scale[listed].tolist(), "offset": (-given.shift * scale)[listed].tolist()}
     return content
 
 

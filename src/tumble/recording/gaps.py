@@ -71,15 +71,15 @@ def is_likely(numbers: Array) -> BoolArray:
     return np.asarray(np.abs(numbers) < _LARGEST_LIKELY)
 
 
-def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> None:
-    """Times (m,) of these data rows must be finite and increase."""
+def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> Array:
+    """The steps (m − 1,) of the times (m,) of these data rows, which must be finite and increase."""
     if not is_reading(time).all():
         at = int(np.argmin(is_reading(time)))
         raise LogError(
             f"{source.place(int(numbers[at]), spec.time)}: expected a time, found {time[at]}; remove the row"
         )
     steps = np.diff(time)
-    if (steps <= 0.0).any():
+    if steps.min(initial=1.0) <= 0.0:
         at = int(np.argmax(steps <= 0.0)) + 1
         what = "again" if steps[at - 1] == 0.0 else "running backwards"
         advice = REGULAR_HINT if steps[at - 1] == 0.0 else "list recordings whose time restarts as separate files"
@@ -87,6 +87,7 @@ def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array)
             f"{source.place(int(numbers[at]), spec.time)}: expected a time after {time[at - 1]:.9g} s, "
             f"found {time[at]:.9g} s {what}; {advice}"
         )
+    return steps
 
 
 def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
@@ -103,7 +104,7 @@ def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogRows:
     """Rows of a file in order: their numbers (m,), times (m,), s, and the numbers of accelerometers (m, na), gyros
-    (m, ng), magnetometer (m, 3) and temperature (m, 1) as the file has them. `unread`: what was found in rows of which
+    (m, ng), magnetometer (m, 3) and temperatures (m, T) as the file has them. `unread`: what was found in rows of which
     something could not be read, by the number of the row."""
 
     numbers: IntArray
@@ -119,17 +120,21 @@ class LogRows:
             unread=self.unread,
         )
 
+    def times_followed_by(self, other: LogRows) -> tuple[IntArray, Array]:
+        return np.concatenate([self.numbers, other.numbers]), np.concatenate([self.time, other.time])
+
     def followed_by(self, other: LogRows) -> LogRows:
+        numbers, time = self.times_followed_by(other)
         return LogRows(
-            numbers=np.concatenate([self.numbers, other.numbers]),
-            time=np.concatenate([self.time, other.time]),
+            numbers=numbers,
+            time=time,
             values=tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True)),
             unread={**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread},
         )
 
     def lost(self) -> npt.NDArray[np.bool_]:
         """Which rows have a number that is not finite."""
-        if all(is_reading(v).all() for v in self.values):
+        if all(v.min() >= -_LARGEST and v.max() <= _LARGEST for v in self.values if v.size):
             return np.zeros(len(self.time), dtype=bool)
         return np.asarray(~is_reading(np.hstack(self.values)).all(axis=1))
 
@@ -148,7 +153,7 @@ def rows_of(source: LogSource, spec: LogSpec, file: int, grid: Grid | None, gaps
     groups = [spec.accel.columns]
     groups += [spec.gyro.columns] if spec.gyro else []
     groups += [spec.magnetometer.columns] if spec.magnetometer else []
-    groups += [(spec.temperature.column,)] if spec.temperature else []
+    groups += [spec.temperature.columns] if spec.temperature else []
     sieve = _Sieve(source=source, spec=spec, file=file, grid=grid, gaps=gaps)
     first = 1
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
@@ -238,11 +243,11 @@ class _Sieve:
 
 
 def _matrix(table: pl.DataFrame, columns: Sequence[str]) -> Array:
-    """Columns of a table side by side, row after row in memory."""
-    out = np.empty((table.height, len(columns)))
+    """Columns of a table side by side, column after column in memory."""
+    out = np.empty((len(columns), table.height))
     for j, column in enumerate(columns):
-        out[:, j] = table[column].to_numpy()
-    return out
+        out[j] = table[column].to_numpy()
+    return out.T
 
 
 @dataclass(kw_only=True, slots=True)
@@ -285,12 +290,11 @@ class Bridge:
     def _repaired(self, rows: LogRows, lost: npt.NDArray[np.bool_]) -> tuple[Array, Array, tuple[Array, ...]]:
         """Samples of rows of which the last is sound; the row before them went out already, or is none."""
         before, self.last = self.last, rows.part(slice(-1, None))
-        whole = rows if before is None else before.followed_by(rows)
-        check_time(self.source, self.spec, whole.numbers, whole.time)
-        steps = np.diff(whole.time)
-        time, values, broken = whole.time, rows.values, None
-        if lost.any() or (steps > _JUMP * self.interval).any():
-            time, filled, broken = self._filled(whole, steps)
+        number, time = (rows.numbers, rows.time) if before is None else before.times_followed_by(rows)
+        steps = check_time(self.source, self.spec, number, time)
+        values, broken = rows.values, None
+        if lost.any() or steps.max(initial=0.0) > _JUMP * self.interval:
+            time, filled, broken = self._filled(rows if before is None else before.followed_by(rows), steps)
             steps = np.diff(time)
             values = tuple(v[before is not None :] for v in filled)
         dt = steps if before is not None else np.concatenate([[self.interval], steps])

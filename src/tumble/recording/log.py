@@ -35,8 +35,8 @@ _SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # beyond, nothing can be co
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Chunk:
     """Consecutive samples of one file, `file` being its index in session.log.files: end time and interval of
-    each sample, s; accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperature, K; magnetometer (m, 3) in its
-    unit."""
+    each sample, s; accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperatures (m, T), K, of the
+    thermometers; magnetometer (m, 3) in its unit."""
 
     file: int
     time: Array
@@ -108,7 +108,7 @@ class Log:
                 dt=dt,
                 accel=spec.accel.to_si(values[0], dt),
                 gyro=spec.gyro.to_si(values[1], dt) if spec.gyro else None,
-                temperature=spec.temperature.to_celsius(values[-1][:, 0]) + ZERO_CELSIUS if spec.temperature else None,
+                temperature=spec.temperature.to_celsius(values[-1]) + ZERO_CELSIUS if spec.temperature else None,
                 magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
             )
 

@@ -129,19 +129,25 @@ class Magnetometer:
     unit: str
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TemperatureChannel:
-    """The column of the temperature, and what its numbers are in °C: gain · number + shift. `unit_name` is the unit in
-    session.toml."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TemperatureChannels:
+    """The columns of the thermometers, and what their numbers are in °C: gain · number + shift, both (T,). `unit_name`
+    is the unit in session.toml; `accel` and `gyro` are the number of the thermometer that each channel has."""
 
-    column: str
-    unit_name: str = "degC"
-    gain: float = 1.0
-    shift: float = 0.0
+    columns: tuple[str, ...]
+    accel: tuple[int, ...]
+    gyro: tuple[int, ...]
+    unit_name: str
+    gain: Array
+    shift: Array
 
     def to_celsius(self, numbers: Array) -> Array:
-        """Temperatures (m,), °C, of a log's numbers (m,)."""
+        """Temperatures (m, T), °C, of a log's numbers (m, T)."""
         return np.asarray(self.gain * numbers + self.shift)
+
+    def names(self, kind: str) -> tuple[str, ...]:
+        """The column of the thermometer of each channel of a kind of sensors."""
+        return tuple(self.columns[t] for t in (self.accel if kind == "accel" else self.gyro))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -157,12 +163,17 @@ class LogSpec:
     rate: float | None
     accel: Channels
     gyro: Channels | None
-    temperature: TemperatureChannel | None
+    temperature: TemperatureChannels | None
     magnetometer: Magnetometer | None = None
     clock: bool = False
     regular: bool = False
     dialect: Dialect | None = None
     clock_u: float = 0.0
+
+    @property
+    def unstamped(self) -> bool:
+        """Whether no time says that rows are missing."""
+        return self.rate is not None or self.regular
 
     @property
     def gyro_clock_u(self) -> float:
@@ -171,11 +182,11 @@ class LogSpec:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Every column that is read: time, accelerometers, gyros, magnetometer, temperature."""
+        """Every column that is read: time, accelerometers, gyros, magnetometer, thermometers."""
         gyro = self.gyro.columns if self.gyro else ()
         magnetometer = self.magnetometer.columns if self.magnetometer else ()
-        thermometer = None if self.temperature is None else self.temperature.column
-        columns = (self.time, *self.accel.columns, *gyro, *magnetometer, thermometer)
+        thermometers = () if self.temperature is None else self.temperature.columns
+        columns = (self.time, *self.accel.columns, *gyro, *magnetometer, *thermometers)
         return tuple(column for column in columns if column is not None)
 
 
@@ -242,12 +253,16 @@ class Session:
     @property
     def accel_block(self) -> Block:
         """The accelerometers and their parameters."""
-        return Block(kind="accel", axes=self.log.accel.axes)
+        known = self.log.temperature
+        return Block(kind="accel", axes=self.log.accel.axes, thermometers=() if known is None else known.accel)
 
     @property
     def gyro_block(self) -> Block | None:
         """The gyros and their parameters; None without gyros."""
-        return None if self.log.gyro is None else Block(kind="gyro", axes=self.log.gyro.axes)
+        known = self.log.temperature
+        if self.log.gyro is None:
+            return None
+        return Block(kind="gyro", axes=self.log.gyro.axes, thermometers=() if known is None else known.gyro)
 
 
 # -------------------- reading and writing --------------------
@@ -435,7 +450,7 @@ def _log(log: LogTable, folder: Path) -> LogSpec:
         rate=log.rate_hz,
         accel=_channels(log.accel, log.rate_hz),
         gyro=None if log.gyro is None else _channels(log.gyro, log.rate_hz),
-        temperature=None if log.temperature is None else _thermometer(log.temperature),
+        temperature=None if log.temperature is None else _thermometers(log.temperature, log),
         magnetometer=None if log.magnetometer is None else _magnetometer(log.magnetometer),
         clock=log.time_unit == CLOCK,
         regular=bool(log.regular),
@@ -444,9 +459,21 @@ def _log(log: LogTable, folder: Path) -> LogSpec:
     )
 
 
-def _thermometer(given: TemperatureTable) -> TemperatureChannel:
+def _thermometers(given: TemperatureTable, log: LogTable) -> TemperatureChannels:
+    accel, gyro = len(log.accel.columns), 0 if log.gyro is None else len(log.gyro.columns)
+    each = given.of_sensors(accel, gyro)
     gain, shift = given.celsius()
-    return TemperatureChannel(column=given.columns[0], unit_name=given.unit, gain=gain, shift=shift)
+    columns = tuple(dict.fromkeys(given.columns))
+    first = [given.columns.index(column) for column in columns]
+    number = tuple(columns.index(given.columns[i]) for i in each)
+    return TemperatureChannels(
+        columns=columns,
+        accel=number[:accel],
+        gyro=number[accel:],
+        unit_name=given.unit,
+        gain=gain[first],
+        shift=shift[first],
+    )
 
 
 def _magnetometer(given: MagnetometerTable) -> Magnetometer:

@@ -22,6 +22,7 @@ from tumble.documents import dotted, is_plain, shown
 from tumble.errors import ProgrammeError, did_you_mean
 from tumble.programme import positions as programme
 from tumble.recording.dialect import DELIMITERS, Dialect
+from tumble.sensors.model import thermometers_of
 from tumble.sensors.typed_quantities import prior_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
 
@@ -208,31 +209,58 @@ class GyroTable(SensorsTable):
 
 
 class TemperatureTable(SessionTable):
-    """[log.temperature]"""
+    """[log.temperature]: one column for all sensors, two for the accelerometers and the gyros, or one a sensor, the
+    accelerometers first; then a thermometer may come several times."""
 
     RAW: ClassVar = "raw"
 
-    columns: list[str] = Field(min_length=1, max_length=1, description="a list of one column name")
+    columns: list[str] = Field(min_length=1, description="a list of column names")
     unit: str = Field(default="degC", description="the name of a unit, a string")
-    scale: float | None = Field(default=None, description="a number: raw numbers per degC")
-    offset: float | None = Field(default=None, description="a number: the raw number at 0 degC")
+    scale: float | list[float] | None = Field(
+        default=None, description="a number or a list of numbers: raw numbers per degC"
+    )
+    offset: float | list[float] | None = Field(
+        default=None, description="a number or a list of numbers: the raw number at 0 degC"
+    )
 
-    def celsius(self) -> tuple[float, float]:
-        """Gain and shift: °C are gain · number + shift."""
+    def celsius(self) -> tuple[Array, Array]:
+        """Gain and shift (T,) of each column: °C are gain · number + shift."""
+        ones = np.ones(len(self.columns))
         if self.unit != self.RAW:
-            return TEMPERATURE_UNITS[self.unit]
-        assert self.scale is not None
-        return 1.0 / self.scale, -(self.offset or 0.0) / self.scale
+            gain, shift = TEMPERATURE_UNITS[self.unit]
+            return gain * ones, shift * ones
+        scale, offset = ones * np.asarray(self.scale, float), ones * np.asarray(self.offset or 0.0, float)
+        return 1.0 / scale, -offset / scale
+
+    def of_sensors(self, accel: int, gyro: int) -> tuple[int, ...]:
+        """The place of the column of each of so many accelerometers and gyros. Raises ValueError where there is another
+        number of columns."""
+        found = thermometers_of(len(self.columns), accel, gyro)
+        if found is None:
+            two = "two for the accelerometers and the gyros, " if gyro else ""
+            raise ValueError(
+                f"temperature.columns: expected one column for all sensors, {two}or {accel + gyro}, one a sensor, "
+                f"accelerometers first, found {len(self.columns)}"
+            )
+        return found
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         _check_known("unit", self.unit, [*TEMPERATURE_UNITS, self.RAW])
-        if self.unit == self.RAW and not self.scale:
+        if self.unit == self.RAW and (self.scale is None or not np.all(self.scale)):
             found = "none" if self.scale is None else "0"
             raise ValueError(f'scale: expected the raw numbers per degC for unit "raw", found {found}')
         if self.unit != self.RAW and (self.scale is not None or self.offset is not None):
             key = "offset" if self.scale is None else "scale"
             raise ValueError(f'{key}: expected only with unit "raw", found unit "{self.unit}"')
+        for key in ("scale", "offset"):
+            given = getattr(self, key)
+            if isinstance(given, list) and len(given) != len(self.columns):
+                raise ValueError(
+                    f"{key}: expected a number or {len(self.columns)} numbers, one per column, found {len(given)}"
+                )
+        if len(set(zip(self.columns, *self.celsius(), strict=True))) > len(set(self.columns)):
+            raise ValueError("scale: expected one scale and offset for a column that is named again, found others")
         return self
 
 
@@ -317,12 +345,20 @@ class LogTable(SessionTable):
             "accel.columns": self.accel.columns,
             "gyro.columns": self.gyro.columns if self.gyro else [],
             "magnetometer.columns": self.magnetometer.columns if self.magnetometer else [],
-            "temperature.columns": self.temperature.columns if self.temperature else [],
+            "temperature.columns": self._thermometers(),
         }
         for column in _repeated(c for columns in keys.values() for c in columns):
             using = [key for key, columns in keys.items() for c in columns if c == column]
             also = "twice" if using[0] == using[1] else f"in log.{using[0]} too"
             raise ValueError(f'{using[1]}: expected every column once, found "{column}" {also}')
+
+    def _thermometers(self) -> list[str]:
+        """The columns of the thermometers; of one a sensor every one once."""
+        if self.temperature is None:
+            return []
+        accel, gyro = len(self.accel.columns), 0 if self.gyro is None else len(self.gyro.columns)
+        each, columns = self.temperature.of_sensors(accel, gyro), self.temperature.columns
+        return list(dict.fromkeys(columns)) if len(columns) == len(each) else columns
 
     def _check_ranges(self) -> None:
         for key, sensors in (("accel", self.accel), ("gyro", self.gyro)):

@@ -67,7 +67,8 @@ class Tail:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FileBlocks:
     """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the
-    accelerometers (K, n) and gyros (K, n) in SI, of the temperature, and of the magnetometer (K, 3) in its unit."""
+    accelerometers (K, n) and gyros (K, n) in SI and of the magnetometer (K, 3) in its unit, and the temperatures
+    (K, T), K, with which they end."""
 
     file: int
     first_sample: int
@@ -263,7 +264,7 @@ class Reducer:
         if self._magnetometer and chunk.magnetometer is not None:
             self._magnetometer.feed(chunk.magnetometer, chunk.time, chunk.dt, ends, seconds)
         if chunk.temperature is not None:
-            self._temperature.add(chunk.temperature[ends, None])
+            self._temperature.add(chunk.temperature[ends])
         self._count_repeated(chunk)
         late = chunk.dt[chunk.dt > 1.5 / self.rate]
         self._lost += int(np.round(late * self.rate).sum()) - len(late)
@@ -310,7 +311,8 @@ class Reducer:
             if channels:
                 channels.begin_file()
         self._file, self._first, self._count = chunk.file, self._first + self._count, 0
-        self._edges, self._temperature, self._last = _Growing(1), _Growing(1), ()
+        self._edges, self._last = _Growing(1), ()
+        self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
         self._unrecorded = {}
         self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
 
@@ -326,7 +328,7 @@ class Reducer:
             edges=edges,
             accel=accel.means.rows,
             gyro=gyro.means.rows if gyro else None,
-            temperature=self._temperature.rows[:, 0] if len(self._temperature.rows) else None,
+            temperature=self._temperature.rows if len(self._temperature.rows) else None,
             accel_end=accel.ends.rows,
             gyro_end=gyro.ends.rows if gyro else None,
             magnetometer_end=field.ends.rows if field else None,

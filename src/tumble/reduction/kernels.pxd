@@ -17,7 +17,10 @@ cpdef continue_autocovariance(double[::1] autocovariance, const double[::1] pred
 
 cpdef follow(double[::1] values, double kept)
 
-@cython.locals(total=double, row=double, last=double, repeats=int64_t, count=int64_t, blocks=Py_ssize_t)
+@cython.locals(
+    total=double, row=double, last=double, lowest=double, highest=double, step=double, repeats=int64_t, count=int64_t,
+    blocks=Py_ssize_t,
+)
 cpdef Py_ssize_t block_sums(
     const double[:, :] values, const double[:] time, const double[:] weight, int64_t size, double[:] sums,
     int64_t[:] filled, double[:, ::1] state, double[:, :] out,

@@ -125,6 +125,7 @@ def block_sums(
     with cython.nogil:
         for c in range(values.shape[1]):
             blocks, count, total = 0, filled[0], sums[c]
+            lowest, highest, step = state[c, 1], state[c, 2], state[c, 13]
             last, row, repeats = state[c, 4], state[c, 5], 0
             for i in range(samples):
                 x = values[i, c]
@@ -135,14 +136,12 @@ def block_sums(
                 else:
                     if row > 1.0:
                         _end_row(state, c, last, row, time[max(i - 1, 0)])
-                    step = abs(x - last)
-                    if step < state[c, 13]:
-                        state[c, 13] = step
+                    step = min(step, abs(x - last))
                     last, row = x, 1.0
-                    if x < state[c, 1]:
-                        state[c, 1], state[c, 9] = x, 0.0
-                    if x > state[c, 2]:
-                        state[c, 2], state[c, 11] = x, 0.0
+                    if x < lowest:
+                        lowest, state[c, 1], state[c, 9] = x, x, 0.0
+                    if x > highest:
+                        highest, state[c, 2], state[c, 11] = x, x, 0.0
                 count += 1
                 if count == size:
                     out[blocks, c] = total
@@ -151,7 +150,7 @@ def block_sums(
                 _end_row(state, c, last, row, time[samples - 1])
             state[c, 0] += samples
             state[c, 3] += repeats
-            state[c, 4], state[c, 5], sums[c] = last, row, total
+            state[c, 4], state[c, 5], state[c, 13], sums[c] = last, row, step, total
         filled[0] = (filled[0] + samples) % size
     return blocks
 

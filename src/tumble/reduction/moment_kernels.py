@@ -19,7 +19,8 @@ parts, exact for the discrete sums too,
 
 A lane that ends before the others, or its tile, is filled up with zero readings over zero time, which change no sum.
 A row is ROW numbers long: constants, without which the compiler could not know that rows do not overlap, and no power
-of two, lest all rows fall on the same lines of the processor's cache. The rules of `tumble.reduction.kernels` hold.
+of two, lest all rows fall on the same lines of the processor's cache. The steps of a loop over `i` do not depend on one
+another, which hatch_build.py tells GCC. The rules of `tumble.reduction.kernels` hold.
 """
 
 from __future__ import annotations

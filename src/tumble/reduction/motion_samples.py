@@ -7,6 +7,8 @@ import tempfile
 import threading
 import weakref
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import IO
 
 import numpy as np
@@ -19,38 +21,38 @@ IN_MEMORY_BYTES = 16 * 2**20
 class MotionSamples:
     """Angular rates (rad/s) and specific forces (m/s²) in the body as nominal sensors read them, P_g and P_a times the
     readings, the interval (s) of each sample, and `spare` numbers more. Samples may be added while others are read,
-    from other threads too."""
+    from other threads too. The arrays that are added are kept as they are, and in the file column after column, so that
+    nothing is copied on the way."""
 
     def __init__(self, spare: int = 0) -> None:
         self._columns = 7 + spare  # rate, force, interval, spare
-        self._chunks: list[Array] = []
-        self._starts: list[int] = []
+        self._chunks: list[Sequence[Array]] = []
+        self._starts: list[int] = []  # the first sample of each of them
         self._file: IO[bytes] | None = None
+        self._parts: list[int] = [0]  # the first sample of each part of the file, and the first behind them
         self._lock = threading.Lock()
         self.count = 0
 
     def append(self, rates: Array, forces: Array, dt: Array, spare: Array | None = None) -> None:
         """Add samples: mean rates (m, 3) and mean forces (m, 3) over intervals dt (m,), and what is `spare` (m, ·)."""
-        rows = np.empty((len(dt), self._columns))
-        rows[:, :3], rows[:, 3:6], rows[:, 6] = rates, forces, dt
-        if spare is not None:
-            rows[:, 7:] = spare
         with self._lock:
-            self._chunks.append(rows)
+            self._chunks.append((rates, forces, dt[:, None]) if spare is None else (rates, forces, dt[:, None], spare))
             self._starts.append(self.count)
-            self.count += len(rows)
-            if self._file is not None or 8 * self._columns * self.count > IN_MEMORY_BYTES:
+            self.count += len(dt)
+            if 8 * self._columns * (self.count - self._parts[-1]) > IN_MEMORY_BYTES:
                 self._spill()
 
     def _spill(self) -> None:
-        """Move what is in memory to the file."""
+        """Move what is in memory to the file, as a part of it."""
         if self._file is None:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115
             weakref.finalize(self, self._file.close)
         self._file.seek(0, os.SEEK_END)
-        for rows in self._chunks:
-            self._file.write(rows.data)
+        for column in zip(*map(_columns_of, self._chunks), strict=True):
+            for values in column:
+                self._file.write(np.ascontiguousarray(values).data)
         self._chunks, self._starts = [], []
+        self._parts.append(self.count)
 
     def read(self, start: int, stop: int) -> tuple[Array, Array, Array]:
         """Rates (m, 3), forces (m, 3) and intervals (m,) of samples start … stop − 1."""
@@ -58,15 +60,25 @@ class MotionSamples:
 
     def read_with_spare(self, start: int, stop: int) -> tuple[Array, Array, Array, Array]:
         """The same, and what is spare (m, ·)."""
+        rows = np.empty((stop - start, self._columns))
         with self._lock:
-            rows = self._in_memory(start, stop) if self._file is None else self._in_file(self._file, start, stop)
+            if self._file is not None:
+                self._read_from(self._file, start, stop, rows)
+            for place in range(max(bisect_right(self._starts, start) - 1, 0), bisect_left(self._starts, stop)):
+                first, chunk = self._starts[place], self._chunks[place]
+                a, b = max(start, first), min(stop, first + len(chunk[0]))
+                own = [values[a - first : b - first] for values in chunk]
+                np.concatenate(own, axis=1, out=rows[a - start : b - start])
         return rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7:]
 
-    def _in_memory(self, start: int, stop: int) -> Array:
-        first, last = bisect_right(self._starts, start) - 1, bisect_left(self._starts, stop)
-        rows = np.concatenate(self._chunks[first:last])
-        return rows[start - self._starts[first] : stop - self._starts[first]]
+    def _read_from(self, file: IO[bytes], start: int, stop: int, rows: Array) -> None:
+        """Those of samples start … stop − 1 that are in the file, into `rows` (stop − start, columns)."""
+        for first, end in pairwise(self._parts):
+            a, b = max(start, first), min(stop, end)
+            for j in range(self._columns if a < b else 0):
+                file.seek(8 * (self._columns * first + j * (end - first) + a - first))
+                rows[a - start : b - start, j] = np.frombuffer(file.read(8 * (b - a)))
 
-    def _in_file(self, file: IO[bytes], start: int, stop: int) -> Array:
-        file.seek(8 * self._columns * start)
-        return np.frombuffer(file.read(8 * self._columns * (stop - start))).reshape(-1, self._columns)
+
+def _columns_of(chunk: Sequence[Array]) -> list[Array]:
+    return [column for values in chunk for column in values.T]

@@ -44,7 +44,7 @@ from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.rest_noise import accel_covariance, channel_rounding, density, drift
 from tumble.reduction.rounding import Rounding, rounding_notes
 from tumble.reduction.segmentation import RestSpan
-from tumble.reduction.thermometer import Thermometer
+from tumble.reduction.thermometer import Thermometers
 from tumble.reduction.warming import without_warming
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
@@ -65,8 +65,8 @@ TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a si
 class Rests:
     """N rests: file, start and stop (s), mean readings and their covariances in SI; drift is the change of a
     reading over the rest (slope times duration) and noise its density, unit/√Hz. The gyro arrays are empty
-    (N, 0) where there are no gyros; the magnetometer's mean readings and their covariances are in its unit, None where
-    there is none."""
+    (N, 0) where there are no gyros; the mean `temperatures` are those of the thermometers (N, T), K; the magnetometer's
+    mean readings and their covariances are in its unit. None where there are none."""
 
     file: IntArray
     start: Array
@@ -79,12 +79,17 @@ class Rests:
     gyro_covariance: Array
     gyro_drift: Array
     gyro_noise: Array
-    temperature: Array | None
+    temperatures: Array | None
     magnetometer: Array | None = None
     magnetometer_covariance: Array | None = None
 
     def __len__(self) -> int:
         return len(self.start)
+
+    @property
+    def temperature(self) -> Array | None:
+        """The mean over the thermometers (N,), K."""
+        return None if self.temperatures is None else np.asarray(self.temperatures.mean(axis=1))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -203,8 +208,8 @@ class Observations:
     """Resolution of the accelerometers, "accel", and of the gyros, "gyro", and what it does to their means."""
     notes: tuple[str, ...] = ()
     """What is remarkable in the log, in words."""
-    thermometer: Thermometer | None = None
-    """The course of the temperature, where there is a thermometer."""
+    thermometers: Thermometers | None = None
+    """The course of the temperatures, where there are thermometers."""
     together: Together | None = None
     """Where these are several sessions."""
     arrays: tuple[ArrayMoments, ...] = ()
@@ -226,6 +231,14 @@ class Observations:
         if self.together is None:
             return f"rest {i + 1}"
         return f"{self.together.names[self.together.session[i]]}: rest {self.together.number[i] + 1}"
+
+    def turn_named(self, k: int) -> str:
+        """What turn k is called: by the rests at its ends and its times."""
+        turns, rests = self.turns, self.rests
+        assert turns is not None
+        a, b = int(turns.first[k]), int(turns.last[k])
+        before, after = self.rest_named(a), self.rest_named(b).rpartition(": ")[2]
+        return f"the turn from {before} to {after} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
 
     def start_values(self, block: Block) -> Array:
         """Start values of a block's parameters, in their order."""
@@ -278,12 +291,13 @@ def reduced_rests(
     blocks = [by_file[s.file] for s in spans]
     durations = np.array([s.stop - s.start for s in spans])
     accel_series, gyro_series, temperatures = _series(blocks, spans)
-    accel_quiet, gyro_quiet = (without_warming(each, temperatures) for each in (accel_series, gyro_series))
+    accel_quiet = without_warming(accel_series, temperatures, accel.thermometer)
     rounded = {"accel": channel_rounding(reduction, spans, "accel")}
     accel_spread = accel_covariance(accel_quiet, accel) + np.diag(ACCEL_FLOOR**2 + rounded["accel"].of_rest ** 2)
     gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
     if gyro is not None:
-        gyro_noise, rounded["gyro"] = fit_coloured_noise(gyro_quiet), channel_rounding(reduction, spans, "gyro")
+        gyro_noise = fit_coloured_noise(without_warming(gyro_series, temperatures, gyro.thermometer))
+        rounded["gyro"] = channel_rounding(reduction, spans, "gyro")
         gyro_spread = np.array([gyro_noise.covariance_of_mean(len(s), i) for i, s in enumerate(gyro_series)])
         gyro_spread += np.diag(GYRO_FLOOR**2 + rounded["gyro"].of_rest ** 2)
     magnetometer, magnetometer_covariance = _magnetometer(reduction, blocks, spans)
@@ -299,7 +313,7 @@ def reduced_rests(
         gyro_covariance=gyro_spread,
         gyro_drift=drift(gyro_series),
         gyro_noise=density(gyro_spread, durations),
-        temperature=None if temperatures is None else np.array([each.mean() for each in temperatures]),
+        temperatures=None if temperatures is None else np.array([each.mean(axis=0) for each in temperatures]),
         magnetometer=magnetometer,
         magnetometer_covariance=magnetometer_covariance,
     )
@@ -309,8 +323,8 @@ def reduced_rests(
 def _series(
     blocks: Sequence[FileBlocks], spans: tuple[RestSpan, ...]
 ) -> tuple[list[Array], list[Array], list[Array] | None]:
-    """Block means of the accelerometers and of the gyros in the rests at these spans, and their temperatures, K, where
-    all rests have some."""
+    """Block means of the accelerometers and of the gyros in the rests at these spans, and their temperatures
+    (K, T), K, where all rests have some."""
     pairs = list(zip(blocks, spans, strict=True))
     accel, gyro = [f.accel[s.first : s.last] for f, s in pairs], [_gyro_of(f)[s.first : s.last] for f, s in pairs]
     kelvin = [f.temperature[s.first : s.last] for f, s in pairs if f.temperature is not None]
@@ -333,7 +347,7 @@ def observe(
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         by_file, block_seconds = {f.file: f for f in reduction.files}, reduction.files[0].size / reduction.rate
         accel_series, _, temperatures = _series([by_file[s.file] for s in spans], spans)
-        accel_noise = fit_coloured_noise(without_warming(accel_series, temperatures))
+        accel_noise = fit_coloured_noise(without_warming(accel_series, temperatures, accel.thermometer))
         whole = _recorded_turns(spans, reduction.gaps)
         noises = (accel, accel_noise), (gyro, gyro_noise)
         turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
@@ -352,7 +366,7 @@ def observe(
         arrays=arrays or (),
         rounding=rounded,
         notes=(*_copies(reduction), *rounding_notes(rounded)),
-        thermometer=None if rests.temperature is None else _thermometer(reduction),
+        thermometers=None if rests.temperatures is None else _thermometers(reduction),
     )
 
 
@@ -377,9 +391,9 @@ def _extremes(channels: tuple[ChannelState, ...]) -> Array:
     return np.array([[channel.minimum for channel in channels], [channel.maximum for channel in channels]])
 
 
-def _thermometer(reduction: Reduction) -> Thermometer:
-    """The record of the thermometer: a temperature is that at the end of a block."""
-    return Thermometer.of({f.file: (f.edges[1:], f.temperature) for f in reduction.files if f.temperature is not None})
+def _thermometers(reduction: Reduction) -> Thermometers:
+    """The records of the thermometers: a temperature is that at the end of a block."""
+    return Thermometers.of({f.file: (f.edges[1:], f.temperature) for f in reduction.files if f.temperature is not None})
 
 
 def _copies(reduction: Reduction) -> tuple[str, ...]:

@@ -45,6 +45,8 @@ SCATTER_FACTOR = 10.0
 QUIET_FACTOR = 2.0
 EDGE_SIGMAS = 4.0
 MIN_REST_SECONDS = 2.0
+FEWEST_BLOCKS = 2
+"""Of samples that are further apart than margins are long, a rest of seconds may be none."""
 SHORT_REST_SECONDS, SHORT_REST_SAMPLES, FEWEST_SHORT = 0.6, 40, 9
 """Between its margins, of a rest in a recording that has so many of them and hardly a longer one; from so many samples
 the noise is known to 11 %."""
@@ -281,7 +283,8 @@ def _assemble(
     for f, force, found in zip(reduction.files, specific_force, whole, strict=True):
         for first, last in found:
             duration, before, after = _with_margins(f, first, last)
-            if duration - before - after < least:
+            span = rest_between(f, f.edges[first] + before, f.edges[last] - after)
+            if duration - before - after < least or span.last - span.first < FEWEST_BLOCKS:
                 if duration > 0.5:
                     reason = f"{duration:.1f} s is too short: rests must be {STILL_SECONDS} s"
                     rejected.append(_rejected(f, first, last, "duration", reason))
@@ -291,7 +294,7 @@ def _assemble(
                 reason = f"the vertical moves by {tilt / DEGREE:.0f}°, in a rest at most {TILT_LIMIT / DEGREE:g}°"
                 rejected.append(_rejected(f, first, last, "vertical", reason))
                 continue
-            rests.append(rest_between(f, f.edges[first] + before, f.edges[last] - after))
+            rests.append(span)
     return Segmentation(
         rests=tuple(rests),
         rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),

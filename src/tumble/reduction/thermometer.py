@@ -1,4 +1,4 @@
-"""The record of a thermometer, and the temperature of what follows it with a time constant.
+"""The records of thermometers, and the temperatures of what follows each with a time constant.
 
 Between two readings the record is straight. What follows it with the time constant λ, λ ẏ = T − y, is then exact:
 
@@ -25,8 +25,9 @@ MOVED = 0.5
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Warmth:
-    """Of some stretches of time (N,): the mean temperature, K, its variance, K², and the mean of sgn(Ṫ)(1 − x²), which
-    a hysteresis goes with, x = −1 … 1 over the range of the thermometer in the file and Ṫ that of the thermometer."""
+    """Of some stretches of time and thermometers (N, T): the mean temperature, K, its variance, K², and the mean of
+    sgn(Ṫ)(1 − x²), which a hysteresis goes with, x = −1 … 1 over the range of the thermometer in the file and Ṫ that of
+    the thermometer."""
 
     kelvin: Array
     variance: Array
@@ -38,54 +39,54 @@ class Warmth:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Thermometer:
-    """Temperatures, K, every STEP from a start, s, by file: (start, temperatures)."""
+class Thermometers:
+    """Temperatures (K, T), K, of the thermometers every STEP from a start, s, by file: (start, temperatures)."""
 
     files: Mapping[int, tuple[float, Array]]
 
     @staticmethod
-    def of(records: Mapping[int, tuple[Array, Array]]) -> Thermometer:
-        """The record of times (K,), s, and temperatures (K,), K, by file."""
-        return Thermometer(files={file: _every_step(*record) for file, record in records.items()})
+    def of(records: Mapping[int, tuple[Array, Array]]) -> Thermometers:
+        """The records of times (K,), s, and temperatures (K, T), K, by file."""
+        return Thermometers(files={file: _every_step(*record) for file, record in records.items()})
 
     _directions: dict[int, Array] = field(default_factory=dict, repr=False)
-    """The direction at every step, by file, once it was asked for."""
+    """The directions (K, T) at every step, by file, once they were asked for."""
 
-    def at(self, file: IntArray, time: Array, lag: float = 0.0) -> Array:
-        """Temperatures (N,), K, at times (N,) of files (N,) of what follows the thermometer with a time constant, s."""
-        out = np.empty(len(time))
-        for number, (start, kelvin) in self.files.items():
-            of = file == number
-            out[of] = np.interp(time[of], start + STEP * np.arange(len(kelvin)), followed(kelvin, STEP, lag))
-        return out
+    @property
+    def count(self) -> int:
+        """How many thermometers there are."""
+        _, kelvin = next(iter(self.files.values()))
+        return int(kelvin.shape[1])
 
     def means(self, file: IntArray, start: Array, stop: Array, lag: float = 0.0) -> Warmth:
-        """What follows the thermometer, from start to stop (N,), s, of files (N,); of a shorter time than STEP, about
+        """What follows each thermometer, from start to stop (N,), s, of files (N,); of a shorter time than STEP, about
         its middle."""
         half = 0.5 * np.maximum(stop - start, STEP)
         early, late = 0.5 * (start + stop) - half, 0.5 * (start + stop) + half
-        out, middle = np.empty((3, len(start))), np.empty(len(start))
+        out, middle = np.empty((3, self.count, len(start))), np.empty((self.count, len(start)))
         for number, (begin, kelvin) in self.files.items():
-            of, reach = file == number, 0.5 * float(np.ptp(kelvin))
-            middle[of] = here = 0.5 * float(kelvin.min() + kelvin.max())
-            off = followed(kelvin, STEP, lag) - here
-            inner = np.maximum(1.0 - (off / max(reach, MOVED)) ** 2, 0.0)
-            series = np.stack([off, off**2, self._direction(number) * inner])
-            integral = _integral(series, late[of] - begin) - _integral(series, early[of] - begin)
-            out[:, of] = integral / (2.0 * half[of])
-        mean, square, hysteresis = out
-        return Warmth(kelvin=mean + middle, variance=np.maximum(square - mean**2, 0.0), hysteresis=hysteresis)
+            of = file == number
+            for t, record in enumerate(kelvin.T):
+                reach = 0.5 * float(np.ptp(record))
+                middle[t, of] = here = 0.5 * float(record.min() + record.max())
+                off = followed(record, STEP, lag) - here
+                inner = np.maximum(1.0 - (off / max(reach, MOVED)) ** 2, 0.0)
+                series = np.stack([off, off**2, self._direction(number)[:, t] * inner])
+                integral = _integral(series, late[of] - begin) - _integral(series, early[of] - begin)
+                out[:, t, of] = integral / (2.0 * half[of])
+        mean, square, hysteresis = np.swapaxes(out, 1, 2)
+        return Warmth(kelvin=mean + middle.T, variance=np.maximum(square - mean**2, 0.0), hysteresis=hysteresis)
 
     def _direction(self, file: int) -> Array:
-        """The direction at every step of a file."""
+        """The directions (K, T) at every step of a file."""
         if file not in self._directions:
-            self._directions[file] = _came(self.files[file][1])
+            self._directions[file] = np.column_stack([_came(record) for record in self.files[file][1].T])
         return self._directions[file]
 
     def direction(self, file: IntArray, time: Array) -> Array:
-        """Whether the temperature at times (N,) of files (N,) came from below, 1, or from above, −1; 0 where it was the
-        same, to MOVED, since the file began."""
-        out = np.zeros(len(time))
+        """Whether the temperatures (N, T) at times (N,) of files (N,) came from below, 1, or from above, −1; 0 where
+        they were the same, to MOVED, since the file began."""
+        out = np.zeros((len(time), self.count))
         for number, (start, kelvin) in self.files.items():
             of = file == number
             steps = np.clip((time[of] - start) / STEP, 0, len(kelvin) - 1).astype(np.int64)
@@ -139,4 +140,5 @@ def followed(kelvin: Array, step: float, lag: float, first: float | None = None)
 
 def _every_step(time: Array, kelvin: Array) -> tuple[float, Array]:
     count = max(int(np.ceil((time[-1] - time[0]) / STEP)), 1) + 1
-    return float(time[0]), np.interp(time[0] + STEP * np.arange(count), time, kelvin)
+    steps = time[0] + STEP * np.arange(count)
+    return float(time[0]), np.column_stack([np.interp(steps, time, record) for record in kelvin.T])

@@ -26,7 +26,7 @@ from tumble.reduction.observations import (
 )
 from tumble.reduction.rounding import Rounding
 from tumble.reduction.segmentation import RestSpan
-from tumble.reduction.thermometer import Thermometer
+from tumble.reduction.thermometer import Thermometers
 from tumble.units import Array, IntArray
 
 WARMED = 1.0
@@ -56,12 +56,13 @@ def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
 
 
 def _cuts(span: RestSpan, warmth: Array | None) -> list[tuple[int, int]]:
-    """The blocks of the parts of a rest with temperatures (K,) of its blocks."""
+    """The blocks of the parts of a rest with temperatures (K, T) of its blocks."""
     if warmth is None:
         return [(span.first, span.last)]
     tenth = max(len(warmth) // 10, 1)
-    change = abs(float(warmth[-tenth:].mean() - warmth[:tenth].mean()))
-    change = max(change, float(np.ptp([part.mean() for part in np.array_split(warmth, min(10, len(warmth)))])))
+    change = float(np.abs(warmth[-tenth:].mean(axis=0) - warmth[:tenth].mean(axis=0)).max())
+    parts = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
+    change = max(change, float(np.ptp(parts, axis=0).max()))
     most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
     count = min(int(np.ceil(change / WARMED)), most)
     if count < 2:
@@ -86,7 +87,7 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
         programme=None,
         position=None,
         rounding=_rounding(sessions),
-        thermometer=_thermometer(sessions),
+        thermometers=_thermometers(sessions),
         notes=tuple(f"{name}: {note}" for name, each in zip(names, sessions, strict=True) for note in each.notes),
         together=Together(
             names=tuple(names),
@@ -152,19 +153,19 @@ def _rests(sessions: Sequence[Observations]) -> Rests:
 def _files_before(sessions: Sequence[Observations]) -> list[int]:
     """How many files the sessions before each have."""
     counts = [
-        1 + max([int(each.rests.file.max()), *(each.thermometer.files if each.thermometer is not None else ())])
+        1 + max([int(each.rests.file.max()), *(each.thermometers.files if each.thermometers is not None else ())])
         for each in sessions
     ]
     return [0, *np.cumsum(counts).tolist()][:-1]
 
 
-def _thermometer(sessions: Sequence[Observations]) -> Thermometer | None:
+def _thermometers(sessions: Sequence[Observations]) -> Thermometers | None:
     """The records of all sessions; None where one has none."""
     before = _files_before(sessions)
-    known = [each.thermometer for each in sessions if each.thermometer is not None]
+    known = [each.thermometers for each in sessions if each.thermometers is not None]
     if len(known) < len(sessions):
         return None
-    return Thermometer(
+    return Thermometers(
         files={
             file + first: record
             for each, first in zip(known, before, strict=True)

@@ -15,24 +15,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 WARMED = 0.1
 """K: where no rest warms or cools by more, nothing is taken off."""
 
 
-def without_warming(series: Sequence[Array], kelvin: Sequence[Array] | None) -> list[Array]:
-    """Block means (K, c) of every rest less what goes with their temperatures (K,), K, about those of the rest."""
+def without_warming(series: Sequence[Array], kelvin: Sequence[Array] | None, thermometer: IntArray) -> list[Array]:
+    """Block means (K, c) of every rest less what goes with their temperatures (K, T), K, about those of the rest; each
+    channel has a `thermometer` (c,)."""
     if kelvin is None or max(_change(each) for each in kelvin) < WARMED:
         return list(series)
     means = np.array([each.mean(axis=0) for each in series])
     apart, lengths = means - means.mean(axis=0), [len(each) for each in series]
-    reference = float(np.mean([each.mean() for each in kelvin]))
-    warmer = [_centred(each) for each in kelvin]
-    squared = [_centred((each - reference) ** 2) for each in kelvin]
-    common = np.column_stack([np.concatenate(warmer), np.concatenate(squared)])
+    reference = np.mean([each.mean(axis=0) for each in kelvin], axis=0)
+    warmer = np.concatenate([_centred(each) for each in kelvin])
+    squared = np.concatenate([_centred((each - reference) ** 2) for each in kelvin])
     out = np.concatenate([each - mean for each, mean in zip(series, means, strict=True)])
-    for c in range(out.shape[1]):
+    for c, t in enumerate(thermometer.tolist()):
+        common = np.column_stack([warmer[:, t], squared[:, t]])
         columns = np.column_stack([common, np.repeat(apart[:, c], lengths)[:, None] * common])
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         out[:, c] -= columns @ (np.linalg.lstsq(columns / size, out[:, c])[0] / size)
@@ -40,10 +41,10 @@ def without_warming(series: Sequence[Array], kelvin: Sequence[Array] | None) -> 
 
 
 def _change(kelvin: Array) -> float:
-    """By how much temperatures (K,) change from the first to the last tenth."""
+    """The most that temperatures (K, T) change by from the first to the last tenth."""
     tenth = max(len(kelvin) // 10, 1)
-    return abs(float(kelvin[-tenth:].mean() - kelvin[:tenth].mean()))
+    return float(np.abs(kelvin[-tenth:].mean(axis=0) - kelvin[:tenth].mean(axis=0)).max())
 
 
 def _centred(values: Array) -> Array:
-    return np.asarray(values - values.mean())
+    return np.asarray(values - values.mean(axis=0))

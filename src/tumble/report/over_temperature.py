@@ -16,14 +16,15 @@ from tumble.calibration.temperature_curves import (
     changing,
     curve,
     measured_range,
-    rest_temperatures,
+    own_thermometers,
+    temperature_of,
     warm_rests,
 )
 from tumble.report.blocks import Block, Figure, ReportTable, Section, Text
 from tumble.report.characters import drawable
 from tumble.report.figures import COLOURS, FAINT, GREY, PAGE, drawn
 from tumble.report.numbers import NONE, minus, significant
-from tumble.sensors.parameters import group_of, positions_by_group, within_group
+from tumble.sensors.parameters import group_of, positions_by_group, sensor_kind, within_group
 from tumble.units import engineering, rounded
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ def section(calibration: Calibration, name: str) -> Section | None:
         "θ₁ and θ₂ being the parameters that end in t1 and t2. U is that of the whole sum. Beyond the measured range "
         "the curve is an extrapolation, for which U does not stand."
     )
+    text += "".join(f" {said[0].upper()}{said[1:]}." for said in own_thermometers(calibration))
     blocks: list[Block] = [Text(text=text), _table(calibration, names, measured, reference)]
     svg = picture(name, calibration, names, measured, reference)
     caption = (
@@ -57,7 +59,7 @@ def section(calibration: Calibration, name: str) -> Section | None:
             "What is left of the specific force at each rest, by its temperature, and how far the rest is from the "
             "fit, in sigmas. Residuals that follow the temperature are what the coefficients do not hold."
         )
-        blocks.append(Figure(svg=residuals_picture(f"{name}-left", seen, measured), caption=said))
+        blocks.append(Figure(svg=residuals_picture(f"{name}-left", seen), caption=said))
     return Section(title="Over temperature", blocks=tuple(blocks))
 
 
@@ -86,13 +88,13 @@ def _value(found: Curve, i: int, size: float) -> tuple[str, str]:
 
 def picture(name: str, calibration: Calibration, names: tuple[str, ...], measured: Range, reference: float) -> str:
     """A panel for each group: the change of every sensor's parameter from the reference, with ±U."""
-    by_group = _by_group(names)
-    seen = rest_temperatures(calibration)
+    by_group, rests = _by_group(names), warm_rests(calibration)
 
     def draw(figure: Canvas) -> None:
         panels = figure.subplots(-(-len(by_group) // 2), 2, squeeze=False).ravel()
         for axes, members in zip(panels, by_group.values(), strict=False):
             _panel(axes, calibration, members, measured, reference)
+            seen = [temperature_of(rest, sensor_kind(members[0])) for rest in rests]
             axes.plot(seen, np.zeros(len(seen)), "|", color=GREY, markersize=4, transform=axes.get_xaxis_transform())
             axes.set_title(group_of(members[0]).words)
         for axes in panels[len(by_group) :]:
@@ -103,9 +105,9 @@ def picture(name: str, calibration: Calibration, names: tuple[str, ...], measure
     return drawn(name, PAGE, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
 
 
-def residuals_picture(name: str, rests: list[RestResult], measured: Range) -> str:
-    """Residuals of the specific force, and sigmas, of rests over their temperatures."""
-    celsius = np.array([rest.temperature for rest in rests], dtype=float)
+def residuals_picture(name: str, rests: list[RestResult]) -> str:
+    """Residuals of the specific force, and sigmas, of rests over the temperatures of the accelerometers."""
+    celsius = np.array([temperature_of(rest, "accel") for rest in rests])
     left = np.array([rest.residual for rest in rests])
     sigmas = np.array([rest.sigmas for rest in rests])
 
@@ -115,8 +117,8 @@ def residuals_picture(name: str, rests: list[RestResult], measured: Range) -> st
         for axes, values, label in zip(panels, (left / size, sigmas), (unit, "sigmas"), strict=True):
             axes.plot(celsius, values, "o", color=COLOURS[0], markersize=3.0)
             axes.axhline(0.0, color=GREY, linewidth=0.6)
-            margin = 0.03 * (measured.high - measured.low)
-            axes.set(xlim=(measured.low - margin, measured.high + margin), xlabel="°C", ylabel=drawable(label))
+            margin, ends = 0.03 * float(np.ptp(celsius)), (float(celsius.min()), float(celsius.max()))
+            axes.set(xlim=(ends[0] - margin, ends[1] + margin), xlabel="°C", ylabel=drawable(label))
             axes.grid(axis="y", color=FAINT, linewidth=0.5)
             axes.set_axisbelow(True)
         panels[0].set_title("residuals of the specific force")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from tumble.units import Array
 
 FIXED_POINT_STEPS = 5
 """Steps for what is not linear: each leaves the part of 1e-3 to 1e-2 that the nonlinear terms are of the reading."""
+
+CACHED_ROWS = 1 << 13
+"""So many are solved together: their numbers stay in the processor's cache."""
 
 
 def specific_force(instrument: Instrument, values: Array, readings: Array) -> Array:
@@ -43,20 +46,24 @@ def _solved(
     x = (reading / gain) @ inverse.T
     if not np.any(rest):
         return np.asarray(x)
-    if not np.any(rest[:, FORCE]):
-        force = np.zeros_like(x)  # what does not count may be lost
-    for _ in range(FIXED_POINT_STEPS):
-        true = (x, np.zeros_like(x)) if measured == FORCE else (force, x)
-        x = ((reading - readings_of(block, rest, *true)) / gain) @ inverse.T
+    gain = np.broadcast_to(gain, reading.shape)
+    for first in range(0, len(x), CACHED_ROWS):
+        rows = slice(first, first + CACHED_ROWS)
+        nothing = np.zeros_like(x[rows])
+        known = force[rows] if np.any(rest[:, FORCE]) else nothing  # what does not count may be lost
+        for _ in range(FIXED_POINT_STEPS):
+            true = (x[rows], nothing) if measured == FORCE else (known, x[rows])
+            x[rows] = ((reading[rows] - readings_of(block, rest, *true)) / gain[rows]) @ inverse.T
     return np.asarray(x)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
-    biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about a reference,
-    °C, where there is one; the sensors follow the thermometer with the time constant `lag`, s. Lever arms (n, 3), m,
-    need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not undone."""
+    biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about the
+    `references` (n,), °C, by kind, where there are such; the sensors follow their thermometers with the time constant
+    `lag`, s. Lever arms (n, 3), m, need the motion: `at_one_point`. The `delay` of the accelerometers, s, is not
+    undone."""
 
     accel: Block
     gyro: Block | None
@@ -66,7 +73,7 @@ class Compensator:
     curvatures: Mapping[str, Array]
     levers: Array
     delay: float = 0.0
-    reference: float | None = None
+    references: Mapping[str, Array] = field(default_factory=dict)
     lag: float = 0.0
 
     @staticmethod
@@ -74,7 +81,7 @@ class Compensator:
         blocks: tuple[Block, Block | None],
         models: tuple[SensorModel, SensorModel | None],
         values: Mapping[str, float],
-        reference: float | None = None,
+        references: Mapping[str, Array],
     ) -> Compensator:
         """The compensator of the models of accelerometers and gyros and of further parameters by name."""
         accel, gyro = blocks
@@ -98,7 +105,7 @@ class Compensator:
             curvatures=_changes(blocks, values, "t2"),
             levers=instrument.levers(further),
             delay=instrument.delay(further),
-            reference=reference,
+            references=references,
             lag=values.get("temperature.lag", 0.0),
         )
 
@@ -112,6 +119,12 @@ class Compensator:
     def warm(self) -> bool:
         """Whether anything changes with temperature."""
         return bool(self.slopes or self.curvatures)
+
+    @property
+    def several_thermometers(self) -> bool:
+        """Whether not all sensors have the same thermometer."""
+        blocks = (self.accel, self.gyro)
+        return len({int(t) for block in blocks if block is not None for t in block.thermometer}) > 1
 
     def model(self, kind: str) -> SensorModel:
         """Matrix and bias of a kind of sensors, without what is beyond them."""
@@ -129,21 +142,21 @@ class Compensator:
         return np.asarray(readings - np.einsum("npk,pk->np", added, self.accel_coefficients[:, FORCE]))
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
-        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N,), °C, of the sensors."""
+        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N, n) or (N, 1), °C, of the sensors."""
         change = self._change(self.accel, self.accel_coefficients, temperature)
         return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)), change)
 
     def rate(self, readings: Array, force: Array, temperature: Array | None = None) -> Array:
-        """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures (N,), °C."""
+        """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures likewise."""
         assert self.gyro is not None
         change = self._change(self.gyro, self.gyro_coefficients, temperature)
         return _solved(self.gyro, self.gyro_coefficients, RATE, readings, force, change)
 
     def _change(self, block: Block, K: Array, temperature: Array | None) -> tuple[Array, Array] | None:
         """Changes (N, n) of the biases from the reference temperature, and factors (N, n) of the sensitivities."""
-        if temperature is None or self.reference is None or not self.warm:
+        if temperature is None or block.kind not in self.references or not self.warm:
             return None
-        warmer = (temperature - self.reference)[:, None]
+        warmer = temperature - self.references[block.kind]
         bias, scale = (
             sum(
                 (by.get(f"{block.kind}.{what}", 0.0) * warmer**power)

@@ -73,6 +73,15 @@ class Instrument:
         further = tuple(group.unit for group in self.further for _ in group.names(self.block(group)))
         return self.accel.units + (self.gyro.units if self.gyro is not None else ()) + further
 
+    @cached_property
+    def thermometers(self) -> IntArray:
+        """The number of the thermometer (m,) that each parameter goes with, where it is the change of another with
+        temperature."""
+        out = np.zeros(len(self.names), dtype=np.int64)
+        for group in self.further:
+            out[self.members[group.name]] = group.thermometers(self.block(group))
+        return out
+
     def block(self, group: ParameterGroup) -> Block:
         """The sensors that have a group."""
         found = self.accel if group.kind == "accel" else self.gyro
@@ -219,18 +228,21 @@ def by_sensor(beta: Array, D: Array) -> Array:
 def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
     others, and rates (N, 3) of the body."""
-    shape = (len(rate), block.size, 3)
-    force = np.broadcast_to(force[:, None] if force.ndim == 2 else force, shape)
-    rate = np.broadcast_to(rate[:, None], shape)
     measured, other = (force, rate) if block.kind == "accel" else (rate, force)
     linear = measured_by(block)
-    out: Array = np.einsum("npk,pk->np", measured, K[:, linear]) + K[:, CONSTANT]
+    out = _along(measured, K[:, linear]) + K[:, CONSTANT]
     if is_linear(block, K):
         return out
-    own = np.einsum("npk,pk->np", measured, block.axes)
-    out += np.einsum("npk,pk->np", other, K[:, RATE if linear == FORCE else FORCE])
-    out += np.einsum("npb,pb->np", force[..., _FIRST] * force[..., _SECOND], K[:, PRODUCTS])
-    return np.asarray(out + np.abs(own) * K[:, OWN_SIZE] + own**3 * K[:, OWN_CUBE])
+    own = _along(measured, block.axes)
+    out += _along(other, K[:, RATE if linear == FORCE else FORCE])
+    if np.any(K[:, PRODUCTS]):
+        out += _along(force[..., _FIRST] * force[..., _SECOND], K[:, PRODUCTS])
+    return np.asarray(out + np.abs(own) * K[:, OWN_SIZE] + own * own * own * K[:, OWN_CUBE])
+
+
+def _along(vectors: Array, axes: Array) -> Array:
+    """Σ_k a_pk v_k (N, n) along axes (n, k) of vectors, (N, k), or (N, n, k) with one for each axis."""
+    return np.asarray(vectors @ axes.T if vectors.ndim == 2 else np.einsum("npk,pk->np", vectors, axes))
 
 
 def is_linear(block: Block, K: Array) -> bool:

@@ -52,13 +52,25 @@ class SensorModel:
         return np.asarray(true @ self.matrix.T + self.bias)
 
 
+def thermometers_of(count: int, accel: int, gyro: int) -> tuple[int, ...] | None:
+    """The number of the thermometer, of so many, that each of so many accelerometers and gyros has: one has all, two
+    the accelerometers and the gyros, or each has its own, accelerometers first. None for another number of them."""
+    if count == accel + gyro:
+        return tuple(range(count))
+    if count == 1 or (count == 2 and gyro):
+        return accel * (0,) + gyro * (count - 1,)
+    return None
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Block:
     """n sensors of one kind with nominal sensing directions `axes` (n, 3) in the body frame, and what their
-    parameters are called. Parameter vectors of a block are in the order of `names`."""
+    parameters are called. Parameter vectors of a block are in the order of `names`. `thermometers` are the numbers of
+    those that the channels have, where they do not all have the first."""
 
     kind: SensorKind
     axes: Array
+    thermometers: tuple[int, ...] = ()
 
     @property
     def size(self) -> int:
@@ -89,6 +101,11 @@ class Block:
     def channels(self) -> IntArray:
         """The channel (n,) of each sensor in the order of `sensors`."""
         return self._channel_of_axis() if self.triad else np.arange(self.size)
+
+    @property
+    def thermometer(self) -> IntArray:
+        """The number of the thermometer of each channel (n,)."""
+        return np.array(self.thermometers or self.size * (0,), dtype=np.int64)
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -80,6 +80,11 @@ class ParameterGroup:
         stem, ending = (self.name, "") if self.base is None else (self.base, f".{_ENDINGS[self.variable]}")
         return tuple(f"{stem}.{suffix}{ending}" if suffix else f"{stem}{ending}" for suffix in self.suffixes(block))
 
+    def thermometers(self, block: Block) -> tuple[int, ...]:
+        """The numbers of the thermometers of the sensors that its parameters are of."""
+        of = dict(zip(block.sensors, block.thermometer[block.channels].tolist(), strict=True))
+        return tuple(of.get(s[:1] if block.triad else s.partition(".")[0], 0) for s in self.suffixes(block))
+
 
 _ENDINGS: dict[Variable | None, str] = {
     "time": "drift",
@@ -403,21 +408,22 @@ def named_group(name: str) -> ParameterGroup | None:
     return next((group for group in groups() if group.name == name), None)
 
 
-def to_temperature(names: Sequence[str], warmer: float) -> Array:
-    """The matrix (m, m) that takes parameters of these names to a reference temperature higher by so many K, by the
-    slopes and curvatures among them."""
+def to_temperature(names: Sequence[str], warmer: float | Array) -> Array:
+    """The matrix (m, m) that takes parameters of these names to a reference temperature higher by so many K, each (m,)
+    or all, by the slopes and curvatures among them."""
     out, place = np.eye(len(names)), {name: i for i, name in enumerate(names)}
+    by = np.broadcast_to(warmer, len(names)).tolist()
     slope, curvature = _ENDINGS["temperature"], _ENDINGS["temperature²"]
     for i, name in enumerate(names):
         base, _, ending = name.rpartition(".")
         if base not in place:
             continue
         if ending == slope:
-            out[place[base], i] = warmer
+            out[place[base], i] = by[i]
         elif ending == curvature:
-            out[place[base], i] = warmer**2
+            out[place[base], i] = by[i] ** 2
             if f"{base}.{slope}" in place:
-                out[place[f"{base}.{slope}"], i] = 2.0 * warmer
+                out[place[f"{base}.{slope}"], i] = 2.0 * by[i]
     return out
 
 

@@ -38,8 +38,10 @@ def _session(text: str, setup: Setup) -> ChamberSession:
 
 
 def _course(profile: TemperatureProfile) -> CourseOfTemperature:
+    """The mean of its thermometers."""
+
     def course(duration: float) -> tuple[Array, Array]:
         climate = profile.climate(duration)
-        return climate.time, climate.kelvin
+        return climate.time, climate.kelvin.mean(axis=1)
 
     return course

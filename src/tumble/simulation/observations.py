@@ -89,7 +89,7 @@ def simulate_observations(
         position=np.array(way.positions) if isinstance(scenario.course, OnTable) else None,
         turn_readings=integrals if scenario.gyro.size > 3 else None,
         usual=scenario.usual,
-        thermometer=None if scenario.climate is None else scenario.climate.record,
+        thermometers=None if scenario.climate is None else scenario.climate.record,
     )
     return replace(observations, turns=observations.turns_about(scenario.gyro.nominal()))
 
@@ -135,8 +135,8 @@ class _NoisyBlock:
         warmth: Mapping[Variable, Array] = {}
         if self.climate is not None and self.changes:
             middle = when + self.middle
-            warmth = self.climate.means(middle - 0.5 * seconds, middle + 0.5 * seconds)
-        return self._read(force, rate, {"time": when, **warmth}) + self.bias + noise
+            warmth = self.climate.means(middle - 0.5 * seconds, middle + 0.5 * seconds, self.block.thermometer)
+        return self._read(force, rate, {"time": when[:, None], **warmth}) + self.bias + noise
 
     def sampled(self, force: Array, rate: Array, when: Array, first: IntArray) -> Array:
         """Readings (K, S, n) without white noise in the moves after the rests `first` (K,) at times (K, S), for forces
@@ -145,15 +145,15 @@ class _NoisyBlock:
         flat = force.reshape(K * S, *force.shape[2:]), rate.reshape(K * S, 3)
         warmth: Mapping[Variable, Array] = {}
         if self.climate is not None and self.changes:
-            warmth = self.climate.variables(when.ravel() + self.middle)
-        read = self._read(*flat, {"time": when.ravel(), **warmth})
+            warmth = self.climate.variables(when.ravel() + self.middle, self.block.thermometer)
+        read = self._read(*flat, {"time": when.reshape(-1, 1), **warmth})
         return np.asarray(read.reshape(K, S, self.block.size) + self.bias[first][:, None])
 
     def _read(self, force: Array, rate: Array, now: Mapping[Variable, Array]) -> Array:
-        """Readings (N, n) where what parameters change with is `now` (N,)."""
+        """Readings (N, n) where what parameters change with is `now`, (N, n) or (N, 1)."""
         out = readings(self.block, self.coefficients, force, rate)
         for variable, change in self.changes.items():
-            out = out + now[variable][:, None] * readings(self.block, change, force, rate)
+            out = out + now[variable] * readings(self.block, change, force, rate)
         return out
 
     def covariance(self, seconds: Array, floor: float) -> Array:
@@ -182,7 +182,7 @@ def _rests(
         gyro_covariance=gyro.covariance(seconds, GYRO_FLOOR),
         gyro_drift=np.zeros_like(gyro.bias),
         gyro_noise=np.full_like(gyro.bias, gyro.white),
-        temperature=None if climate is None else climate.record.means(files, start, stop).kelvin,
+        temperatures=None if climate is None else climate.record.means(files, start, stop).kelvin,
     )
 
 

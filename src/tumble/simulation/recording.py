@@ -182,9 +182,9 @@ class _SampledBlock:
         if np.any(self.drift):
             out = out + (when - self.middle)[:, None] * readings(self.block, self.drift, force, rate)
         if self.warmth and self.scenario.climate is not None:
-            now = self.scenario.climate.variables(when)
+            now = self.scenario.climate.variables(when, self.block.thermometer)
             for variable, change in self.warmth.items():
-                out = out + now[variable][:, None] * readings(self.block, change, force, rate)
+                out = out + now[variable] * readings(self.block, change, force, rate)
         return out
 
     def at_rest(self, L: Array, first: int, last: int) -> Array:

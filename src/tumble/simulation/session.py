@@ -26,7 +26,7 @@ from tumble.simulation.temperature_profile import (
     TemperatureProfile,
     draw_lag,
     draw_thermal,
-    thermometer_column,
+    thermometer_columns,
 )
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
 
@@ -61,10 +61,12 @@ def simulate_session(
     if temperature is not None:
         geometry, _ = np.random.default_rng([seed, launch]).spawn(2)
         duration = float(itinerary(scenario, geometry).rests[-1, 1])
-        blocks = {"accel": scenario.accel, "gyro": scenario.gyro}
+        accel, gyro = temperature.blocks(scenario.accel, scenario.gyro)
+        blocks = {"accel": accel, "gyro": gyro}
         thermal = draw_thermal(setup.further, setup.instrument, blocks, truth)
         climate = temperature.climate(duration, draw_lag(setup.further, truth))
-        scenario = replace(scenario, truth=dict(scenario.truth) | thermal, climate=climate)
+        truth_now = dict(scenario.truth) | thermal
+        scenario = replace(scenario, accel=accel, gyro=gyro, truth=truth_now, climate=climate)
     return write_simulation(Path(folder), scenario, course, log_format=log_format)
 
 
@@ -151,7 +153,7 @@ def _columns_of(scenario: Scenario, recording: Recording) -> dict[str, Array]:
     columns = {"t": recording.time} | accel | dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
     if scenario.climate is not None:
         middle = recording.time - 0.5 / scenario.profile.sample_rate
-        columns["T"] = thermometer_column(scenario.climate, middle)
+        columns |= thermometer_columns(scenario.climate, middle)
     return columns
 
 
@@ -187,7 +189,8 @@ def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
         },
     }
     if scenario.climate is not None:
-        content["log"]["temperature"] = {"columns": ["T"], "unit": "degC"}
+        names = list(thermometer_columns(scenario.climate, np.zeros(1)))
+        content["log"]["temperature"] = {"columns": names, "unit": "degC"}
     if isinstance(scenario.course, OnTable):
         content["programme"] = _programme_content(scenario.course.programme)
     return content

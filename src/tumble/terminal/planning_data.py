@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,18 +10,22 @@ import numpy as np
 from tumble.planning.setup import time_of
 from tumble.programme.positions import Move, Position
 from tumble.sensors.grades import spread_of
-from tumble.sensors.parameters import positions_by_group
+from tumble.sensors.parameters import group_of, positions_by_group
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from tumble.campaigns.fleet import Tally
+    from tumble.estimation.estimate import GroupFinding
     from tumble.planning.best_positions import Compared, Next
     from tumble.planning.bounds import Bound
     from tumble.planning.budget import Budget
+    from tumble.planning.over_temperature import ThermalPlan
     from tumble.planning.plan import PlanResult
     from tumble.planning.requirements import Requirements
     from tumble.planning.setup import Setup
+    from tumble.units import Array
 
 
 def plan_data(plan: PlanResult, reasons: list[str]) -> dict[str, Any]:
@@ -49,7 +54,7 @@ def plan_data(plan: PlanResult, reasons: list[str]) -> dict[str, Any]:
                 strict=True,
             )
         ],
-        "groups": _further(plan.whole),
+        "groups": _further(plan.whole.names, plan.whole.u, plan.whole.further),
         "following": [_next(one) for one in plan.following],
         "programmes": [_compared(one, plan.setup) for one in plan.programmes],
     }
@@ -70,16 +75,16 @@ def _bound(bound: Bound) -> dict[str, Any]:
     }
 
 
-def _further(whole: Bound) -> list[dict[str, Any]]:
-    places = positions_by_group(whole.names)
+def _further(names: Sequence[str], u: Array, further: Sequence[GroupFinding]) -> list[dict[str, Any]]:
+    places = positions_by_group(names)
     return [
         {
             "group": group.name,
             "usual": group.prior,
-            "u": float(np.max(whole.u[places[group.name]])),
+            "u": float(np.max(u[places[group.name]])),
             "learned": min(group.learned),
         }
-        for group in whole.further
+        for group in further
     ]
 
 
@@ -94,6 +99,25 @@ def _compared(one: Compared, setup: Setup) -> dict[str, Any]:
         "duration": time_of(one.programme, setup),
         "value": one.value,
         "bound": _bound(one.bound),
+    }
+
+
+def thermal_plan_data(plan: ThermalPlan, reasons: list[str]) -> dict[str, Any]:
+    """What recordings over temperature can show at best, how long each takes, and what is wanted and not had."""
+    return {
+        "reasons": reasons,
+        "programme": plan.setup.programme.name,
+        "duration": plan.seconds,
+        "low": plan.low,
+        "reference": plan.reference,
+        "high": plan.high,
+        "recordings": [asdict(session) for session in plan.sessions],
+        "parameters": [
+            {"name": name, "unit": group_of(name).unit, "u": u, "u_low": low, "u_high": high}
+            for name, u, low, high in zip(plan.names, plan.u, plan.at(plan.low), plan.at(plan.high), strict=True)
+        ],
+        "groups": _further(plan.names, plan.u, plan.further),
+        "notes": list(plan.notes),
     }
 
 

@@ -627,7 +627,7 @@ def _time_constant(fitted: _Fitted, problem: Problem) -> float | None:
     rests, total = problem.observations.rests, fitted.fits[TOTAL]
     explained = special.chdtrc(max(total.degrees, 1.0), total.chi_square) > UNEXPLAINED
     unknown = "accel.bias.warmup" not in problem.observations.usual
-    if explained or unknown or rests.temperature is not None or rests.file[0] != rests.file[-1]:
+    if explained or unknown or rests.temperatures is not None or rests.file[0] != rests.file[-1]:
         return None
     tried = (WARM_UPS * np.ptp(rests.start)).tolist()
     best = int(np.argmin([_at_time_constant(fitted, each).deviance for each in tried]))

@@ -108,7 +108,7 @@ def _message(kind: str, instance: int, rows: Any, origin: float) -> Message:
         count=len(rows),
         accel=None if kind == "GYR" else triad("accel", "m/s^2"),
         gyro=None if kind == "ACC" else triad("gyro", "rad/s"),
-        temperature=_TEMPERATURE if warm else None,
+        temperatures=(_TEMPERATURE,) if warm else (),
         rows=partial(_tables, rows[:, : len(names)], names),
         remark=_REMARK,
     )

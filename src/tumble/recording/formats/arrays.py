@@ -52,7 +52,7 @@ def messages(path: Path) -> list[Message]:
                 accel=known.triads.get(ACCEL),
                 gyro=known.triads.get(GYRO),
                 magnetometer=known.triads.get(MAGNETOMETER),
-                temperature=known.temperature,
+                temperatures=known.temperatures,
                 timed=known.time is not None,
                 rows=partial(_rows, path, columns, known.time, factor),
             )

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from tumble.recording.formats.message import Sensors
 from tumble.recording.formats.native_words import in_english
+from tumble.recording.formats.thermometers import of_sensors, thermometer
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 
@@ -31,11 +32,6 @@ _TIME_WORDS = {"ms": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "mi
 _COUNTER = re.compile(
     r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$"
 )
-_TEMPERATURE = re.compile(
-    r"(^|_)(t|temp|temperature)(_(acc|accel|accelerometers?|gyr|gyros?|gyroscopes?|imu|sensors?|chip|die))?"
-    r"(_((deg_?)?[ckf]|celsius|kelvin|fahrenheit|raw|counts?|lsb|adc))?$"
-)
-_OF_GYROS = re.compile(r"(^|_)gyr")
 _TEMPERATURE_UNITS = {
     "c": "degC", "°c": "degC", "degc": "degC", "celsius": "degC", "k": "K", "kelvin": "K", "degk": "K",
     "f": "degF", "°f": "degF", "degf": "degF", "fahrenheit": "degF",
@@ -74,13 +70,13 @@ def _unit(text: str) -> str:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Columns:
     """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
-    the temperature, and a column that counts the samples. `others` are the names of triads of the same kinds that were
-    not taken."""
+    the `temperatures` as [log.temperature] has them, and a column that counts the samples. `others` are the names of
+    triads of the same kinds, and of thermometers, that were not taken."""
 
     time: str | None
     time_unit: str | None
     triads: Mapping[str, Sensors]
-    temperature: str | None
+    temperatures: tuple[str, ...]
     others: tuple[str, ...]
     counter: str | None = None
 
@@ -88,9 +84,10 @@ class Columns:
 def columns_by_name(names: Iterable[str]) -> Columns:
     """What the columns of a table are."""
     names = list(names)
+    warm = {name: found for name in names if (found := thermometer(_split(name)[0])) is not None}
     triads: dict[str, Sensors] = {}
     others: list[str] = []
-    for (kind, stem), axes in _stems(names).items():
+    for (kind, stem), axes in _stems(name for name in names if name not in warm).items():
         if set(axes) != set("xyz"):
             continue
         if kind in triads:
@@ -101,21 +98,16 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     taken = {column for triad in triads.values() for column in triad.columns}
     free = [name for name in names if name and name not in taken]
     time = next((name for name in free if name != "T" and _TIME.search("_".join(_split(name)[0]))), None)
+    warm.pop(time or "", None)
+    temperatures = of_sensors(warm, gyros=GYRO in triads)
     return Columns(
         time=time,
         time_unit=None if time is None else _time_unit(time),
         counter=next((n for n in free if n != time and _COUNTER.search("_".join(_split(n)[0]))), None),
         triads=triads,
-        temperature=_thermometer([name for name in names if name != time]),
-        others=tuple(others),
+        temperatures=temperatures,
+        others=(*others, *(name for name in warm if name not in temperatures)),
     )
-
-
-def _thermometer(names: list[str]) -> str | None:
-    """The column of the temperature: of several that of the gyros, whose biases change most, else the first."""
-    found = [name for name in names if _TEMPERATURE.search("_".join(_split(name)[0]))]
-    of_gyros = [name for name in found if _OF_GYROS.search("_".join(_split(name)[0]))]
-    return next(iter([*of_gyros, *found]), None)
 
 
 def _time_unit(name: str) -> str | None:

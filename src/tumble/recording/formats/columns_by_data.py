@@ -40,7 +40,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
                 triads[kind] = Sensors(columns=(x, y, z), unit=None)
                 used |= set(run)
     return Columns(
-        time=None if time is None else names[time], time_unit=None, triads=triads, temperature=None, others=()
+        time=None if time is None else names[time], time_unit=None, triads=triads, temperatures=(), others=()
     )
 
 

@@ -17,7 +17,7 @@ def as_log(path: Path, accel: Message, gyro: Message | None, thermometer: Messag
     """Write the rows of a message with accelerometers, and where its gyros are in another one those of both, into a
     Parquet file, whole or not at all.
 
-    Two messages come at times of their own: the accelerometers (and the temperature beside them) are interpolated
+    Two messages come at times of their own: the accelerometers (and the temperatures beside them) are interpolated
     linearly at the times of the gyros, which are what is integrated, over the time that both cover. The temperatures of
     a thermometer of its own are interpolated too, and before and after it has the nearest."""
     tables = _together(accel, gyro) if gyro is not None and gyro is not accel else accel.rows()
@@ -25,8 +25,7 @@ def as_log(path: Path, accel: Message, gyro: Message | None, thermometer: Messag
 
 
 def _with_temperature(tables: Iterator[pl.DataFrame], thermometer: Message) -> Iterator[pl.DataFrame]:
-    slow = pl.concat(thermometer.rows())
-    name = str(thermometer.temperature)
+    slow, (name,) = pl.concat(thermometer.rows()), thermometer.temperatures
     for table in tables:
         yield table.with_columns(pl.Series(name, np.interp(table[TIME].to_numpy(), slow[TIME], slow[name])))
 

@@ -24,9 +24,9 @@ class Sensors:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Message:
-    """A kind of message: its name, the number of its rows, its sensors, the column of the temperature in °C, and
-    `rows`, tables of a bounded size in order, with the column TIME where `timed`. `remark` is what a user of the data
-    must know."""
+    """A kind of message: its name, the number of its rows, its sensors, the columns of the temperatures in °C, as
+    [log.temperature] has them, and `rows`, tables of a bounded size in order, with the column TIME where `timed`.
+    `remark` is what a user of the data must know."""
 
     name: str
     count: int
@@ -34,7 +34,7 @@ class Message:
     gyro: Sensors | None
     rows: Callable[[], Iterator[pl.DataFrame]]
     magnetometer: Sensors | None = None
-    temperature: str | None = None
+    temperatures: tuple[str, ...] = ()
     timed: bool = True
     remark: str = ""
     imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
@@ -44,14 +44,14 @@ class Message:
     def thermometer(self) -> bool:
         """Whether the message has a temperature, times, and nothing else."""
         alone = self.accel is None and self.gyro is None and self.magnetometer is None
-        return self.timed and alone and self.temperature is not None
+        return self.timed and alone and bool(self.temperatures)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the sensors' columns."""
         triads = (self.accel, self.gyro, self.magnetometer)
         named = [column for triad in triads if triad is not None for column in triad.columns]
-        return (*named, *([self.temperature] if self.temperature else []))
+        return (*named, *dict.fromkeys(self.temperatures))
 
 
 AXES = "xyz"

@@ -49,7 +49,7 @@ def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Mess
     if kind == _FIELD:
         return Message(name=topic, count=count, accel=None, gyro=None, magnetometer=triad("field", "uT"), rows=rows)
     if kind == _TEMPERATURE:
-        return Message(name=topic, count=count, accel=None, gyro=None, temperature="temperature", rows=rows)
+        return Message(name=topic, count=count, accel=None, gyro=None, temperatures=("temperature",), rows=rows)
     look = next(_tables(islice(_readings(path, origin, topic), _LOOK)))
     accel = bool(look.select("accel_x", "accel_y", "accel_z").to_numpy().any())
     gyro = bool(look.select("gyro_x", "gyro_y", "gyro_z").to_numpy().any())

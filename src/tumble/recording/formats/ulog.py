@@ -86,7 +86,7 @@ def _message(data: Any, origin: int) -> Message:
     if data.name == _BAROMETER:
         fields = {"baro_temperature": "temperature"}
         rows = partial(_rows, values, fields, origin)
-        return Message(name=name, count=count, accel=None, gyro=None, temperature="baro_temperature", rows=rows)
+        return Message(name=name, count=count, accel=None, gyro=None, temperatures=("baro_temperature",), rows=rows)
     kind, columns = _SENSORS[data.name]
     fields = {f"{kind}_{axis}": f for axis, f in zip("xyz", columns, strict=True)}
     warmth = {f"{kind}_temperature": "temperature"} if _has_temperature(values) else {}
@@ -96,7 +96,7 @@ def _message(data: Any, origin: int) -> Message:
         accel=_only("accel", kind, "m/s^2"),
         gyro=_only("gyro", kind, "rad/s"),
         magnetometer=_only("field", kind, "gauss"),
-        temperature=next(iter(warmth), None),
+        temperatures=tuple(warmth),
         rows=partial(_rows, values, fields | warmth, origin),
     )
 
