@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import polars as pl
 import pytest
 
 from tumble.estimation.array_levers import COMMON, ArrayLevers, array_levers
-from tumble.reduction.array_motion import ArrayMoments, array_moments
+from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, beyond_body
@@ -30,7 +31,15 @@ def moments_of(accel: Array, gyro: Array, dt: float) -> ArrayMoments | None:
     to_body, beyond = np.linalg.pinv(AXES).T, beyond_body(AXES).T
     spare = np.hstack([accel @ beyond, gyro @ beyond])
     samples.append(gyro @ to_body, accel @ to_body, np.full(len(accel), dt), spare)
-    return array_moments(samples, [(0, len(accel))], ACCEL, np.zeros(3))
+    return array_moments(samples, [(0, len(accel))], moved(accel, gyro))
+
+
+def moved(accel: Array, gyro: Array) -> MovedArray:
+    """The array that has read this."""
+    extremes = [np.stack([each.min(axis=0), each.max(axis=0)]) for each in (accel, gyro)]
+    return MovedArray(
+        accel=ACCEL, gyro=GYRO, accel_extremes=extremes[0], gyro_extremes=extremes[1], at_rest=np.zeros(3)
+    )
 
 
 def in_gauge(levers: Array) -> Array:
@@ -124,7 +133,9 @@ def test_what_does_not_move_says_nothing() -> None:
 def test_six_accelerometers_are_too_few() -> None:
     samples = MotionSamples()
     samples.append(np.ones((9, 3)), np.ones((9, 3)), np.full(9, 0.01))
-    assert array_moments(samples, [(0, 9)], Block(kind="accel", axes=AXES[:6]), np.zeros(3)) is None
+    six = Block(kind="accel", axes=AXES[:6])
+    array = replace(moved(np.ones((9, 6)), np.ones((9, 24))), accel=six)
+    assert array_moments(samples, [(0, 9)], array) is None
 
 
 def test_clipped_gyros_and_uneven_intervals_are_left_out() -> None:
@@ -140,6 +151,15 @@ def test_clipped_gyros_and_uneven_intervals_are_left_out() -> None:
         in_gauge(placed(solved(array_levers(m, INSTRUMENT, shaken.values), rates=1e-4)[0])) for m in (whole, fewer)
     ]
     assert np.abs(found[1] - found[0]).max() < 0.1e-3
+
+
+def test_gyros_that_are_all_clipped_together_are_left_out() -> None:
+    shaken = Shaken(2)
+    clipped = np.clip(shaken.gyro, -12.0, 12.0)
+    moments = moments_of(shaken.accel, clipped, shaken.dt)
+    assert moments is not None
+    found, _ = solved(array_levers(moments, INSTRUMENT, shaken.values), rates=1e-4)
+    assert np.abs(in_gauge(placed(found)) - in_gauge(shaken.levers)).max() < 0.1e-3
 
 
 def test_rows_are_the_derivative_of_what_they_linearise() -> None:

@@ -265,10 +265,12 @@ def _torn(observations: Observations) -> tuple[str, ...]:
     file, known = observations.rests.file, set(observations.turns.first.tolist())
     if observations.together is not None:
         return ()
+    missing = [i for i in range(len(file) - 1) if file[i] == file[i + 1] and i not in known]
+    left_out = [f"turn from rest {i + 1} to rest {i + 2} is left out" for i in missing]
     return tuple(
-        f"turn from rest {i + 1} to rest {i + 2} is left out: samples are lost in it"
-        for i in range(len(file) - 1)
-        if file[i] == file[i + 1] and i not in known
+        f"{said}: samples are lost in it"
+        for said in left_out
+        if not any(note.startswith(said) for note in observations.notes)
     )
 
 

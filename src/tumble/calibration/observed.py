@@ -23,6 +23,7 @@ from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session, session_from
 from tumble.reduction import exclusion
 from tumble.reduction.blocks import Reduction, reduce_log
+from tumble.reduction.clipping import without_clipped_turns
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
@@ -122,12 +123,20 @@ def observations_for_calibration(observed: Observed) -> Observations | Outcome:
     found = _matched(observed)
     if isinstance(found, Outcome):
         return found
-    reduction, match = found
+    reduction, match, said = found
     session = observed.session
-    whole = match.rests == observed.segmentation.rests and not session.excluded
+    whole = match.rests == observed.segmentation.rests and not session.excluded and not said
     if observed.observations is not None and whole:
         return replace(observed.observations, programme=match.programme, position=match.position)
-    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    observations = _observed_again(observed, reduction, match)
+    return replace(observations, notes=(*observations.notes, *said))
+
+
+def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:
+    """The observations of other rests and turns."""
+    session, before = observed.session, observed.observations
+    arrays = None if before is None else before.arrays
+    return observe(reduction, match, session.accel_block, session.gyro_block, session.site, arrays)
 
 
 def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] | Outcome:
@@ -135,13 +144,15 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
     found = _matched(observed)
     if isinstance(found, Outcome):
         return found
-    reduction, session = found[0], observed.session
-    match, numbers = in_parts(reduction, found[1])
-    return held(observe(reduction, match, session.accel_block, session.gyro_block, session.site)), numbers
+    reduction, whole, said = found
+    match, numbers = in_parts(reduction, whole)
+    observations = _observed_again(observed, reduction, match)
+    return held(replace(observations, notes=(*observations.notes, *said))), numbers
 
 
-def _matched(observed: Observed) -> tuple[Reduction, Match] | Outcome:
-    """The rests of a session's programme, or all, and the reduction without the turns that are left out."""
+def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | Outcome:
+    """The rests of a session's programme, or all, the reduction without the turns that are left out, and notes of those
+    that are left out because gyros are clipped."""
     if observed.faults:
         return Outcome(reasons=observed.faults)
     session = observed.session
@@ -149,4 +160,8 @@ def _matched(observed: Observed) -> tuple[Reduction, Match] | Outcome:
     if not match.rests:
         return no_rests(observed.segmentation)
     reduction = exclusion.without_turns(observed.reduction, match, session.excluded)
-    return reduction, exclusion.without_rests(match, session.excluded)
+    match = exclusion.without_rests(match, session.excluded)
+    if session.gyro_block is None or session.log.gyro is None:
+        return reduction, match, ()
+    reduction, said = without_clipped_turns(reduction, match, session.gyro_block, session.log.gyro)
+    return reduction, match, said

@@ -21,8 +21,12 @@ from tumble.units import Array
 
 
 def each_session(linearised: Linearised) -> Iterator[Linearised]:
-    """Each of several sessions, in their order; what it has of its own stands after the common parameters."""
+    """Each of one or several sessions, in their order; what it has of its own stands after the common parameters."""
     problem = linearised.problem.warmed(linearised.point)
+    if problem.observations.together is None:
+        rows = linearised.rows
+        yield replace(linearised, rows=_rows(rows, problem.parts[0], rows.prior, 0, problem.own_known))
+        return
     triangles, prior = list(_triangles(linearised)), linearised.rows.prior
     for s, part in enumerate(problem.parts):
         others = np.asarray(np.linalg.qr(np.concatenate([prior, *triangles[:s], *triangles[s + 1 :]]), mode="r"))

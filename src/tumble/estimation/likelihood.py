@@ -387,10 +387,17 @@ def instruments_of(observations: Observations) -> tuple[Instrument, Instrument |
     accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
     variables = set(variables_of(observations))
     if observations.together is None:
-        return Instrument.of(accel, gyro, usual, variables), None
-    every = Instrument.of(accel, gyro, usual, OWN)
-    own = replace(every, further=tuple(group for group in every.further if group.variable in OWN))
+        variables -= {"warm-up"}
+        warming = None if observations.warm_up is None else _changing_with(observations, ("warm-up",))
+        return Instrument.of(accel, gyro, usual, variables), warming
+    own = _changing_with(observations, OWN)
     return Instrument.of(accel, gyro, usual, variables - set(OWN)), own
+
+
+def _changing_with(observations: Observations, variables: tuple[Variable, ...]) -> Instrument:
+    """The instrument of the linear model and of its changes with some variables."""
+    every = Instrument.of(observations.accel_block, observations.gyro_block, observations.usual, variables)
+    return replace(every, further=tuple(group for group in every.further if group.variable in variables))
 
 
 # Residuals and Jacobians

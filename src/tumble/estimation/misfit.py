@@ -9,6 +9,7 @@ the 21 parameters by more than DAMAGE of its u, for then the error is not random
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,7 +91,7 @@ def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
     if linearised is None:
         return None
     if observations.together is None:
-        return _of_session(linearised)
+        return _of_session(next(each_session(linearised)))
     names = observations.together.names
     found = [_of_session(each, share=1.0 / len(names)) for each in each_session(linearised)]
     return _of_all([(name, each) for name, each in zip(names, found, strict=True) if each.remarks or each.reasons])
@@ -126,9 +127,29 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
         _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
     ]
     reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < limit]
-    remarks = [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
+    remarks = list(_settled(linearised))
+    remarks += [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
     remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
-    return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=tuple(cause.name for cause in named))
+    warm = ("warm-up",) if observations.warm_up is not None else ()
+    return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=(*warm, *(cause.name for cause in named)))
+
+
+def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
+    """What settles after the start, where the estimate has it."""
+    own, settling = linearised.problem.own, linearised.problem.observations.warm_up
+    if own is None or settling is None:
+        return
+    first, values = own.linear_count, linearised.point.own[0]
+    said = list[str]()
+    for kind, words, (size, unit) in (("accel", "accelerometers", GROUPS[0].unit), ("gyro", "gyros", GROUPS[1].unit)):
+        if (members := own.members.get(f"{kind}.bias.warmup")) is not None:
+            largest = np.abs(values[members.start - first : members.stop - first]).max() / size
+            said.append(f"of the {words} {'' if said else 'settle '}by up to {largest:.2g} {unit}".replace(" °", "°"))
+    yield (
+        "both",
+        f"warm-up after power-on: biases {' and '.join(said)}, with a time constant of {settling:.0f} s; "
+        "parameters are those of the settled device and u contains what is not known of it; switch on earlier",
+    )
 
 
 def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concerns]) -> list[Cause]:

@@ -25,6 +25,7 @@ BOTH_WAYS = 3
 """Rests that have to come from each side for a hysteresis to be sought."""
 INNER = 0.8
 """Of half the range: beyond, a hysteresis does nothing."""
+SHORTEST = 1e-6  # s: of a turn
 LAG_STEP = 1.0  # s, of the difference for the derivative
 
 Variables = Mapping[Variable, tuple[Array, Array]]
@@ -46,9 +47,25 @@ def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable,
         out = {name: (values, np.zeros((0, 1))) for name, values in at_rest.items()}
     else:
         out = {name: (v, 0.5 * (v[turns.first] + v[turns.last])) for name, v in at_rest.items()}
+    if observations.warm_up is not None:
+        out["warm-up"] = left_of_warm_up(observations, observations.warm_up)
     if rests.temperatures is not None:
         out |= _of_temperature(observations, rests.temperatures, lag)
     return out
+
+
+def left_of_warm_up(observations: Observations, settling: float) -> tuple[Array, Array]:
+    """What is left of a warm-up with a time constant, s: means of e^(−t/τ) over the rests (N, 1) and turns (K, 1), t
+    from the start of the first rest."""
+    rests, turns = observations.rests, observations.turns
+    first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
+
+    def mean(start: Array, stop: Array) -> Array:
+        passed = np.maximum(stop - start, SHORTEST) / settling
+        left = np.exp((rests.start[0] - start) / settling) * -np.expm1(-passed) / passed
+        return np.asarray(left[:, None])
+
+    return mean(rests.start, rests.stop), mean(rests.stop[first], rests.start[last])
 
 
 def _of_temperature(observations: Observations, kelvin: Array, lag: float) -> dict[Variable, tuple[Array, Array]]:

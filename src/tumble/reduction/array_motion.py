@@ -39,7 +39,9 @@ BATCH_SAMPLES = 2**14
 UNEVEN = 0.1
 """Intervals that differ by more than this part from the usual one have no derivatives."""
 DISAGREE = 0.1
-"""Gyros that differ by more than this part of the rate from what they have in common: one is clipped, or late."""
+"""Gyros that differ by more than this part of the rate from what they have in common: one is late, or broken."""
+NEAR_EXTREME = 1e-9
+"""Of the range of a sensor's readings: what rounding makes of an extreme."""
 _FIRST, _SECOND = np.array(PAIRS).T
 
 
@@ -62,23 +64,33 @@ def columns_of(sensors: int) -> dict[str, slice]:
     return out
 
 
-def array_moments(
-    samples: MotionSamples, parts: list[tuple[int, int]], accel: Block, at_rest: Array
-) -> ArrayMoments | None:
-    """The moments of samples start … stop − 1 of every part; `at_rest` (3,), rad/s, is what the gyros read in the body
-    when nothing moves. None where there are too few accelerometers, or where too little moves."""
-    if accel.size < FEWEST:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MovedArray:
+    """The accelerometers and gyros of an array, the least and the most (2, n) that each of them reads in its log, SI,
+    and what the gyros read in the body (3,), rad/s, when nothing moves."""
+
+    accel: Block
+    gyro: Block
+    accel_extremes: Array
+    gyro_extremes: Array
+    at_rest: Array
+
+
+def array_moments(samples: MotionSamples, parts: list[tuple[int, int]], array: MovedArray) -> ArrayMoments | None:
+    """The moments of samples start … stop − 1 of every part. None where there are too few accelerometers, or where too
+    little moves."""
+    if array.accel.size < FEWEST:
         return None
-    columns = columns_of(accel.size)
+    columns = columns_of(array.accel.size)
     width = columns["jerk"].stop
     whole, count = np.zeros((width, width)), 0
-    for x in _in_motion(samples, parts, accel, at_rest):
+    for x in _in_motion(samples, parts, array):
         whole += x.T @ x
         count += len(x)
     if count < MOVED * width:
         return None
     judge, sums, counts = _quiet(whole, columns), np.zeros((CLASSES, width, width)), np.zeros(CLASSES)
-    for x in _in_motion(samples, parts, accel, at_rest):
+    for x in _in_motion(samples, parts, array):
         left = np.maximum(((x @ judge.T) ** 2).mean(axis=1), QUIETEST)
         of = np.minimum(np.floor(2.0 * np.log2(left / QUIETEST)), CLASSES - 1)
         for c in np.unique(of).astype(int).tolist():
@@ -101,30 +113,45 @@ def _quiet(whole: Array, columns: dict[str, slice]) -> Array:
     return out
 
 
-def _in_motion(samples: MotionSamples, parts: list[tuple[int, int]], accel: Block, at_rest: Array) -> Iterator[Array]:
+def _in_motion(samples: MotionSamples, parts: list[tuple[int, int]], array: MovedArray) -> Iterator[Array]:
     """x (m, c) of the samples that can be used, batch by batch."""
     for start, stop in parts:
         for first in range(start, stop, BATCH_SAMPLES):
             around = max(first - 1, start), min(first + BATCH_SAMPLES + 1, stop)
             if around[1] - around[0] > 2:
-                yield _functions(samples, *around, accel, at_rest)
+                yield _functions(samples, *around, array)
 
 
-def _functions(samples: MotionSamples, start: int, stop: int, accel: Block, at_rest: Array) -> Array:
+def _functions(samples: MotionSamples, start: int, stop: int, array: MovedArray) -> Array:
     """x (m, c) of the samples that move, can be used, and have one before and after that can."""
     rates, forces, intervals, spare = samples.read_with_spare(start, stop)
-    rates = rates - at_rest
+    readings = read_by(array.accel, forces, spare[:, : array.accel.size - 3])
+    of_gyros = read_by(array.gyro, rates, spare[:, array.accel.size - 3 :])
+    whole = _within(readings, array.accel_extremes) & _within(of_gyros, array.gyro_extremes)
+    usable = whole & _usable(rates, spare[:, array.accel.size - 3 :], intervals)
+    rates = rates - array.at_rest
     products = rates[:, _FIRST] * rates[:, _SECOND]
     span = (0.5 * intervals[:-2] + intervals[1:-1] + 0.5 * intervals[2:])[:, None]
-    readings = forces @ accel.axes.T + spare[:, : accel.size - 3] @ beyond_body(accel.axes)
     change, turning, jerk = ((v[2:] - v[:-2]) / span for v in (products, rates, forces))
     inner = slice(1, -1)
     squares = forces[inner][:, _FIRST] * forces[inner][:, _SECOND]
     one = np.ones((len(span), 1))
     x = np.concatenate([one, readings[inner], products[inner], change, turning, squares, jerk], axis=1)
-    usable = _usable(rates, spare[:, accel.size - 3 :], intervals)
     moves = (rates[inner] ** 2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
     return np.asarray(x[moves & usable[:-2] & usable[inner] & usable[2:]])
+
+
+def read_by(block: Block, vectors: Array, spare: Array) -> Array:
+    """What every sensor reads (m, n), of vectors in the body (m, 3) and what is spare (m, n − 3)."""
+    return np.asarray(vectors @ block.axes.T + spare @ beyond_body(block.axes))
+
+
+def _within(readings: Array, extremes: Array) -> BoolArray:
+    """Samples (m,) in which no sensor reads the least or the most of its log: a clipped sensor does, and all that are
+    along one axis may be clipped together."""
+    least, most = extremes
+    near = NEAR_EXTREME * (most - least)
+    return np.asarray(((readings > least + near) & (readings < most - near)).all(axis=1))
 
 
 def _usable(rates: Array, spare: Array, intervals: Array) -> BoolArray:

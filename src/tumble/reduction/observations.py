@@ -25,8 +25,8 @@ import numpy as np
 from tumble.programme.positions import Programme
 from tumble.recording.gaps import Gap
 from tumble.recording.session import Site
-from tumble.reduction.array_motion import ArrayMoments, array_moments
-from tumble.reduction.blocks import FileBlocks, Reduction
+from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
+from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.matching import Match
 from tumble.reduction.moments import (
@@ -218,6 +218,8 @@ class Observations:
     """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
+    warm_up: float | None = None
+    """Time constant, s, in which biases settle after the start, where they do."""
 
     @property
     def session(self) -> IntArray | None:
@@ -329,12 +331,19 @@ def _series(
     return accel, gyro, kelvin if len(kelvin) == len(pairs) else None
 
 
-def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None, site: Site) -> Observations:
-    """Reduce the rests and turns of a log to observations. At least one rest is needed."""
+def observe(
+    reduction: Reduction,
+    match: Match,
+    accel: Block,
+    gyro: Block | None,
+    site: Site,
+    arrays: tuple[ArrayMoments, ...] | None = None,
+) -> Observations:
+    """Reduce the rests and turns of a log to observations. At least one rest is needed. What an array reads in motion
+    does not depend on the rests: it is made unless it is given, of the same log with other rests."""
     spans = match.rests
     rests, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
     turns, samples, readings = None, None, None
-    arrays: tuple[ArrayMoments, ...] = ()
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         by_file, block_seconds = {f.file: f for f in reduction.files}, reduction.files[0].size / reduction.rate
         accel_series, _, temperatures = _series([by_file[s.file] for s in spans], spans)
@@ -343,7 +352,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         noises = (accel, accel_noise), (gyro, gyro_noise)
         turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
         readings = _turn_readings(by_file, spans, turns, gyro_noise, block_seconds) if gyro.size > 3 else None
-        arrays = _arrays(reduction, rests, accel, gyro)
+        arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
     return Observations(
         accel_block=accel,
         gyro_block=gyro,
@@ -354,7 +363,7 @@ def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None
         programme=match.programme,
         position=match.position,
         turn_readings=readings,
-        arrays=arrays,
+        arrays=arrays or (),
         rounding=rounded,
         notes=(*_copies(reduction), *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else _thermometers(reduction),
@@ -366,9 +375,20 @@ def _arrays(reduction: Reduction, rests: Rests, accel: Block, gyro: Block) -> tu
     if reduction.samples is None:
         return ()
     parts = [(f.first_sample, f.first_sample + f.size * len(f.accel)) for f in reduction.files]
-    at_rest = np.linalg.pinv(gyro.axes) @ rests.gyro.mean(axis=0)
-    found = array_moments(reduction.samples, parts, accel, at_rest)
+    array = MovedArray(
+        accel=accel,
+        gyro=gyro,
+        accel_extremes=_extremes(reduction.accel_channels),
+        gyro_extremes=_extremes(reduction.gyro_channels),
+        at_rest=np.linalg.pinv(gyro.axes) @ rests.gyro.mean(axis=0),
+    )
+    found = array_moments(reduction.samples, parts, array)
     return () if found is None else (found,)
+
+
+def _extremes(channels: tuple[ChannelState, ...]) -> Array:
+    """The least and the most (2, n) that channels read."""
+    return np.array([[channel.minimum for channel in channels], [channel.maximum for channel in channels]])
 
 
 def _thermometers(reduction: Reduction) -> Thermometers:

@@ -20,7 +20,8 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
         known = ", ".join(g.name.replace(".", "_") for g in FURTHER if g.variable is None)
         raise ValueError(
             f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_curvature, gyro_curvature, "
-            "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, accel_launch, gyro_launch, temperature_lag"
+            "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, accel_warmup, gyro_warmup, accel_launch, "
+            "gyro_launch, temperature_lag"
         )
     found = _quantity(group, text)
     if found is None or found <= 0.0:
