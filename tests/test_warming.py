@@ -41,10 +41,10 @@ def test_noise_of_rests_that_warm_is_that_of_their_sensors() -> None:
         (1.0 + 1.5e-4 * w + 2.5e-6 * w**2) * f + 3e-3 * w + 5e-5 * w**2 + e
         for w, f, e in zip(warmer, force, noise, strict=True)
     ]
-    quiet = without_warming(series, kelvin)
+    quiet = without_warming(series, lambda _: np.concatenate(kelvin))
     np.testing.assert_allclose([q.mean(axis=0) for q in quiet], [s.mean(axis=0) for s in series], rtol=1e-12)
     white = 1e-3**2 / 120.0
     np.testing.assert_allclose(fit_coloured_noise(quiet).variance_of_mean(120), white, rtol=0.15)
     assert np.all(fit_coloured_noise(series).variance_of_mean(120) > 2.0 * white)
     assert without_warming(series, None)[3] is series[3]
-    assert without_warming(series, [np.full(120, 300.0)] * 12)[3] is series[3]
+    assert without_warming(series, lambda _: np.full(1440, 300.0))[3] is series[3]

@@ -16,11 +16,10 @@ import numpy as np
 
 from tumble.reduction.observations import Observations
 from tumble.reduction.thermometer import Warmth
+from tumble.reduction.warming import OVER_TEMPERATURE
 from tumble.sensors.parameters import Variable
 from tumble.units import Array, BoolArray
 
-OVER_TEMPERATURE = 10.0
-"""K: where the rests span less, a lag and a hysteresis are not sought."""
 BOTH_WAYS = 3
 """Rests that have to come from each side for a hysteresis to be sought."""
 INNER = 0.8

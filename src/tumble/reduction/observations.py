@@ -45,7 +45,7 @@ from tumble.reduction.rest_noise import accel_covariance, channel_rounding, dens
 from tumble.reduction.rounding import Rounding, rounding_notes
 from tumble.reduction.segmentation import RestSpan
 from tumble.reduction.thermometer import Thermometer
-from tumble.reduction.warming import without_warming
+from tumble.reduction.warming import KelvinAtLag, without_warming
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
@@ -270,13 +270,15 @@ def _linear(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: Sen
 
 def reduced_rests(
     reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyro: Block | None
-) -> tuple[Rests, ColouredNoise | None, dict[str, Rounding]]:
-    """The rests at these spans, at least one, the noise of the gyros and the rounding by kind of channel."""
+) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
+    """The rests at these spans, at least one, what their noise is fitted to of the accelerometers, the noise of the
+    gyros and the rounding by kind of channel."""
     by_file = {f.file: f for f in reduction.files}
     blocks = [by_file[s.file] for s in spans]
     durations = np.array([s.stop - s.start for s in spans])
     accel_series, gyro_series, temperatures = _series(blocks, spans)
-    accel_quiet, gyro_quiet = (without_warming(each, temperatures) for each in (accel_series, gyro_series))
+    warmth = _warmth(reduction, blocks, spans, temperatures)
+    accel_quiet, gyro_quiet = (without_warming(each, warmth) for each in (accel_series, gyro_series))
     rounded = {"accel": channel_rounding(reduction, spans, "accel")}
     accel_spread = accel_covariance(accel_quiet, accel) + np.diag(ACCEL_FLOOR**2 + rounded["accel"].of_rest ** 2)
     gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
@@ -301,7 +303,7 @@ def reduced_rests(
         magnetometer=magnetometer,
         magnetometer_covariance=magnetometer_covariance,
     )
-    return rests, gyro_noise, rounded
+    return rests, accel_quiet, gyro_noise, rounded
 
 
 def _series(
@@ -315,18 +317,29 @@ def _series(
     return accel, gyro, kelvin if len(kelvin) == len(pairs) else None
 
 
+def _warmth(
+    reduction: Reduction, blocks: Sequence[FileBlocks], spans: tuple[RestSpan, ...], kelvin: list[Array] | None
+) -> KelvinAtLag | None:
+    """From a lag to the temperatures, K, of what follows the thermometer in the rests at these spans, where it has
+    itself `kelvin`; None where it has none."""
+    if kelvin is None:
+        return None
+    thermometer, file = _thermometer(reduction), np.repeat([s.file for s in spans], [len(each) for each in kelvin])
+    read = np.concatenate(kelvin)
+    time = np.concatenate([f.edges[1:][s.first : s.last] for f, s in zip(blocks, spans, strict=True)])
+    return lambda lag: read if lag == 0.0 else thermometer.at(file, time, lag)
+
+
 def observe(reduction: Reduction, match: Match, accel: Block, gyro: Block | None, site: Site) -> Observations:
     """Reduce the rests and turns of a log to observations. At least one rest is needed."""
     spans = match.rests
-    rests, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
+    rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
     turns, samples, readings = None, None, None
     arrays: tuple[ArrayMoments, ...] = ()
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         by_file, block_seconds = {f.file: f for f in reduction.files}, reduction.files[0].size / reduction.rate
-        accel_series, _, temperatures = _series([by_file[s.file] for s in spans], spans)
-        accel_noise = fit_coloured_noise(without_warming(accel_series, temperatures))
         whole = _recorded_turns(spans, reduction.gaps)
-        noises = (accel, accel_noise), (gyro, gyro_noise)
+        noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
         readings = _turn_readings(by_file, spans, turns, gyro_noise, block_seconds) if gyro.size > 3 else None
         arrays = _arrays(reduction, rests, accel, gyro)
