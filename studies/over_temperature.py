@@ -53,6 +53,7 @@ from tumble.simulation.temperature_profile import truth_at as true_at
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
 GRADE = "navigation"
+SETUP = Setup.of(grade=GRADE, terms="full", rest=120.0)
 REFERENCE = 20.0 + ZERO_CELSIUS
 ONCE = programme("rough-table")
 TWICE = Programme(
@@ -96,9 +97,8 @@ ISOTHERMAL = Procedure(name="no change", courses=((20.0, 20.0),))
 
 def session(procedure: Procedure, course: Sequence[float], lag: float) -> tuple[Climate, float]:
     """The climate of a session, and how long it takes, s."""
-    setup = Setup.of(grade=GRADE)
-    turns = len(procedure.programme.moves) * (180.0 / np.rad2deg(setup.turn_rate))
-    long = setup.first_rest + setup.rest * len(procedure.programme.positions) + turns
+    turns = len(procedure.programme.moves) * (np.pi / SETUP.turn_rate)
+    long = SETUP.first_rest + SETUP.rest * len(procedure.programme.positions) + turns
     kelvin = np.array(course) + ZERO_CELSIUS
     time = np.linspace(0.0, long, len(kelvin))
     if procedure.warm_up is not None:
@@ -110,7 +110,7 @@ def session(procedure: Procedure, course: Sequence[float], lag: float) -> tuple[
 
 def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
     """An instrument with every parameter of the usual size."""
-    scenario = scenario_of(Setup.of(grade=GRADE, terms="full"), rng)
+    scenario = scenario_of(SETUP, rng)
     course = scenario.course
     assert isinstance(course, OnTable)
     every = Instrument.of(scenario.accel, scenario.gyro, USUAL, WITH_TEMPERATURE)

@@ -58,6 +58,8 @@ class TurnsAbout:
     to_rate: Array
     arrays: tuple[ArrayLevers, ...] = ()
     """What the accelerometers of arrays say of each other in motion."""
+    growing: tuple[Array, Array, Array] | None = None
+    """by_phi, by_velocity and by_force of coefficients that grow by 1 a second about the middle of the turns."""
 
     @staticmethod
     def of(
@@ -84,6 +86,8 @@ class TurnsAbout:
             moments = observations.moments_about_each(list(map(compensation, rate, force)), own)
         lefts = about.gyro.left_inverse, about.accel.left_inverse
         about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts)
+        if any(group.variable == "temperature" for group in instrument.further):
+            about_turns = replace(about_turns, growing=_growing(observations, about, lefts))
         if instrument.in_motion("lever") is None:
             return about_turns
         arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)
@@ -152,6 +156,15 @@ class TurnsAbout:
             V[:, :, delay] = self.delay[:, :, None]
         return phi, V
 
+    def growing_columns(self, instrument: Instrument, values: Array) -> tuple[Array, Array] | tuple[None, None]:
+        """The same (K, 3, m) of parameters that grow by 1 a second about the middle of the turns."""
+        if self.growing is None or instrument.gyro is None:
+            return None, None
+        of_gyro, of_accel = (instrument.derivative(block, values) for block in (instrument.gyro, instrument.accel))
+        by_phi, by_velocity, by_force = self.growing
+        V = np.tensordot(by_velocity, of_gyro, axes=2) + np.tensordot(by_force, of_accel, axes=2)
+        return np.tensordot(by_phi, of_gyro, axes=2), V
+
     def bias_columns(self) -> tuple[Array, Array]:
         """−∂φ/∂b and −∂V/∂b (K, 3, n) of the biases of the accelerometers, then of the gyros."""
         accel, gyro = self.by_force[..., CONSTANT], self.by_phi[..., CONSTANT]
@@ -183,6 +196,12 @@ class TurnsAbout:
         """Whether first order does for changes (K, n, 15) of the coefficients of the gyros from turn to turn."""
         rotation, velocity = self._second_order(changes)
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
+
+
+def _growing(observations: Observations, about: Compensation, lefts: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    """by_phi, by_velocity and by_force of coefficients that grow within the turns."""
+    Phi, Psi = observations.growing_moments_about(about)
+    return _paths(Phi, lefts[0]), _paths(Psi, lefts[0]), _paths(Phi, lefts[1])
 
 
 def _applied(by: Array, change: Array) -> Array:

@@ -36,6 +36,7 @@ from tumble.reduction.moments import (
     Moments,
     OwnAxes,
     Pieces,
+    growing_moments,
     integrate,
     integrate_each,
     moments_of,
@@ -120,6 +121,11 @@ class TurnSamples:
     stop: IntArray
     others: tuple[tuple[int, TurnSamples], ...] = ()
     _only_batch: list[Pieces] = field(default_factory=list, repr=False)
+
+    @property
+    def lengths(self) -> IntArray:
+        """How many samples the turns have (K,)."""
+        return np.concatenate([self.stop - self.start, *(other.lengths for _, other in self.others)])
 
     def pieces(self) -> Iterator[Pieces]:
         """Batches of whole or cut turns, of no turn two pieces."""
@@ -240,6 +246,12 @@ class Observations:
         if self.turns is None or self.turn_samples is None:
             raise ValueError("moments_about_each: expected observations of a log with gyros and turns, found none")
         return integrate_each(self.turn_samples.pieces(), compensations, own)
+
+    def growing_moments_about(self, compensation: Compensation) -> tuple[Array, Array]:
+        """Φ and Ψ of the same turns, weighted with the time from the middle of each, see `growing_moments`."""
+        if self.turns is None or self.turn_samples is None:
+            raise ValueError("growing_moments_about: expected observations of a log with gyros and turns, found none")
+        return growing_moments(self.turn_samples.pieces(), self.turn_samples.lengths, compensation)
 
     def turns_about(self, gyro: SensorModel) -> Turns:
         """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the
