@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tumble.estimation.methods.joint import joint
+from tumble.planning.setup import Setup
 from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.thermometer import Thermometer
 from tumble.reduction.warming import without_warming
+from tumble.sensors.parameters import usual_sizes
+from tumble.simulation.climate import Climate
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import scenario_of
+from tumble.units import ZERO_CELSIUS
 
 
 @pytest.mark.parametrize("lag", [0.0, 40.0])
@@ -48,3 +57,33 @@ def test_noise_of_rests_that_warm_is_that_of_their_sensors() -> None:
     assert np.all(fit_coloured_noise(series).variance_of_mean(120) > 2.0 * white)
     assert without_warming(series, None)[3] is series[3]
     assert without_warming(series, lambda _: np.full(1440, 300.0))[3] is series[3]
+
+
+@pytest.mark.parametrize("lag", [90.0, -40.0])
+def test_sensors_that_fall_behind_the_thermometer_are_no_noise(lag: float) -> None:
+    """Where a ramp begins and where it turns back, the sensors bend away from it."""
+    rng, time = np.random.default_rng(5), np.arange(0.5, 1440.0)
+    course = np.arange(0.0, 1441.0), 290.0 + 0.05 * np.minimum(np.arange(1441.0), 1440.0 - np.arange(1441.0))
+    thermometer, file = Thermometer.of({0: course}), np.zeros(len(time), dtype=np.int64)
+    warm, noise = thermometer.at(file, time, lag), 1e-3 * rng.standard_normal((1440, 3))
+    series = np.split(1e-2 * (warm[:, None] - 308.0) + noise, 12)
+    expected = fit_coloured_noise(np.split(noise, 12)).variance_of_mean(120)
+    quiet = without_warming(series, lambda lag: thermometer.at(file, time, lag))
+    np.testing.assert_allclose(fit_coloured_noise(quiet).variance_of_mean(120), expected, rtol=0.1)
+    of_thermometer = without_warming(series, lambda _: thermometer.at(file, time))
+    assert np.all(fit_coloured_noise(of_thermometer).variance_of_mean(120) > 2.0 * expected)
+
+
+def test_a_turn_is_followed_while_it_warms() -> None:
+    """At 8 K a minute biases change within a turn by several times its noise."""
+    setup = Setup.of(grade="navigation", terms="full", rest=20.0)
+    rng = np.random.default_rng(3)
+    scenario = replace(scenario_of(setup, rng), usual=usual_sizes("navigation"))
+    slopes = {f"{kind}.{what}.{x}.t1": 0.0 for kind in ("accel", "gyro") for what in ("bias", "scale") for x in "xyz"}
+    for name in slopes:
+        slopes[name] = scenario.usual[f"{name[:-5]}.t1"] * rng.choice([-1.0, 1.0])
+    kelvin = np.array([-20.0, 60.0]) + ZERO_CELSIUS
+    climate = Climate(time=np.array([0.0, 600.0]), kelvin=kelvin, reference=float(kelvin.mean()))
+    scenario = replace(scenario, truth=dict(scenario.truth) | slopes, climate=climate)
+    fit = joint(simulate_observations(scenario, rng)).fits["noise within rests"]
+    assert fit.chi_square < fit.degrees + 5.0 * np.sqrt(2.0 * fit.degrees)
