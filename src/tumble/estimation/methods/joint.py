@@ -89,6 +89,10 @@ QUICK_STEPS = 20
 """Steps that the fit of a quick estimate may take: that of a sound session takes ten."""
 SCATTER_STEPS = 40
 SCATTER_CONVERGED = 0.02  # of the standard deviation of a component of variance
+FURTHEST = 1e3  # of it, that a step may go: two components that nearly are one would send each other anywhere
+LEAST_DEGREES = 0.5
+"""Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
+end by rounding, that its variance would be divided."""
 WIDENING_STEPS = 50
 LAGS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, -25.0, -100.0)
 """s: time constants of the sensors behind the thermometer from which the best is sought."""
@@ -323,8 +327,9 @@ def _fitted(problem: Problem, start: _At, out: _Out, most: int = ALL_STEPS) -> _
     solved = _iterated(problem, start, out, scatter, most)
     increments, steps = solved.increments, len(solved.increments)
     without = _left(problem, solved, out, scatter)
+    seen = _seen(problem, out.noise(problem, solved.last.rows), *without)
     for _ in range(ROUNDS):
-        found, components = _scattered(wide, solved.last.rows, out, scatter)
+        found, components = _scattered(wide, solved.last.rows, out, scatter, seen)
         wider = _widened(wide, solved.last, out, found)
         if (found == scatter and wider is wide) or steps >= most:
             break
@@ -415,9 +420,20 @@ def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Turn
 # Scatter
 
 
-def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter) -> tuple[Scatter, Array]:
-    """The components of scatter by restricted maximum likelihood at one linearisation, from a start, and the covariance
-    (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls."""
+def _seen(problem: Problem, noise: Noise, after: Left, weight: Weights) -> BoolArray:
+    """Whether a fit leaves something of each component (5,) of scatter."""
+    degrees, last = np.zeros(len(COMPONENTS)), problem.link < 0
+    rows = (weight.rest[last], after.rest[1][last]), (weight.merged, after.merged[1])
+    for (W, covariance), (Z, member) in zip(rows, _together(noise, last), strict=True):
+        WZ = W @ Z
+        whole, left_of = (WZ**2).sum(axis=1), (WZ * (covariance @ WZ)).sum(axis=1)
+        degrees += (left_of / np.where(whole > 0.0, whole, 1.0)).sum(axis=0) @ member
+    return np.asarray(degrees > LEAST_DEGREES)
+
+
+def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter, seen: BoolArray) -> tuple[Scatter, Array]:
+    """The components of scatter that are `seen` (5,) by restricted maximum likelihood at one linearisation, from a
+    start, and the covariance (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls."""
     noise = out.noise(problem, rows)
     directions = _together(noise, problem.link < 0)
     variance = start.variances
@@ -425,7 +441,7 @@ def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter) -> tuple
     deviance, score, information = _scored(problem, rows, noise, directions, variance)
     if not active.any():
         size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
-        active = score / size > -special.ndtri(SCATTER_PROBABILITY)
+        active = seen & (score / size > -special.ndtri(SCATTER_PROBABILITY))
     for _ in range(SCATTER_STEPS):
         active &= (variance > 0.0) | (score > 0.0)
         if not active.any():
@@ -434,7 +450,7 @@ def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter) -> tuple
         change = np.zeros_like(variance)
         change[active] = np.linalg.solve(information[index], score[active])
         deviation = np.where(active, 1.0 / np.sqrt(np.where(active, np.diag(information), 1.0)), np.inf)
-        wanted, before = np.maximum(variance + change, 0.0), variance
+        wanted, before = np.clip(variance + change, 0.0, variance + FURTHEST * deviation), variance
         for _ in range(5):
             variance = wanted
             found = _scored(problem, rows, noise, directions, variance)
