@@ -41,9 +41,9 @@ class Shown:
         eventually(lambda: said in self.browser.text("#fault") + self.browser.text("h1"))
         self.look(name)
         if key:
-            answered = len(self.bench.station._answered)
+            answered = len(self.bench.station._answers.answered)
             self.browser.press(key)
-            eventually(lambda: len(self.bench.station._answered) > answered)
+            eventually(lambda: len(self.bench.station._answers.answered) > answered)
             self.bench.run(0.2)
             eventually(lambda: said not in self.browser.text("#fault"))
 

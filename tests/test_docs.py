@@ -46,13 +46,21 @@ RUN = (
     "docs/cube.md",
     "docs/ellipsoid.md",
     "docs/xsens.md",
+    "docs/imucal.md",
+    "docs/ln100.md",
+    "docs/psins.md",
     "docs/recordings.md",
     "docs/registry.md",
     "docs/campaigns.md",
     "docs/plan.md",
     "docs/api.md",
 )
-RECORDINGS = {"docs/xsens.md": "xsens-mti"}
+RECORDINGS = {
+    "docs/xsens.md": "xsens-mti",
+    "docs/imucal.md": "imucal-ferraris",
+    "docs/ln100.md": "ln100-updown",
+    "docs/psins.md": "psins-systematic",
+}
 """Pages that need a recording: the folder of the shared data that is copied into the empty one."""
 
 BLOCK = re.compile(r"(?:^<!-- file: (?P<file>\S+) -->\n+)?^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.M | re.S)

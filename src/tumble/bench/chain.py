@@ -52,12 +52,10 @@ class Known:
 
 
 class Chain:
-    """The chain of a session whose log grows, of one file."""
+    """The chain of a session whose log grows, of one file, with a sample every `interval` s."""
 
-    def __init__(self, session: Session, interval: float, grade: str) -> None:
-        """`grade` is that of the unit where the session does not say one."""
+    def __init__(self, session: Session, interval: float) -> None:
         log = session.log
-        self._grade = session.device.grade or grade
         self.session = session
         increments = tuple(c is not None and c.unit.kind == "increment" for c in (log.accel, log.gyro))
         self._reducer = Reducer(
@@ -112,32 +110,33 @@ class Chain:
         spans = tuple(replace(span, first=span.first + first, last=span.last + first) for span in found.rests)
         return without_times(reduction, replace(found, rests=spans), excluded)
 
-    def known(self, reduction: Reduction, first: int, last: int) -> Known | None:
-        """How well the mean over blocks first … last − 1 is known; None while they are too few."""
-        if last - first < 10:
-            return None
-        file = reduction.files[-1]
-        accel, twice_accel = _uncertain(file.accel[first:last])
-        if file.gyro is None:
-            return Known(accel=accel, gyro=None, twice=twice_accel / accel)
-        gyro, twice_gyro = _uncertain(file.gyro[first:last])
-        return Known(accel=accel, gyro=gyro, twice=max(twice_accel / accel, twice_gyro / gyro))
 
-    def estimate(
-        self, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
-    ) -> Estimate | None:
-        """The joint estimate from these rests and the turns between them; None where they are too few."""
-        numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(spans))
-        match = without_rests(Match(rests=spans, programme=None, position=None), numbered)
-        if len(match.rests) < 2:
-            return None
-        session = self.session
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
-            for usual in (usual_sizes(self._grade, session.device.prior), {}):  # few rests bear the linear model alone
-                with contextlib.suppress(np.linalg.LinAlgError):
-                    return joint(replace(found, usual=usual), quick=True)
+def known(reduction: Reduction, first: int, last: int) -> Known | None:
+    """How well the mean over blocks first … last − 1 is known; None while they are too few."""
+    if last - first < 10:
         return None
+    file = reduction.files[-1]
+    accel, twice_accel = _uncertain(file.accel[first:last])
+    if file.gyro is None:
+        return Known(accel=accel, gyro=None, twice=twice_accel / accel)
+    gyro, twice_gyro = _uncertain(file.gyro[first:last])
+    return Known(accel=accel, gyro=gyro, twice=max(twice_accel / accel, twice_gyro / gyro))
+
+
+def estimate_so_far(
+    session: Session, grade: str, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
+) -> Estimate | None:
+    """The joint estimate from these rests and the turns between them; None where they are too few."""
+    numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(spans))
+    match = without_rests(Match(rests=spans, programme=None, position=None), numbered)
+    if len(match.rests) < 2:
+        return None
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+        for usual in (usual_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
+            with contextlib.suppress(np.linalg.LinAlgError):
+                return joint(replace(found, usual=usual), quick=True)
+    return None
 
 
 def _in_body(series: Array, to_body: Array | None) -> Array:

@@ -1,7 +1,7 @@
-"""Where the operator is: the rests so far, the positions they are, the turn under way, and what is wrong with them.
+"""Where the operator is: the rests so far, how good the last one is, the positions they are, and the turn under way.
 
-Nothing is remembered but what the operator has answered: all else follows from the blocks of the log, so that a page
-that is started again says the same.
+All of it follows from the blocks of the log and what is left out of it, so that a page that is started again says the
+same.
 """
 
 from __future__ import annotations
@@ -11,22 +11,21 @@ from functools import reduce
 
 import numpy as np
 
-from tumble.bench.chain import Blocks
+from tumble.bench.chain import Blocks, Known
+from tumble.bench.wishes import Wanted
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Move, Position, Programme
-from tumble.reduction.matching import POSITION_LIMIT, SAME_ATTITUDE, TURN_LIMIT
+from tumble.reduction.matching import POSITION_LIMIT, SAME_ATTITUDE
 from tumble.rotation import rotation_matrix, rotation_vector
-from tumble.units import DEGREE, G_STANDARD, Array, BoolArray
+from tumble.units import Array, BoolArray
 
 CALM_BLOCKS = 5
 """Half a second without movement is a rest that begins."""
 _LOOKED_AT = 256
-WRONG_WAY = 30.0 * DEGREE
-"""A turn that has gone so far against its sense is wrong, before it ends."""
 BIAS_LIMIT = 0.15
-PUT_DOWN_BLOCKS = 7
-"""Of the beginning and of the end of a rest, which are to agree."""
-PUT_DOWN_SIGMAS = 10.0
+SHORTEST_REST = 4.0
+NOTHING_MORE = 0.93
+"""Where twice the time leaves more than this of u, longer gives nothing."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -57,15 +56,49 @@ class Rest:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Fault:
-    """What is wrong, from `start` on, s: its kind, and a sentence. `kept` says whether a first part is good."""
+class Judged:
+    """A rest as it is now: how well it is known, s that are left to the wanted u, whether it is `enough`, and whether
+    longer would give nothing."""
 
-    kind: str
-    said: str
-    start: float
-    stop: float
-    kept: bool = False
-    choices: tuple[str, ...] = ("again", "go_on")
+    known: Known | None
+    left: float | None
+    enough: bool
+    nothing_more: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Progress:
+    """How far the operator is: the rests by position, `groups`, the last of which `lasts` or has been left; the block
+    from which on nothing moves, None where something does; how good the last two rests of the last position are."""
+
+    blocks: Blocks
+    limits: StillLimits
+    calm_from: int | None
+    groups: list[list[Rest]]
+    lasts: bool
+    judged: tuple[Judged, ...]
+
+    @property
+    def now(self) -> float:
+        """The time of the last block, s."""
+        return float(self.blocks.edges[-1])
+
+    @property
+    def current(self) -> Rest | None:
+        """The rest that lasts, None while there is none."""
+        return self.groups[-1][-1] if self.lasts else None
+
+
+def judged(known: Known | None, seconds: float, wanted: Wanted) -> Judged:
+    """How good a rest of so many seconds is."""
+    if known is None:
+        return Judged(known=None, left=None, enough=False, nothing_more=False)
+    over = known.accel / wanted.accel
+    if known.gyro is not None:
+        over = max(over, known.gyro / wanted.gyro)
+    left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
+    flat = known.twice > NOTHING_MORE and seconds > 10.0
+    return Judged(known=known, left=left, enough=left <= 0.0 or flat, nothing_more=flat)
 
 
 def rest_of(blocks: Blocks, first: int, last: int) -> Rest:
@@ -146,40 +179,6 @@ def _still(blocks: Blocks, before: Rest, after: Rest) -> bool:
     return float(np.linalg.norm(rotation_vector(back))) < SAME_ATTITUDE
 
 
-def put_down_fault(blocks: Blocks, rest: Rest, number: int, wanted: float) -> Fault | None:
-    """Whether a rest began while the unit still moved slowly: its first blocks differ from its last ones by more than
-    their scatter allows, and by enough to move its mean by more than the `wanted` u, m/s²."""
-    n, force = rest.last - rest.first, blocks.force[rest.first : rest.last]
-    if n < 2 * PUT_DOWN_BLOCKS:
-        return None
-    apart = np.abs(force[:PUT_DOWN_BLOCKS].mean(axis=0) - force[-PUT_DOWN_BLOCKS:].mean(axis=0))
-    scatter = np.sqrt(0.5 * (np.diff(force[PUT_DOWN_BLOCKS // 2 :], axis=0) ** 2).mean(axis=0))
-    seen = apart > PUT_DOWN_SIGMAS * scatter * np.sqrt(2.0 / PUT_DOWN_BLOCKS)
-    effect = float(np.max(apart * seen)) * PUT_DOWN_BLOCKS / n
-    if effect <= wanted:
-        return None
-    off = float(np.max(apart)) / G_STANDARD * 1e3
-    said = f"rest {number} was put down with movement: it began {off:.2g} mg from where it is now"
-    return Fault(kind="movement", said=said, start=rest.start, stop=rest.stop)
-
-
-def warmed_fault(blocks: Blocks, first: Rest, limit: float) -> Fault | None:
-    """Whether the temperature has changed since the first rest by more than the `limit`, K; named again each time that
-    it has changed by as much more."""
-    if blocks.temperature is None:
-        return None
-    reference = float(blocks.temperature[first.first : first.last].mean())
-    change = blocks.temperature - reference
-    now = float(change[-CALM_BLOCKS:].mean())
-    steps = int(abs(now) / limit)
-    if steps == 0:
-        return None
-    since = float(blocks.edges[int(np.argmax(np.abs(change) >= steps * limit))])
-    warmer = f"{abs(now):.2g} K {'warmer' if now > 0.0 else 'colder'} than at the first rest"
-    said = f"drift of temperature: {warmer}; wait until it is steady, or go on: the change is then one more unknown"
-    return Fault(kind="temperature", said=said, start=since, stop=float(blocks.edges[-1]), choices=("go_on",))
-
-
 def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
     """Verticals (N, 3) in the body, freed from bias by the median difference from the nearest positions."""
     forces = np.array([rest.force for rest in rests]).reshape(-1, 3)
@@ -188,38 +187,6 @@ def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
     bias = np.median(forces - gravity * expected[np.argmax(unit @ expected.T, axis=1)], axis=0)
     free = forces - bias if len(rests) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity else forces
     return np.asarray(free / np.linalg.norm(free, axis=1, keepdims=True))
-
-
-def position_fault(programme: Programme, k: int, vertical: Array, rest: Rest) -> Fault | None:
-    """Whether a rest is position k of a programme in order, by its vertical."""
-    off = np.array([np.arccos(np.clip(vertical @ p.vertical_b, -1.0, 1.0)) for p in programme.positions])
-    if off[k] <= POSITION_LIMIT:
-        return None
-    nearest = int(np.argmin(off))
-    like = f"this is {nearest + 1}" if off[nearest] <= POSITION_LIMIT else "this is none of the programme"
-    said = f"wrong position: {like}, wanted {k + 1} ({programme.positions[k].label}); it is {off[k] / DEGREE:.0f}° off"
-    return Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop)
-
-
-def turn_fault(move: Move, before: Position, turned: Array | None, start: float, stop: float) -> Fault | None:
-    """Whether a whole turn is that of the programme, by the gyros."""
-    if move.axis is None or move.angle is None or turned is None:
-        return None
-    axis_b = before.matrix.T @ move.axis
-    if float(np.linalg.norm(turned - move.angle * axis_b)) <= TURN_LIMIT:
-        return None
-    done = float(turned @ axis_b)
-    if np.linalg.norm(turned + move.angle * axis_b) <= TURN_LIMIT:
-        said = f"turned the wrong way: {_degrees(done)} instead of {_degrees(move.angle)}"
-        return Fault(kind="wrong way", said=f"{said}; turn back the way you came", start=start, stop=stop)
-    across = float(np.linalg.norm(turned - done * axis_b))
-    said = f"another turn than the programme's: {_degrees(done)} about its axis and {across / DEGREE:.0f}° across it"
-    return Fault(kind="wrong turn", said=f"{said}, wanted {_degrees(move.angle)}", start=start, stop=stop)
-
-
-def _degrees(angle: float) -> str:
-    """An angle to a degree, with its sign."""
-    return f"{angle / DEGREE:+.0f}°".replace("-", "−")
 
 
 def against(move: Move, before: Position, turned: Array) -> float:

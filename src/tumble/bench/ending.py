@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tumble.errors import CalibrationError
 from tumble.files import whole_file
@@ -17,6 +18,38 @@ CALIBRATION_FILE = "calibration.json"
 REPORT_FILE = "report.html"
 _RESULTS = (0, 1)  # accepted and not
 _ENDINGS = {"c": ".h", "px4": ".params", "ardupilot": ".parm", "csv": ".csv", "mat": ".mat", "dcc": ".xml"}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Results:
+    """What has come of a session: whether its calibration is accepted, and the reasons; how many parameters it has; the
+    files that can be fetched, and what the registry said."""
+
+    accepted: bool
+    reasons: tuple[str, ...]
+    parameters: int
+    files: tuple[str, ...] = (CALIBRATION_FILE,)
+    registered: str = ""
+
+    @staticmethod
+    def of(calibration: Calibration) -> Results:
+        """Of a calibration that is written."""
+        outcome = calibration.outcome
+        return Results(
+            accepted=outcome.accepted, reasons=tuple(outcome.reasons), parameters=len(calibration.parameters)
+        )
+
+    def with_file(self, name: str) -> Results:
+        """With one file more."""
+        return self if name in self.files else replace(self, files=(*self.files, name))
+
+    def registered_as(self, said: str) -> Results:
+        """With what the registry said."""
+        return replace(self, registered=said)
+
+    def shown(self) -> dict[str, Any]:
+        """For the page."""
+        return asdict(self)
 
 
 def calibrated(folder: Path) -> Calibration:

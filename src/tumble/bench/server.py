@@ -16,7 +16,6 @@ from fastapi.responses import FileResponse, RedirectResponse, StreamingResponse
 from tumble.bench.access import HEADERS, Access
 from tumble.bench.laboratory import listed
 from tumble.bench.station import STEP_SECONDS, Station
-from tumble.programme.positions import ANY_MOVE
 from tumble.programme.sheet_pictures import picture
 
 PAGE = Path(__file__).parent / "page"
@@ -109,11 +108,10 @@ def _page_of(app: FastAPI, station: Station, access: Access, others: Callable[[]
 
     @routes.get("/picture/{number}.svg")
     async def drawing(number: int) -> Response:
-        programme = station.programme
-        if programme is None or not 0 <= number < len(programme.positions):
+        task = station.task
+        if task.programme is None or not 0 <= number < len(task.programme.positions):
             return _plain(404, "no such position")
-        move = programme.moves[number - 1] if number and programme.ordered else ANY_MOVE
-        return Response(picture(programme.positions[number], move), media_type="image/svg+xml")
+        return Response(picture(task.programme.positions[number], task.move(number)), media_type="image/svg+xml")
 
     @routes.get("/files/{name}")
     async def result(name: str) -> Response:

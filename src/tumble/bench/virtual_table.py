@@ -6,6 +6,7 @@ sample is the reading at the middle of its interval, which for 100 Hz is the mea
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass
 
@@ -112,6 +113,16 @@ class VirtualTable:
             rest = rotation_vector(rotation_matrix(-whole) @ target @ self._now().T)
             vector = whole + rest if np.linalg.norm(rest) < NEAR else vector
         self._start(vector, rate)
+
+    def told(self, what: str) -> None:
+        """Do what is said: "N+90" or "to 3", "knock", "lose" or "stick"; nothing for anything else."""
+        if what in ("knock", "lose", "stick"):
+            getattr(self, what)()
+        elif what.startswith("to ") and what[3:].isdigit() and 0 < int(what[3:]) <= len(self.programme.positions):
+            self.go_to(int(what[3:]) - 1)
+        elif what[:1] in AXES:
+            with contextlib.suppress(ValueError):
+                self.turn(what[0], float(what[1:]))
 
     def _start(self, vector: Array, rate: float) -> None:
         angle = float(np.linalg.norm(vector))

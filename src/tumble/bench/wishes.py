@@ -13,7 +13,7 @@ from tumble.planning.requirements import wanted_of
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import Grade, grade
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.parameters import group_name, positions_by_group, usual_sizes
 from tumble.units import Array, engineering
 
 PART_OF_SPREAD = 0.05
@@ -34,19 +34,28 @@ def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
     return _of_grade(kind) | stated
 
 
-def rest_wishes(wanted: Mapping[str, float], grade_name: str) -> tuple[float, float]:
-    """Wanted u of the mean of a rest, m/s² and rad/s: a fifth of that of the biases or, where that is more, what a
-    minute of the noise of the grade leaves."""
-    noise = grade(grade_name).noise
-    accel = max(PART_OF_WISH * wanted["accel.bias"], noise.accel_white / _REST**0.5)
-    return accel, max(PART_OF_WISH * wanted["gyro.bias"], noise.gyro_white / _REST**0.5)
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Wanted:
+    """What is wanted of a session: standard uncertainties, SI, by `group`; u of the mean of a rest, `accel`, m/s², and
+    `gyro`, rad/s; and by how much, K, the temperature may change, the `warming`."""
 
+    group: Mapping[str, float]
+    accel: float
+    gyro: float
+    warming: float
 
-def temperature_limit(wanted: Mapping[str, float], grade_name: str) -> float:
-    """Change of temperature, K, that moves a bias of instruments of a grade by as much as is wanted of it, and by
-    LEAST_WARMING at least."""
-    usual = usual_sizes(grade_name)
-    return max(LEAST_WARMING, *(wanted[name] / usual[f"{name}.t1"] for name in ("accel.bias", "gyro.bias")))
+    @staticmethod
+    def of(texts: Sequence[str], grade_name: str) -> Wanted:
+        """What texts and a grade ask for (`wishes`). The mean of a rest is to be known to a fifth of the u of the
+        biases or, where that is more, to what a minute of the noise of the grade leaves. The temperature may change by
+        as much as moves a bias of instruments of the grade by what is wanted of it, and by LEAST_WARMING at least."""
+        group, noise, usual = wishes(texts, grade_name), grade(grade_name).noise, usual_sizes(grade_name)
+        return Wanted(
+            group=group,
+            accel=max(PART_OF_WISH * group["accel.bias"], noise.accel_white / _REST**0.5),
+            gyro=max(PART_OF_WISH * group["gyro.bias"], noise.gyro_white / _REST**0.5),
+            warming=max(LEAST_WARMING, *(group[name] / usual[f"{name}.t1"] for name in ("accel.bias", "gyro.bias"))),
+        )
 
 
 def _of_grade(kind: Grade) -> dict[str, float]:
@@ -95,9 +104,6 @@ class Reached:
 
 def reached(estimate: Estimate, wanted: Mapping[str, float]) -> tuple[Reached, ...]:
     """What of the wishes an estimate reaches, by group in the order of its parameters; other groups are passed over."""
-    names: dict[str, list[int]] = {}
-    for i, name in enumerate(estimate.names):
-        names.setdefault(_group(name), []).append(i)
     u = estimate.u
     return tuple(
         Reached(
@@ -107,16 +113,9 @@ def reached(estimate: Estimate, wanted: Mapping[str, float]) -> tuple[Reached, .
             wanted=wanted[group],
             determined=bool(estimate.observable[rows].all()),
         )
-        for group, rows in names.items()
+        for group, rows in positions_by_group(estimate.names).items()
         if group in wanted
     )
-
-
-def _group(name: str) -> str:
-    """The group of a parameter: "gyro.bias" of gyro.bias.x, "gyro.bias.t1" of gyro.bias.x.t1."""
-    first, *_, last = parts = name.split(".")
-    change = [last] if last in ("t1", "t2", "drift") else []
-    return ".".join([first, parts[1], *change])
 
 
 def better_by(rests: int) -> float:
@@ -135,7 +134,7 @@ def gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u:
     row of the covariance of the estimate, without what its turn would tell of the gyros."""
     rows = [estimate.names.index(name) for name in block.names]
     C = estimate.covariance[np.ix_(rows, rows)]
-    weight = np.array([wanted.get(_group(name), np.inf) for name in block.names])
+    weight = np.array([wanted.get(group_name(name), np.inf) for name in block.names])
     before = float(np.sqrt((np.diag(C) / weight**2).sum()))
     J = np.einsum("pn,nkm->pkm", np.linalg.pinv(block.axes), block.jacobian(np.zeros(len(rows))))
     force = np.column_stack([gravity * DIRECTIONS, np.ones(len(DIRECTIONS))])

@@ -41,7 +41,7 @@ from tumble.recording.session import Session, session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import group_of, shown_in, to_temperature, usual_sizes
+from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, Array
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
@@ -227,7 +227,7 @@ def known_before(
 
 def _calibrated(calibration: Calibration, instrument: Instrument, usual: Mapping[str, float]) -> tuple[Array, Array]:
     """Values (m,) and covariance (m, m) of an instrument's parameters by the calibration at its own temperature."""
-    found = {p.name: i for i, p in enumerate(calibration.parameters) if not _drifts(p)}
+    found = {p.name: i for i, p in enumerate(calibration.parameters) if variable_of(p.name) != "time"}
     missing = [name for name in instrument.names[: instrument.linear_count] if name not in found]
     if missing or calibration.covariance is None:
         raise InputError(
@@ -254,11 +254,6 @@ def _inverse_degrees(calibration: Calibration, instrument: Instrument) -> list[f
 def _doubt_of_launches(calibration: Calibration) -> float:
     """1/√ν of the standard deviations from launch to launch; 0 where they are usual ones."""
     return (len(calibration.launches) - 1.0) ** -0.5 if len(calibration.launches) > 1 else 0.0
-
-
-def _drifts(parameter: Parameter) -> bool:
-    """Whether a parameter is a drift, which belongs to the session it was found in."""
-    return parameter.name.endswith(".drift")
 
 
 def _to_temperature(calibration: Calibration, observations: Observations, instrument: Instrument) -> Array:
@@ -290,8 +285,8 @@ def _scatter(calibration: Calibration, grade: str) -> Scatter:
 def _updated(check: FieldCheck) -> Calibration:
     """The calibration by the check, at the temperature of the check."""
     before, result, instrument = check.calibration, check.result, check.instrument
-    kept = [p for p in before.parameters if not _drifts(p) and p.name in instrument.names]
-    others = [p for p in before.parameters if p.name.startswith("mag.")]
+    kept = [p for p in before.parameters if variable_of(p.name) != "time" and p.name in instrument.names]
+    others = [p for p in before.parameters if sensor_kind(p.name) == "mag"]
     at = [instrument.names.index(p.name) for p in kept]
     u = np.sqrt(np.diag(result.covariance))
     changed = {change.name for change in result.changes}
@@ -312,7 +307,7 @@ def _updated(check: FieldCheck) -> Calibration:
         turns=(),
         launches=(),
         clock_u=0.0,
-        groups=tuple(group for group in before.groups if not group.name.endswith(".drift")),
+        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
         prediction=None
         if before.site is None
         else prediction(instrument, result.values, result.covariance, gravity=before.site.gravity, rate=rate),

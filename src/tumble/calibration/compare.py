@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from tumble.calibration.calibration_file import Calibration, calibration_from, text_of
-from tumble.calibration.coverage import expanded_of, remarks, welch_satterthwaite
+from tumble.calibration.coverage import apart, expanded_of, remarks, welch_satterthwaite
 from tumble.calibration.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
 from tumble.calibration.results import Parameter
 from tumble.calibration.shared_errors import between, shared_errors
@@ -147,7 +147,11 @@ def _second(given: Calibration | FilePath, gyro: FilePath | None, like: Calibrat
 def _difference(first: Parameter, second: Parameter, shared: Sequence[tuple[float, float]]) -> Difference:
     known = first.u is not None and second.u is not None
     left = sum((g - h) ** 2 for g, h in shared)
-    parts = [(left, None), _apart(first, [g for g, _ in shared]), _apart(second, [h for _, h in shared])]
+    parts = [
+        (left, None),
+        apart(first.u, first.dof, [g for g, _ in shared]),
+        apart(second.u, second.dof, [h for _, h in shared]),
+    ]
     return Difference(
         name=first.name,
         unit=first.unit,
@@ -156,13 +160,6 @@ def _difference(first: Parameter, second: Parameter, shared: Sequence[tuple[floa
         u=sqrt(sum(variance for variance, _ in parts)) if known else None,
         dof=welch_satterthwaite(parts) if known else None,
     )
-
-
-def _apart(parameter: Parameter, shared: Sequence[float]) -> tuple[float, float | None]:
-    """Variance of a parameter without what is shared, and its degrees of freedom."""
-    whole = (parameter.u or 0.0) ** 2
-    own = max(whole - sum(g**2 for g in shared), 0.0)
-    return own, None if parameter.dof is None or whole == 0.0 else parameter.dof * (own / whole) ** 2
 
 
 def _of_parameters(

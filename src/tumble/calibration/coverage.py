@@ -35,7 +35,7 @@ from scipy import special
 
 from tumble.calibration.results import Parameter, coverage_factor
 from tumble.estimation.estimate import Fit
-from tumble.sensors.parameters import sensor_kind
+from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -78,6 +78,14 @@ def welch_satterthwaite(parts: Iterable[tuple[float, float | None]]) -> float | 
     of_variance = sum(variance**2 / degrees for variance, degrees in found if degrees is not None and degrees > 0.0)
     total = sum(variance for variance, _ in found) ** 2
     return None if total >= MANY_DEGREES * of_variance else total / of_variance
+
+
+def apart(u: float | None, degrees: float | None, shared: Iterable[float]) -> tuple[float, float | None]:
+    """Variance of a parameter of this u without the standard uncertainties that it shares, and its degrees of
+    freedom."""
+    whole = (u or 0.0) ** 2
+    own = max(whole - sum(each**2 for each in shared), 0.0)
+    return own, None if degrees is None or whole == 0.0 else degrees * (own / whole) ** 2
 
 
 def with_degrees(parameters: Iterable[Parameter], fits: Mapping[str, Fit]) -> tuple[Parameter, ...]:
@@ -147,8 +155,8 @@ def by_gravity(parameters: Sequence[Parameter], covariance: Array | None, site: 
 
 
 def _is_scale(parameter: Parameter) -> bool:
-    """Whether it is a scale factor of an accelerometer; of those in the drift per second and kelvin not."""
-    return parameter.name.startswith("accel.scale.") and parameter.unit == "1"
+    """Whether it is a scale factor of an accelerometer, and not its drift or its slope over temperature."""
+    return group_name(parameter.name) == "accel.scale"
 
 
 def shared_gravity(first: Site | None, second: Site | None) -> bool:

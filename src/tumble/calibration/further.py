@@ -4,7 +4,7 @@ known to, where a prior decides an uncertainty, and the verdicts. Words and numb
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -67,11 +67,18 @@ def further_parameters(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]
     return tuple(p for p in parameters if beyond_linear(p.name))
 
 
+def by_group(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
+    """Parameters by the names of their groups, in their order."""
+    out: dict[str, list[Parameter]] = {}
+    for p in parameters:
+        out.setdefault(group_name(p.name), []).append(p)
+    return out
+
+
 def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
     """A line for every group beyond the linear model that the calibration has anything to say of."""
-    members: dict[str, list[Parameter]] = {group.name: [] for group in calibration.groups}
-    for p in further_parameters(calibration.parameters):
-        members.setdefault(group_name(p.name), []).append(p)
+    silent: dict[str, list[Parameter]] = {group.name: [] for group in calibration.groups}
+    members = silent | by_group(further_parameters(calibration.parameters))
     return tuple(_line(calibration, name, own) for name, own in members.items())
 
 

@@ -36,7 +36,7 @@ from tumble.recording.session import Session, session_from
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import Variable, group_name, group_of, positions_by_group, to_temperature
+from tumble.sensors.parameters import Variable, group_name, positions_by_group, to_temperature, variable_of
 from tumble.units import Array
 
 _Any = TypeVar("_Any")
@@ -329,16 +329,12 @@ def _by_prior(run: Run, names: list[str], covariance: Array) -> Array:
     """Covariance that comes from the priors: θ̂ follows the mean of a prior of variance s² by C s⁻², so that what is
     wrong with it, the same in every launch, adds C s⁻² C. Drifts are others in every launch."""
     found = _named(run)
-    priors = [(i, s) for i, n in enumerate(names) if (s := found[n].prior) is not None and not _drifts(n)]
+    priors = [(i, s) for i, n in enumerate(names) if (s := found[n].prior) is not None and variable_of(n) != "time"]
     if not priors:
         return np.zeros_like(covariance)
     at, sizes = zip(*priors, strict=True)
     gain = covariance[:, at] / np.array(sizes)
     return np.asarray(gain @ gain.T)
-
-
-def _drifts(name: str) -> bool:
-    return group_of(name).variable == "time"
 
 
 def _learned(runs: Sequence[Run], name: str, u: float) -> dict[str, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.variables import OVER_TEMPERATURE, both_ways, lag_is_sought
 from tumble.reduction.observations import Observations
+from tumble.sensors.parameters import THERMAL, variable_of
 from tumble.units import ZERO_CELSIUS, Array
 
 APART = 0.25
@@ -43,7 +44,7 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
 
 def _left_open(estimate: Estimate, kelvin: Array) -> Iterator[str]:
     """Which coefficients the temperatures say nothing of, and why."""
-    left = [group.name for group in estimate.groups if group.name.endswith((".t1", ".t2")) and not group.kept]
+    left = [group.name for group in estimate.groups if variable_of(group.name) in THERMAL and not group.kept]
     if not left:
         return
     levels = 1 + int(np.sum(np.diff(np.sort(kelvin)) > APART * np.ptp(kelvin)))

@@ -15,6 +15,7 @@ import numpy as np
 from tumble.estimation.estimate import SEEN
 from tumble.reduction.sphere import sphere_through
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import within_kind
 from tumble.units import Array
 
 LARGEST_CONDITION = 100.0
@@ -56,7 +57,7 @@ def undetermined(readings: Array, *, block: Block) -> Refusal | None:
     counted = f"{len(readings)} positions" + (
         f", only {distinct} of them distinct," if distinct < len(readings) else ""
     )
-    missing = in_words(null, [name.partition(".")[2] for name in block.names])
+    missing = in_words(null, [within_kind(name) for name in block.names])
     cube = {standing(u): _direction_rows(block, u[None]) for u in faces_and_edges()}
     helpful, _ = most_telling(null, cube)
     reason = (

@@ -17,12 +17,11 @@ from tumble.calibration.temperature_curves import Curve, Range, changing, curve,
 from tumble.export.exported import Exported, example, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.export.thermal import range_of, said, warm_end
-from tumble.sensors.parameters import group_name, named_group
+from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, variable_of
 from tumble.units import Array
 
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_ROWS = 25
-_VARIABLES = ("temperature", "temperature²")
 NO_COVARIANCE = "parameters that do not change with temperature, and covariances, have no place in this file"
 
 
@@ -56,8 +55,7 @@ def csv_thermal(calibration: Calibration) -> Exported:
 def _coefficients(calibration: Calibration) -> set[str]:
     """The groups that the curves are made of."""
     names = {group_name(p.name) for p in calibration.parameters}
-    known = {name: named_group(name) for name in names}
-    return {name for name, group in known.items() if group is not None and group.variable in _VARIABLES}
+    return {name for name in names if variable_of(name) in THERMAL}
 
 
 def temperatures(measured: Range, reference: float) -> Array:
@@ -84,8 +82,8 @@ def _between(calibration: Calibration, curves: list[Curve], at: Array) -> str:
     middle = 0.5 * (at[1:] + at[:-1])
     error = {"accel": 0.0, "gyro": 0.0}
     for each in curves:
-        kind, what = each.name.split(".")[:2]
-        if what == "bias":
+        kind = sensor_kind(each.name)
+        if group_name(each.name) == f"{kind}.bias":
             straight = 0.5 * (each.value[1:] + each.value[:-1])
             own = np.abs(straight - curve(calibration, each.name, middle).value).max()
             error[kind] = max(error[kind], float(own))

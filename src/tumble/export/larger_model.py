@@ -13,7 +13,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.estimation.prediction import directions
 from tumble.sensors.instrument import Instrument, functions
-from tumble.sensors.parameters import FORCE, ParameterGroup, groups, positions_by_group
+from tumble.sensors.parameters import FORCE, ParameterGroup, group_name, groups, positions_by_group, within_kind
 from tumble.units import DEGREE, G_STANDARD, Array
 
 USUAL_RATE = 100.0 * DEGREE
@@ -74,7 +74,7 @@ def _of_change(group: ParameterGroup, largest: float, rate: float, at_rate: str)
     if group.variable == "hysteresis":
         span, over = 1.0, "on the way up or down"
     span = WARMER**2 if group.variable == "temperature²" else span
-    if group.base is not None and group.base.endswith("bias"):
+    if group.base is not None and within_kind(group.base) == "bias":
         return largest * span, over
     size, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
     return largest * span * size, f"{over} {where}"
@@ -82,7 +82,7 @@ def _of_change(group: ParameterGroup, largest: float, rate: float, at_rate: str)
 
 def _of_lag(values: Mapping[str, float], lag: float) -> tuple[float, str]:
     """The effect of a lag on a bias of the accelerometers."""
-    slopes = [abs(value) for name, value in values.items() if name.startswith("accel.bias.") and name.endswith(".t1")]
+    slopes = [abs(value) for name, value in values.items() if group_name(name) == "accel.bias.t1"]
     return abs(lag) * HEATING * max(slopes, default=0.0), "at 1 K/min"
 
 

@@ -20,6 +20,7 @@ from tumble.errors import InputError
 from tumble.export.autopilot import Diagonal, diagonal
 from tumble.export.exported import example, shown, worst
 from tumble.export.larger_model import session_rate
+from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE, G_STANDARD, Array
 
 HELD = ("accel.bias.t1", "accel.bias.t2", "gyro.bias.t1", "gyro.bias.t2")
@@ -169,4 +170,4 @@ def _plain(measured: Range) -> str:
 
 
 def _is_hysteresis(name: str, kind: str) -> bool:
-    return name.startswith(f"{kind}.bias.") and name.endswith(".hysteresis")
+    return group_name(name) == f"{kind}.bias.hysteresis"

@@ -23,11 +23,16 @@ from tumble.estimation.likelihood import Problem, noise_of, solve
 from tumble.estimation.variables import both_ways, lag_is_sought
 from tumble.planning.bounds import Course, bound_of, course_of, findings, scatter_of
 from tumble.planning.chamber_recordings import ChamberSession, problem_of
-from tumble.planning.setup import Setup, with_all_groups
-from tumble.programme.positions import duration
-from tumble.sensors.parameters import group_of, positions_by_group, quantity_of, to_temperature
+from tumble.planning.setup import Setup, time_of, with_all_groups
+from tumble.sensors.parameters import (
+    THERMAL,
+    group_of,
+    positions_by_group,
+    quantity_of,
+    to_temperature,
+    variable_of,
+)
 from tumble.units import ZERO_CELSIUS, Array
-from tumble.usual_setup import MOVE
 
 SETTLED = 0.1
 """K: what sensors may be off their thermometer by where a recording begins."""
@@ -195,7 +200,7 @@ def _planned(
     """The recordings one after the other, from room temperature."""
     now, lag = ROOM, setup.further.get("temperature.lag", 0.0)
     for session, course in zip(sessions, courses, strict=True):
-        takes = duration(session.programme, rest=setup.rest, rate=setup.turn_rate, move=MOVE)
+        takes = time_of(session.programme, setup)
         time, kelvin = session.course(takes)
         difference = abs(float(kelvin[0]) - now)
         alone = bound_of(course, setup, gyros=gyros)
@@ -233,7 +238,7 @@ def _notes(
     """What the recordings do not show, and why."""
     observations = problem.observations
     ramps = [session for session in planned if session.high - session.low > PASSED]
-    left = [g.name for g in further if g.name.endswith((".t1", ".t2")) and max(g.learned) < LITTLE]
+    left = [g.name for g in further if variable_of(g.name) in THERMAL and max(g.learned) < LITTLE]
     if left:
         yield f"left to what is usual: {', '.join(left)}; {_remedy(planned, ramps)}"
     yield from _scales(planned)

@@ -17,11 +17,11 @@ from typing import Literal
 
 from tumble.earth import normal_gravity
 from tumble.errors import InputError
-from tumble.programme.positions import Programme
+from tumble.programme.positions import Programme, duration
 from tumble.programme.positions import programme as built_in
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.parameters import usual_of
+from tumble.sensors.parameters import usual_sizes
 from tumble.units import DEGREE
 from tumble.usual_setup import (
     BY_HAND,
@@ -30,6 +30,7 @@ from tumble.usual_setup import (
     HEIGHT,
     LATITUDE_DEG,
     MOUNTING_ERROR_DEG,
+    MOVE,
     ON_TABLE,
     PROGRAMME,
     SAMPLE_RATE,
@@ -120,18 +121,23 @@ class Setup:
             noise=kind.noise.scaled(noise_factor),
             accel=kind.accel,
             gyro=kind.gyro,
-            further=usual_of(grade) if terms == "full" else {},
+            further=usual_sizes(grade) if terms == "full" else {},
             latitude=latitude,
             gravity=normal_gravity(latitude, HEIGHT) if gravity is None else gravity,
             gravity_u=gravity_u,
         )
 
 
+def time_of(programme: Programme, setup: Setup) -> float:
+    """How long a programme takes on the table of a set-up, s."""
+    return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=MOVE)
+
+
 def with_all_groups(setup: Setup) -> Setup:
     """A set-up whose instrument has all groups of parameters, of the usual spreads of its grade, or of navigation
     grade where it is called otherwise."""
     grade = setup.instrument if setup.instrument in GRADES else GRADE
-    return replace(setup, further=usual_of(grade) | dict(setup.further))
+    return replace(setup, further=usual_sizes(grade) | dict(setup.further))
 
 
 def check_setup(setup: Setup, iterations: int) -> None:

@@ -27,9 +27,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tumble.reduction import kernels as _kernels
-from tumble.units import Array, IntArray
+from tumble.units import Array
 
 BATCHES = 120
 MAX_ORDER = 32
@@ -119,21 +120,15 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
     return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=_correlation(innovations), level=level)
 
 
-def _variance_of_mean(autocovariance: Array, batches: float) -> Array:
-    """v(K) of the module docstring from autocovariances (..., L)."""
-    lags = min(max(1, int(batches)), autocovariance.shape[-1])
-    weights = 2.0 * (1.0 - np.arange(lags) / batches)
-    weights[0] = 1.0
-    variance = autocovariance[..., :lags] @ weights / batches
-    return np.asarray(np.maximum(variance, LEAST * autocovariance[..., 0] / batches))
-
-
-def _variances_of_mean(autocovariance: Array, batches: IntArray) -> Array:
-    """The same (k,) for one channel and several K, by partial sums of r_j and of j r_j."""
-    last = np.minimum(batches, len(autocovariance)) - 1
-    sums, moments = np.cumsum(autocovariance), np.cumsum(np.arange(len(autocovariance)) * autocovariance)
-    variance = (2.0 * (sums[last] - moments[last] / batches) - autocovariance[0]) / batches
-    return np.asarray(np.maximum(variance, LEAST * autocovariance[0] / batches))
+def _variance_of_mean(autocovariance: Array, batches: ArrayLike) -> Array:
+    """v(K) of the module docstring by partial sums of r_j and of j r_j: of autocovariances (..., L) for one K, or of
+    those of one channel (L,) for several K, in batches."""
+    K = np.asarray(batches, dtype=float)
+    last = np.clip(K.astype(np.int64), 1, autocovariance.shape[-1]) - 1
+    r = autocovariance[..., : int(last.max()) + 1]
+    sums, moments = np.cumsum(r, axis=-1)[..., last], np.cumsum(np.arange(r.shape[-1]) * r, axis=-1)[..., last]
+    variance = (2.0 * (sums - moments / K) - r[..., 0]) / K
+    return np.asarray(np.maximum(variance, LEAST * r[..., 0] / K))
 
 
 def _slope(n: int) -> Array:
@@ -193,7 +188,7 @@ def _fit_channel(series: list[Array], longest: int, sloping: bool) -> tuple[Arra
         best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
         prediction_filter = filters[best, : best + 1]
         autocovariance = _continued(corrected, prediction_filter, longest)
-        now = float(shares @ _variances_of_mean(autocovariance, different))
+        now = float(shares @ _variance_of_mean(autocovariance, different))
         if abs(now - lost) <= 1e-4 * now:
             break
         lost = now
@@ -229,7 +224,7 @@ def _levels(series: list[Array], autocovariance: Array) -> Array:
         return level
     lengths = np.array([len(series[i]) for i in long])
     different, which = np.unique(lengths, return_inverse=True)
-    expected = autocovariance[0] - _variances_of_mean(autocovariance, different)[which]
+    expected = autocovariance[0] - _variance_of_mean(autocovariance, different)[which]
     power = np.array([series[i] @ series[i] for i in long]) / lengths / np.maximum(expected, 1e-12 * autocovariance[0])
     if np.median(power) == 0.0:
         return level

@@ -35,7 +35,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import special
 
-from tumble.calibration.coverage import expanded_of, shared_gravity, welch_satterthwaite
+from tumble.calibration.coverage import apart, expanded_of, shared_gravity, welch_satterthwaite
 from tumble.calibration.shared_errors import shared_time_base
 from tumble.estimation.estimate import scatter_of
 from tumble.registry.series import Series, SeriesPoint
@@ -155,7 +155,11 @@ def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
     for earlier, later in pairwise(points):
         known = earlier.u is not None and later.u is not None
         before, after = _shared([earlier, later])
-        parts = [_apart(earlier, before), _apart(later, after), ((after - before) ** 2, None)]
+        parts = [
+            apart(earlier.u, earlier.dof, [before]),
+            apart(later.u, later.dof, [after]),
+            ((after - before) ** 2, None),
+        ]
         yield Change(
             earlier=earlier.number,
             later=later.number,
@@ -172,13 +176,6 @@ def _shared(points: Sequence[SeriesPoint]) -> list[float]:
     gravity = all(shared_gravity(points[0].site, p.site) for p in points)
     clock = all(shared_time_base(points[0].clock_u, p.clock_u) for p in points)
     return [(p.by_gravity if gravity else 0.0) + (p.by_clock if clock else 0.0) for p in points]
-
-
-def _apart(point: SeriesPoint, shared: float) -> tuple[float, float | None]:
-    """Variance of a point without what is shared, and its degrees of freedom."""
-    whole = (point.u or 0.0) ** 2
-    own = max(whole - shared**2, 0.0)
-    return own, None if point.dof is None or whole == 0.0 else point.dof * (own / whole) ** 2
 
 
 # -------------------- drift --------------------

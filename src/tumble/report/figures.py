@@ -15,12 +15,12 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.further import linear_parameters
+from tumble.calibration.further import by_group, linear_parameters
 from tumble.calibration.results import Parameter, RestResult, SensorsAtRest, TurnResult
 from tumble.estimation.estimate import FIT_SIGMAS
 from tumble.report.characters import drawable
 from tumble.report.numbers import raised
-from tumble.sensors.parameters import group_name
+from tumble.sensors.parameters import within_group
 from tumble.terminal.text import shown_units
 from tumble.units import G_STANDARD, Array, engineering
 
@@ -167,10 +167,7 @@ def _coefficient(axes: Axes, row: int, column: int, hundredths: int) -> None:
 
 def convergence(name: str, steps: Sequence[Mapping[str, float]], parameters: Sequence[Parameter]) -> str:
     """The largest increment of each kind of parameter in every iteration, in units of its standard uncertainty."""
-    kinds: dict[str, list[Parameter]] = {}
-    for p in parameters:
-        if p.u:
-            kinds.setdefault(group_name(p.name), []).append(p)
+    kinds = by_group(p for p in parameters if p.u)
 
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -235,16 +232,14 @@ def _per_rest(axes: Axes, values: Array, unit: str, per: str, sensors: Sequence[
 def comparison(name: str, titles: Sequence[str], calibrations: Sequence[Calibration]) -> str:
     """Parameters of the linear model of several calibrations with U (95 %), each as a difference from their mean, one
     panel a kind."""
-    kinds: dict[str, list[str]] = {}
-    for p in linear_parameters(calibrations[0].parameters):
-        kinds.setdefault(group_name(p.name), []).append(p.name)
+    kinds = by_group(linear_parameters(calibrations[0].parameters))
     units = shown_units(calibrations[0].parameters)
 
     def draw(figure: Figure) -> None:
         columns = min(3, len(kinds))
         panels = figure.subplots(-(-len(kinds) // columns), columns, squeeze=False).ravel()
         for axes, (kind, members) in zip(panels, kinds.items(), strict=False):
-            _compared(axes, members, units[members[0]], titles, calibrations)
+            _compared(axes, [p.name for p in members], units[members[0].name], titles, calibrations)
             axes.set_title(drawable(kind))
         for axes in panels[len(kinds) :]:
             axes.set_visible(False)
@@ -273,7 +268,7 @@ def _compared(
         bars = np.array(expanded) / size
         axes.errorbar(beside, np.array(values) / size, bars, color=COLOURS[i % 6], label=label, **style)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
-    axes.set_xticks(place, [drawable(".".join(name.split(".")[2:])) for name in members])
+    axes.set_xticks(place, [drawable(within_group(name)) for name in members])
     axes.set_ylabel("arcsec" if unit == '"' else drawable(unit))
     _grid(axes)
 

@@ -3,7 +3,7 @@ beyond is drawn apart, as an extrapolation."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +23,7 @@ from tumble.report.blocks import Block, Figure, ReportTable, Section, Text
 from tumble.report.characters import drawable
 from tumble.report.figures import COLOURS, FAINT, GREY, PAGE, drawn
 from tumble.report.numbers import NONE, minus, significant
-from tumble.sensors.parameters import group_name, group_of
+from tumble.sensors.parameters import group_of, positions_by_group, within_group
 from tumble.units import engineering, rounded
 
 if TYPE_CHECKING:
@@ -72,12 +72,9 @@ def _table(calibration: Calibration, names: tuple[str, ...], measured: Range, re
     return ReportTable(columns=("parameter", *columns, "unit"), rows=tuple(rows), text=(0, 7), dense=True)
 
 
-def _by_group(names: Iterable[str]) -> dict[str, list[str]]:
+def _by_group(names: Sequence[str]) -> dict[str, list[str]]:
     """Names of parameters by their group."""
-    found: dict[str, list[str]] = {}
-    for name in names:
-        found.setdefault(group_name(name), []).append(name)
-    return found
+    return {group: [names[i] for i in own] for group, own in positions_by_group(names).items()}
 
 
 def _value(found: Curve, i: int, size: float) -> tuple[str, str]:
@@ -138,7 +135,7 @@ def _panel(axes: Axes, calibration: Calibration, members: list[str], measured: R
     size, unit = engineering(next(iter(curves.values())).unit, largest)
     for i, (member, each) in enumerate(curves.items()):
         colour, change = COLOURS[i % len(COLOURS)], (each.value - at_reference[member]) / size
-        axes.plot(inside, change, color=colour, label=drawable(".".join(member.split(".")[2:])))
+        axes.plot(inside, change, color=colour, label=drawable(within_group(member)))
         if each.expanded is not None:
             band = each.expanded / size
             axes.fill_between(inside, change - band, change + band, color=colour, alpha=0.16, linewidth=0.0)

@@ -10,6 +10,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.further import (
     GroupLine,
+    by_group,
     decided_by_priors,
     further_parameters,
     group_lines,
@@ -34,7 +35,7 @@ from tumble.report.blocks import (
 )
 from tumble.report.numbers import NONE, as_value, fixed, significant, with_expanded, with_standard
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
+from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind, within_kind
 from tumble.terminal.text import shown_units
 from tumble.units import Array, engineering
 
@@ -267,7 +268,7 @@ def _what_a_reading_is(calibration: Calibration) -> list[Block]:
 
 def _unit(calibration: Calibration, kind: str) -> str:
     """The unit of a block's readings and biases."""
-    found = next((p.unit for p in calibration.parameters if p.name.startswith(f"{kind}.bias")), "")
+    found = next((p.unit for p in calibration.parameters if group_name(p.name) == f"{kind}.bias"), "")
     return {"m/s^2": "m/s²"}.get(found, found)
 
 
@@ -383,7 +384,7 @@ def covariance(calibration: Calibration) -> Section | None:
     if len(linear) < len(names):
         said += f" Of the linear model; that of all {len(names)} parameters is in the calibration file."
     kinds = list(dict.fromkeys(sensor_kind(name) for name in linear))
-    members = {kind: [names.index(name) for name in linear if name.startswith(f"{kind}.")] for kind in kinds}
+    members = {kind: [names.index(name) for name in linear if sensor_kind(name) == kind] for kind in kinds}
     blocks: list[Block] = [Text(text=said)]
     if any(len(own) > _MOST_COLUMNS for own in members.values()):
         return None
@@ -393,7 +394,7 @@ def covariance(calibration: Calibration) -> Section | None:
                 (names[i], *(_entry(calibration.covariance, i, j, lower=first == second) for j in members[second]))
                 for i in members[first]
             )
-            columns = (first, *(names[j].split(".", 1)[1] for j in members[second]))
+            columns = (first, *(within_kind(names[j]) for j in members[second]))
             blocks.append(ReportTable(columns=columns, rows=rows, dense=True, caption=f"{first} with {second}"))
     return Section(title="Covariance matrix", blocks=tuple(blocks))
 
@@ -410,9 +411,7 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
     if not calibration.iterations:
         return None
     parameters = linear_parameters(calibration.parameters)
-    kinds: dict[str, list[Parameter]] = {}
-    for p in parameters:
-        kinds.setdefault(group_name(p.name), []).append(p)
+    kinds = by_group(parameters)
     rows = []
     for number, step in enumerate(calibration.iterations, 1):
         row = [str(number)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.sensors.instrument import Instrument, is_linear
+from tumble.sensors.instrument import Instrument, is_linear, measured_by
 from tumble.sensors.instrument import readings as readings_of
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, RATE, group_name
@@ -87,7 +87,7 @@ class Compensator:
                 coefficients.append(np.zeros((0, FUNCTIONS)))
                 continue
             K = instrument.coefficients(block, further)
-            K[:, _measured(block)], K[:, CONSTANT] = model.matrix, K[:, CONSTANT] + model.bias
+            K[:, measured_by(block)], K[:, CONSTANT] = model.matrix, K[:, CONSTANT] + model.bias
             coefficients.append(K)
         return Compensator(
             accel=accel,
@@ -117,7 +117,7 @@ class Compensator:
         """Matrix and bias of a kind of sensors, without what is beyond them."""
         block, K = (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
         assert block is not None
-        return SensorModel(matrix=K[:, _measured(block)], bias=K[:, CONSTANT])
+        return SensorModel(matrix=K[:, measured_by(block)], bias=K[:, CONSTANT])
 
     def at_one_point(self, readings: Array, rate: Array, acceleration: Array) -> Array:
         """Readings (N, n), SI, as all accelerometers would have them where the last one is, in motion with a rate and
@@ -151,7 +151,7 @@ class Compensator:
             )
             for what in ("bias", "scale")
         )
-        return np.asarray(bias), 1.0 + np.asarray(scale) / np.linalg.norm(K[:, _measured(block)], axis=1)
+        return np.asarray(bias), 1.0 + np.asarray(scale) / np.linalg.norm(K[:, measured_by(block)], axis=1)
 
 
 def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float], ending: str) -> dict[str, Array]:
@@ -166,7 +166,3 @@ def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float], en
             by_sensor = [values.get(f"{block.kind}.{what}.{sensor}.{ending}", 0.0) for sensor in block.sensors]
             out[f"{block.kind}.{what}"][block.channels] = by_sensor
     return out if any(np.any(change) for change in out.values()) else {}
-
-
-def _measured(block: Block) -> slice:
-    return FORCE if block.kind == "accel" else RATE

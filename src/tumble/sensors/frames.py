@@ -101,8 +101,8 @@ class Convention:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
         if self._own:
             return self.block.names
-        every = [f"{self.block.kind}.{name.split('.', 1)[1]}" for name in self._free.names]
-        return tuple(name for name in every if self.frame == "case" or self._kept(name))
+        angles = (f"{self.block.kind}.axis.{angle}" for angle in self._angles)
+        return (*self.block.names[: 2 * self.block.size], *angles)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -173,15 +173,18 @@ class Convention:
         return Block(kind="gyro", axes=self.block.axes)
 
     @property
+    def _angles(self) -> tuple[str, ...]:
+        """What the axis angles are called that are parameters here."""
+        if self._own:
+            return self.block.angles
+        return self._free.angles if self.frame == "case" else _UPPER_PAIRS
+
+    @property
     def _chosen(self) -> IntArray:
         """Which of the parameters of `_free` are parameters here."""
-        every = [name.split(".", 1)[1] for name in self._free.names]
-        own = {name.split(".", 1)[1] for name in self.names}
-        return np.array([i for i, name in enumerate(every) if name in own])
-
-    def _kept(self, name: str) -> bool:
-        _, what, which = name.split(".")
-        return what != "axis" or which in _UPPER_PAIRS
+        n, own = 2 * self.block.size, self._angles
+        angles = [i for i, angle in enumerate(self._free.angles, n) if angle in own]
+        return np.array([*range(n), *angles])
 
     def _rows(self, model: SensorModel) -> Array:
         """Matrix of a triad with its rows in the order and with the signs of the body axes."""

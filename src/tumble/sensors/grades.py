@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 from tumble.errors import InputError
+from tumble.sensors.parameters import group_name, sensor_kind, within_kind
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 
 DEGREE_PER_ROOT_HOUR = DEGREE / 60.0
@@ -77,8 +78,8 @@ class _OfInstruments(Protocol):
 def spread_of(instruments: _OfInstruments, parameter: str) -> float:
     """Standard deviation, SI, of a parameter or group of bias, scale factor or axis angles, such as
     "accel.bias.x" or "accel.bias"."""
-    kind, what = parameter.split(".")[:2]
-    return float(getattr(getattr(instruments, kind), what))
+    of_kind = getattr(instruments, sensor_kind(parameter))
+    return float(getattr(of_kind, within_kind(group_name(parameter))))
 
 
 GRADES: Mapping[str, Grade] = MappingProxyType(

@@ -150,7 +150,7 @@ class Instrument:
         """K (n, 15) of a block."""
         model = self.model(block, values)
         out = np.zeros((block.size, FUNCTIONS))
-        out[:, CONSTANT], out[:, _measured(block)] = model.bias, model.matrix
+        out[:, CONSTANT], out[:, measured_by(block)] = model.bias, model.matrix
         for _, columns, regressors in self._regressors[block.kind]:
             out += regressors @ values[columns]
         return out
@@ -159,7 +159,7 @@ class Instrument:
         """∂K/∂θ (n, 15, m) of a block with respect to all parameters."""
         out = self._constant[block.kind].copy()
         own, jacobian = self.own(block), block.jacobian(values[self.own(block)])
-        out[:, _measured(block), own], out[:, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
+        out[:, measured_by(block), own], out[:, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
         return out
 
     @cached_property
@@ -190,12 +190,13 @@ class Instrument:
             if block is None:
                 continue
             nonzero = np.any(self._constant[block.kind] != 0.0, axis=(0, 2))
-            nonzero[CONSTANT], nonzero[_measured(block)] = True, True
+            nonzero[CONSTANT], nonzero[measured_by(block)] = True, True
             out[block.kind] = np.flatnonzero(nonzero)
         return out
 
 
-def _measured(block: Block) -> slice:
+def measured_by(block: Block) -> slice:
+    """Where the functions stand that the sensors of a block measure: the specific force or the rate."""
     return FORCE if block.kind == "accel" else RATE
 
 
@@ -217,7 +218,7 @@ def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     force = np.broadcast_to(force[:, None] if force.ndim == 2 else force, shape)
     rate = np.broadcast_to(rate[:, None], shape)
     measured, other = (force, rate) if block.kind == "accel" else (rate, force)
-    linear = _measured(block)
+    linear = measured_by(block)
     out: Array = np.einsum("npk,pk->np", measured, K[:, linear]) + K[:, CONSTANT]
     if is_linear(block, K):
         return out
@@ -229,7 +230,7 @@ def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
 
 def is_linear(block: Block, K: Array) -> bool:
     """Whether the readings of a block are linear in what it measures, and of nothing else."""
-    return not np.any(np.delete(K, np.r_[CONSTANT, _measured(block)], axis=1))
+    return not np.any(np.delete(K, np.r_[CONSTANT, measured_by(block)], axis=1))
 
 
 def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Array]:

@@ -38,6 +38,8 @@ Motion = Literal["lever", "delay"]
 Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag"]
 """What the change of a parameter goes with: time from the middle of a session, s, temperature from the reference, K,
 its square, the direction it came from, −1 … 1, or that a session is another one; the lag moves the temperatures."""
+THERMAL: tuple[Variable, ...] = ("temperature", "temperature²")
+"""Those of slopes and curvatures."""
 Regressors = Callable[[Block], Array]
 """∂K/∂θ (n, 15, m) of a block for a group's parameters."""
 
@@ -354,11 +356,6 @@ def groups() -> tuple[ParameterGroup, ...]:
     return (*LINEAR, *FURTHER)
 
 
-def usual_of(grade: str) -> dict[str, float]:
-    """Standard deviations, SI, of the groups beyond the linear model over instruments of a grade, by group."""
-    return {group.name: group.usual[grade] for group in FURTHER if grade in group.usual}
-
-
 @lru_cache(maxsize=4096)
 def group_name(parameter: str) -> str:
     """The group of a parameter: "accel.bias" of "accel.bias.x", "accel.bias.t1" of "accel.bias.x.t1"."""
@@ -369,6 +366,23 @@ def group_name(parameter: str) -> str:
 def sensor_kind(parameter: str) -> str:
     """The kind of sensor of a parameter: "accel" of "accel.bias.x"."""
     return parameter.partition(".")[0]
+
+
+def within_kind(parameter: str) -> str:
+    """The name of a parameter or group within its kind of sensor: "bias.x" of "accel.bias.x"."""
+    return parameter.partition(".")[2]
+
+
+def within_group(parameter: str) -> str:
+    """The name of a parameter within its group: "x" of "accel.bias.x", "x.t1" of "accel.bias.x.t1"; "" where it is the
+    only one."""
+    return within_kind(within_kind(parameter))
+
+
+def variable_of(parameter: str) -> Variable | None:
+    """What the change goes with that a parameter or group is; None where it is none."""
+    group = named_group(group_name(parameter))
+    return None if group is None else group.variable
 
 
 def group_of(parameter: str) -> ParameterGroup:

@@ -14,14 +14,13 @@ from tumble.estimation.observability import in_words, sum_in_words
 from tumble.planning.best_positions import Aim, Compared, Next
 from tumble.planning.bounds import Bound
 from tumble.planning.plan import PlanResult
-from tumble.planning.setup import Setup
-from tumble.programme.positions import Programme, duration
+from tumble.planning.setup import Setup, time_of
+from tumble.programme.positions import Programme
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, shown_in
 from tumble.terminal.table import plain_table
 from tumble.units import DEGREE, Array
-from tumble.usual_setup import MOVE
 
 LARGEST = 4
 """So many parameters of a combination are named."""
@@ -46,7 +45,7 @@ def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
     others known and as the `whole` instrument allows, then a line for each group of others."""
     programme = setup.programme
     lines = [
-        f"{programme.name}: {len(programme.positions)} positions in {_time(programme, setup)}, "
+        f"{programme.name}: {len(programme.positions)} positions in {clock(time_of(programme, setup))}, "
         f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s",
         f"rank {bound.rank} of {bound.linear}, condition {_condition(bound)}",
         *_not_determined(bound),
@@ -61,7 +60,7 @@ def bound_report(setup: Setup, bound: Bound, whole: Bound) -> RenderableType:
     for name, u, with_all in zip(bound.names[linear], bound.u[linear], whole.u[linear], strict=True):
         share = f"{u / spread_of(setup, name):.2%}" if math.isfinite(u) else ""
         group = group_name(name)
-        table.add_row(name, _shown(bound, group, u), share, _shown(bound, group, with_all))
+        table.add_row(name, in_unit(group, u), share, in_unit(group, with_all))
     return Group(*map(Text, lines), Text(""), table, Text(""), further_table(whole.names, whole.u, whole.further))
 
 
@@ -133,7 +132,7 @@ def comparison_report(setup: Setup, rows: Sequence[Compared], aim: Aim) -> Rende
         table.add_row(
             row.programme.name,
             str(len(row.programme.positions)),
-            _time(row.programme, setup),
+            clock(time_of(row.programme, setup)),
             str(row.bound.rank),
             _condition(row.bound),
             *_groups(row.bound),
@@ -147,10 +146,9 @@ def short_of(bound: Bound, aim: Aim, setup: Setup) -> list[str]:
     out = _not_determined(bound)
     for group, value in (aim.wanted or {}).items():
         if group in bound.groups and bound.rms(group) > value:
-            size, unit = shown_in(group, _unit(bound, group), value)
             out.append(
-                f"{group}: expected {value / size:.3g} {unit} (rms), found at best "
-                f"{_shown(bound, group, bound.rms(group))}; take more positions, or longer rests than {setup.rest:g} s"
+                f"{group}: expected {in_unit(group, value)} (rms), found at best "
+                f"{in_unit(group, bound.rms(group))}; take more positions, or longer rests than {setup.rest:g} s"
             )
     return out
 
@@ -171,24 +169,8 @@ def _not_determined(bound: Bound) -> list[str]:
 
 def _groups(bound: Bound) -> list[str]:
     """The rms of every kind of parameter."""
-    return [_shown(bound, group, bound.rms(group)) for group in bound.groups]
-
-
-def _shown(bound: Bound, group: str, u: float) -> str:
-    """An uncertainty in its engineering unit."""
-    if not math.isfinite(u):
-        return "–"
-    size, unit = shown_in(group, _unit(bound, group), u)
-    return f"{u / size:.3g} {unit}"
-
-
-def _unit(bound: Bound, group: str) -> str:
-    return next(unit for name, unit in zip(bound.names, bound.units, strict=True) if group_name(name) == group)
+    return [in_unit(group, bound.rms(group)) for group in bound.groups]
 
 
 def _condition(bound: Bound) -> str:
     return f"{bound.condition:.3g}" if math.isfinite(bound.condition) else "–"
-
-
-def _time(programme: Programme, setup: Setup) -> str:
-    return clock(duration(programme, rest=setup.rest, rate=setup.turn_rate, move=MOVE))

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tumble.programme.positions import Move, Position, Programme, duration
+from tumble.planning.setup import time_of
+from tumble.programme.positions import Move, Position
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import positions_by_group
-from tumble.usual_setup import MOVE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,7 +31,7 @@ def plan_data(plan: PlanResult, reasons: list[str]) -> dict[str, Any]:
         "reasons": reasons,
         "programme": programme.name,
         "positions": [_position(p, m) for p, m in zip(programme.positions, moves, strict=True)],
-        "duration": _duration(programme, plan.setup),
+        "duration": time_of(programme, plan.setup),
         "bound": _bound(plan.bound),
         "parameters": [
             {
@@ -59,10 +59,6 @@ def _position(position: Position, move: Move | None) -> dict[str, Any]:
     """A position and the move that leads to it; of the first position, and where any movement will do, null."""
     turn = None if move is None or move.axis is None else {"axis": move.axis, "angle": move.angle}
     return {"attitude": position.attitude, "label": position.label, "turn": turn}
-
-
-def _duration(programme: Programme, setup: Setup) -> float:
-    return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=MOVE)
 
 
 def _bound(bound: Bound) -> dict[str, Any]:
@@ -95,7 +91,7 @@ def _compared(one: Compared, setup: Setup) -> dict[str, Any]:
     return {
         "programme": one.programme.name,
         "attitudes": [position.attitude for position in one.programme.positions],
-        "duration": _duration(one.programme, setup),
+        "duration": time_of(one.programme, setup),
         "value": one.value,
         "bound": _bound(one.bound),
     }

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from rich.console import Console, RenderableType
 from rich.segment import Segment, Segments
 
+from tumble.calibration.further import by_group
 from tumble.calibration.results import Parameter
 from tumble.documents import plain
 from tumble.sensors.parameters import group_name, shown_in
@@ -18,12 +19,9 @@ from tumble.sensors.parameters import group_name, shown_in
 def shown_units(parameters: Sequence[Parameter]) -> dict[str, tuple[float, str]]:
     """The unit in which each parameter is shown, by its name, as (size in SI, unit): one for all of a kind, by their
     root mean square."""
-    kinds: dict[str, list[Parameter]] = {}
-    for p in parameters:
-        kinds.setdefault(group_name(p.name), []).append(p)
     of_kind = {
         kind: shown_in(kind, alike[0].unit, math.sqrt(sum(p.value**2 for p in alike) / len(alike)))
-        for kind, alike in kinds.items()
+        for kind, alike in by_group(parameters).items()
     }
     return {p.name: of_kind[group_name(p.name)] for p in parameters}
 

@@ -1,0 +1,97 @@
+"""What the operator has answered: the faults that are seen to, and what is left out of the log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from tumble.bench import folder as folders
+from tumble.bench.faults import Fault
+from tumble.recording.session import Exclusion
+
+_HERE = ("knock", "movement")
+"""Faults of a rest that begins anew in the same place."""
+
+
+class Answers:
+    """The answers of one session, written into the session.toml of its `folder`, which left out `before` what it did.
+    `go_on` says whether the operator wants more positions than are needed."""
+
+    def __init__(self, folder: Path, before: tuple[Exclusion, ...]) -> None:
+        self.answered: set[tuple[str, int]] = set()
+        self.go_on = False
+        self._folder, self._before = folder, before
+        self._own: list[Exclusion] = []
+        self._open: Exclusion | None = None
+
+    @property
+    def excluded(self) -> tuple[Exclusion, ...]:
+        """What is left out, last what has no end yet."""
+        ended = tuple(one for one in (*self._before, *self._own) if one != self._open)
+        return ended if self._open is None else (*ended, replace(self._open, stop=math.inf))
+
+    def first_of(self, faults: Iterable[Fault]) -> Fault | None:
+        """The first fault that is not answered."""
+        return next((fault for fault in faults if fault.key not in self.answered), None)
+
+    def moved(self, now: float) -> None:
+        """End what is left out until the unit is moved."""
+        if self._open is None:
+            return
+        ended = replace(self._open, stop=now)
+        folders.leave_out(self._folder, ended, instead_of=self._open)
+        self._own = [ended if one == self._open else one for one in self._own]
+        self._open = None
+
+    def again(self, fault: Fault | None, now: float) -> str:
+        """Leave out what is wrong, to take it again."""
+        if fault is None:
+            return "nothing is wrong"
+        self.answered.add(fault.key)
+        here = fault.kind in _HERE
+        self._leave_out(fault.start, now, fault.said, until_moved=not here)
+        return "left out; hold still, this rest begins anew" if here else "left out; take it again"
+
+    def keep_first(self, fault: Fault | None, now: float) -> str:
+        """Leave out what is wrong and what follows it, and keep what was before."""
+        if fault is None or not fault.kept:
+            return "there is no first part"
+        self.answered.add(fault.key)
+        self._leave_out(fault.stop, now, fault.said, until_moved=True)
+        return "the first part is kept; go on to the next position"
+
+    def going_on(self, fault: Fault | None) -> str:
+        """Leave everything in."""
+        if fault is not None:
+            self.answered.add(fault.key)
+            return "noted; nothing is left out"
+        self.go_on = True
+        return "going on"
+
+    def leave_out_rest(self, number: str, rests: int) -> str:
+        """Leave out one of so many rests."""
+        if not number.isdigit() or not 0 < int(number) <= rests:
+            return f"expected the number of a rest from 1 to {rests}"
+        self._add(Exclusion(rest=int(number), reason="left out at the bench"))
+        return f"rest {number} is left out"
+
+    def take_back(self) -> str:
+        """Take in again what was left out last."""
+        if not self._own:
+            return "nothing was left out here"
+        one = self._own.pop()
+        folders.take_back(self._folder, one)
+        self._open = None if self._open == one else self._open
+        return "taken back"
+
+    def _leave_out(self, start: float, now: float, reason: str, *, until_moved: bool) -> None:
+        one = Exclusion(start=start, stop=max(now, start + 1e-3), reason=reason)
+        self._add(one)
+        if until_moved:
+            self._open = one
+
+    def _add(self, one: Exclusion) -> None:
+        folders.leave_out(self._folder, one)
+        self._own.append(one)

@@ -1,0 +1,248 @@
+"""The screens of the page: what is shown, as a function of the task, the progress, what is wrong, and the estimate."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+
+from tumble.bench.chain import Blocks
+from tumble.bench.course import Judged, Progress, Rest, nearest_positions, scatter_now, turned_between, verticals
+from tumble.bench.estimates import Estimates
+from tumble.bench.faults import Fault
+from tumble.bench.intake import Received
+from tumble.bench.task import Task
+from tumble.bench.wishes import better_by
+from tumble.programme.positions import ANY_MOVE, Move
+from tumble.programme.sheet_words import move_text, points_of, signed_angle
+from tumble.reduction.rest_noise import drift
+from tumble.units import DEGREE, G_STANDARD, Array
+
+STILL_TURNING = 3.0 * DEGREE
+"""s⁻¹: a turn that is nearly done and goes on more slowly is a unit put down with movement."""
+NEARLY = 10.0 * DEGREE
+_SETTLING = 20.0
+"""Of u: a drift over a rest that is no noise; that of white noise is √12 u."""
+_TRACE = 600
+
+WAITING: dict[str, Any] = {"screen": "waiting", "headline": "Waiting for data", "fault": None}
+"""The screen while there is too little to see rests in."""
+
+
+def received_shown(received: Received | None) -> dict[str, Any]:
+    """What was wrong with what has come, None where nothing is recorded."""
+    if received is None:
+        return {"refused": 0, "why": "", "late": 0, "repeated": 0, "ended": False, "trouble": []}
+    return {
+        "refused": received.refused,
+        "why": received.last_refused,
+        "late": received.late,
+        "repeated": received.repeated,
+        "ended": received.ended,
+        "trouble": list(received.trouble),
+    }
+
+
+def screen(task: Task, progress: Progress, fault: Fault | None, estimates: Estimates, *, go_on: bool) -> dict[str, Any]:
+    """The screen, and what every screen shows. `go_on`: although all that is wanted is reached."""
+    blocks = progress.blocks
+    shown: dict[str, Any] = {
+        "seconds": progress.now,
+        "scatter": {"now": scatter_now(blocks), "limit": progress.limits.scatter},
+        "sphere": _sphere(progress, estimates),
+        "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - 273.15),
+        "to_go": _to_go(task, progress),
+        "fault": None,
+    }
+    if fault is None:
+        return shown | _screen(task, progress, go_on=go_on, enough=estimates.enough)
+    said = {"kind": fault.kind, "said": fault.said, "at": fault.start, "choices": list(fault.choices)}
+    return shown | {"screen": "fault", "headline": "Not good", "fault": said, **_where(task, progress)}
+
+
+def _screen(task: Task, progress: Progress, *, go_on: bool, enough: bool) -> dict[str, Any]:
+    """The screen where nothing is wrong."""
+    taken = len(progress.groups)
+    if not taken:
+        return {"screen": "waiting", "headline": "Waiting for rest", **_where(task, progress)}
+    current, judged = progress.current, progress.judged[-1]
+    if current is not None and not judged.enough:
+        return _at_rest(task, progress, current, judged)
+    all_taken = task.positions is not None and taken >= task.positions
+    if all_taken or (current is not None and enough and not go_on):
+        return _done(task, taken, complete=all_taken, enough=enough)
+    return _turn(task, progress)
+
+
+def _sphere(progress: Progress, estimates: Estimates) -> dict[str, Any]:
+    """Directions of the vertical that were taken, and what each of DIRECTIONS would leave of u."""
+    taken = [group[-1].vertical.tolist() for group in progress.groups]
+    return {"taken": taken, "gains": None if estimates.shown is None else estimates.shown["gains"]}
+
+
+def _to_go(task: Task, progress: Progress) -> float | None:
+    """The time, s, that the positions of the programme still take, as long each as those before were on average; None
+    where that is not known."""
+    groups = progress.groups
+    if task.positions is None or not groups:
+        return None
+    left = progress.judged[-1].left if progress.lasts else 0.0
+    further = max(0, task.positions - len(groups))
+    if left is None or (further and len(groups) < 2):
+        return None
+    each = (groups[-1][0].start - groups[0][0].start) / (len(groups) - 1) if further else 0.0
+    return left + further * each
+
+
+# -------------------- the position --------------------
+
+
+def _where(task: Task, progress: Progress) -> dict[str, Any]:
+    """Which position the unit is in, or is to be in next."""
+    at = len(progress.groups) - (1 if progress.lasts else 0)
+    return {"rest": _number(task, at + 1), "position": _position(task, _index(task, progress.groups, at), at)}
+
+
+def _number(task: Task, number: int) -> dict[str, Any]:
+    return {"number": number, "of": task.positions}
+
+
+def _index(task: Task, groups: list[list[Rest]], at: int) -> int | None:
+    """The position of the programme that group `at` is, or is to be."""
+    programme = task.programme
+    if programme is None:
+        return None
+    if programme.ordered:
+        return at if at < len(programme.positions) else None
+    if not groups:
+        return 0
+    units = verticals([group[-1] for group in groups], programme, task.session.site.gravity)
+    seen = nearest_positions(programme, units)
+    if at < len(seen):
+        return seen[at]
+    return next((k for k in range(len(programme.positions)) if k not in seen), None)
+
+
+def _position(task: Task, index: int | None, at: int) -> dict[str, Any] | None:
+    if task.programme is None or index is None:
+        return None
+    position = task.programme.positions[index]
+    move = task.move(index) if at else ANY_MOVE
+    x, y, z = points_of(position)
+    return {
+        "number": index + 1,
+        "label": position.label,
+        "points": {"X": x, "Y": y, "Z": z},
+        "move": move_text(move),
+        "angle": None if move.angle is None else signed_angle(move.angle),
+        "picture": f"picture/{index}.svg?{hashlib.sha256(position.attitude.encode()).hexdigest()[:8]}",
+    }
+
+
+# -------------------- at rest --------------------
+
+
+def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> dict[str, Any]:
+    where = _where(task, progress)
+    number, of = where["rest"]["number"], f" of {task.positions}" if task.positions else ""
+    known, wanted = judged.known, task.wanted
+    drifted = float(np.abs(drift([progress.blocks.force[current.first : current.last]])).max())
+    return {
+        "screen": "rest",
+        "headline": f"At rest {number}{of}: hold still",
+        "position": where["position"],
+        "rest": where["rest"]
+        | {
+            "seconds": current.stop - current.start,
+            "left": judged.left,
+            "u": None if known is None else known.accel / G_STANDARD * 1e6,
+            "wanted": wanted.accel / G_STANDARD * 1e6,
+            "gyro_u": None if known is None or known.gyro is None else known.gyro / DEGREE * 3600.0,
+            "gyro_wanted": wanted.gyro / DEGREE * 3600.0,
+            "drift": drifted / G_STANDARD * 1e6,
+            "settling": known is not None and drifted > _SETTLING * known.accel,
+            "nothing_more": judged.nothing_more,
+        },
+    }
+
+
+# -------------------- under way --------------------
+
+
+def _turn(task: Task, progress: Progress) -> dict[str, Any]:
+    blocks, last, at = progress.blocks, progress.groups[-1][-1], len(progress.groups)
+    index = _index(task, progress.groups, at)
+    move = ANY_MOVE if index is None else task.move(index)
+    turned = turned_between(blocks, last.last, len(blocks), last.rate)
+    rate = _rate_now(blocks, last)
+    done = None if turned is None else _done_of(task, move, index, turned)
+    full = None if task.session.log.gyro is None else task.session.log.gyro.range
+    slowly = rate is not None and rate < STILL_TURNING and progress.calm_from is None
+    arrived = slowly and done is not None and _arrived(move, done)
+    label = "to any new position" if index is None else f"to position {index + 1}"
+    return {
+        "screen": "turn",
+        "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
+        "rest": _number(task, at + 1),
+        "position": _position(task, index, at),
+        "early": "" if progress.judged[-1].enough else f"rest {at} was left before the wanted u",
+        "turn": {
+            "done": None if done is None else done / DEGREE,
+            "angle": None if move.angle is None else move.angle / DEGREE,
+            "rate": None if rate is None else rate / DEGREE,
+            "full_scale": None if full is None else full / DEGREE,
+        },
+    }
+
+
+def _rate_now(blocks: Blocks, last: Rest) -> float | None:
+    """Size of the angular rate now, rad/s, less that of the last rest; None without gyros."""
+    if blocks.rate is None or last.rate is None:
+        return None
+    return float(np.linalg.norm(blocks.rate[-3:].mean(axis=0) - last.rate))
+
+
+def _done_of(task: Task, move: Move, index: int | None, turned: Array) -> float:
+    """How far, rad, a turn has gone: about the axis of the programme's turn where there is one."""
+    if task.programme is None or not index or move.axis is None:
+        return float(np.linalg.norm(turned))
+    return float(turned @ (task.programme.positions[index - 1].matrix.T @ move.axis))
+
+
+def _arrived(move: Move, done: float) -> bool:
+    """Whether a turn has gone so far that it may be over."""
+    return abs(done - move.angle) < NEARLY if move.angle is not None else done > 2.0 * NEARLY
+
+
+# -------------------- done --------------------
+
+
+def _done(task: Task, taken: int, *, complete: bool, enough: bool) -> dict[str, Any]:
+    said = f"All wanted u reached at rest {taken}" if enough else f"All {taken} positions taken"
+    return {
+        "screen": "done",
+        "headline": f"{said}; five more would make it {better_by(taken):.1f} times better",
+        "rest": _number(task, taken),
+        "position": None,
+        "complete": complete,
+    }
+
+
+# -------------------- beside the state --------------------
+
+
+def trace(blocks: Blocks | None, since: int) -> dict[str, Any]:
+    """Block means from number `since` on, at most the last minute: s, m/s² and °/s."""
+    if blocks is None:
+        return {"next": 0, "anew": True, "t": [], "a": [], "g": []}
+    anew = since == 0 or since > len(blocks)
+    first = max(0 if anew else since, len(blocks) - _TRACE)
+    rate = blocks.rate
+    return {
+        "next": len(blocks),
+        "anew": anew,
+        "t": np.round(blocks.edges[first + 1 : len(blocks) + 1], 3).tolist(),
+        "a": np.round(blocks.force[first:].T, 5).tolist(),
+        "g": [] if rate is None else np.round(rate[first:].T / DEGREE, 4).tolist(),
+    }
