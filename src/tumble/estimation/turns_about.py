@@ -85,9 +85,8 @@ class TurnsAbout:
             rate, force = rate + changes[0], force + changes[1]
             moments = observations.moments_about_each(list(map(compensation, rate, force)), own)
         lefts = about.gyro.left_inverse, about.accel.left_inverse
-        about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts)
-        if any(group.variable == "temperature" for group in instrument.further):
-            about_turns = replace(about_turns, growing=_growing(observations, about, lefts))
+        growing = observations.growing_moments_about(about) if warms(instrument) else None
+        about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts, growing)
         if instrument.in_motion("lever") is None:
             return about_turns
         arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)
@@ -95,10 +94,14 @@ class TurnsAbout:
 
     @staticmethod
     def from_moments(
-        moments: Moments, accel: Block, about: tuple[Array, Array, float], lefts: tuple[Array, Array]
+        moments: Moments,
+        accel: Block,
+        about: tuple[Array, Array, float],
+        lefts: tuple[Array, Array],
+        growing: tuple[Array, Array] | None = None,
     ) -> TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
-        accelerometers."""
+        accelerometers; `growing` are the moments of what grows within the turns."""
         to_rate, to_force = lefts
         by_force = _paths(moments.Phi, to_force)
         by_phi, by_velocity = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
@@ -120,6 +123,7 @@ class TurnsAbout:
             levers=-lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
             delay=-delay_column(moments),
             to_rate=to_rate,
+            growing=None if growing is None else _growing(growing, lefts),
         )
 
     @property
@@ -198,15 +202,20 @@ class TurnsAbout:
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
 
 
-def _growing(observations: Observations, about: Compensation, lefts: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-    """by_phi, by_velocity and by_force of coefficients that grow within the turns."""
-    Phi, Psi = observations.growing_moments_about(about)
+def _growing(moments: tuple[Array, Array], lefts: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    """by_phi, by_velocity and by_force of coefficients that grow within the turns, of Φ and Ψ weighted with time."""
+    Phi, Psi = moments
     return _paths(Phi, lefts[0]), _paths(Psi, lefts[0]), _paths(Phi, lefts[1])
 
 
 def _applied(by: Array, change: Array) -> Array:
     """Σ by · ΔK (K, 3) of coefficients (n, 15), or (K, n, 15)."""
     return np.asarray(np.einsum("kipb,kpb->ki", by, np.broadcast_to(change, (len(by), *change.shape[-2:]))))
+
+
+def warms(instrument: Instrument) -> bool:
+    """Whether parameters grow with the temperature within a turn."""
+    return any(group.variable == "temperature" for group in instrument.further)
 
 
 def own_axes(instrument: Instrument) -> OwnAxes:
