@@ -333,18 +333,10 @@ IN_A5 = ("accel.quadratic", "accel.lever", "accel.delay", *THERMAL, "temperature
 
 
 def lags(count: int) -> None:
-    """Print tables of the method's A5: lags, with all groups over 40 °C, and with those of A5 over 20 °C, there also of
-    single ramps that had been going on before the recording."""
-    for procedure, lag in (
-        (BOTH_WAYS, 30.0),
-        (BOTH_WAYS, 100.0),
-        (BOTH_WAYS, 300.0),
-        (ONE_WAY, 100.0),
-        (ONE_WAY, 300.0),
-    ):
-        a_lag(procedure, lag, count)
+    """Print the table of the method's A5 of lags, with its groups, over 20 °C; and of single ramps that had been going
+    on before the recording, and over 40 °C."""
+    print(f"\nlag, {count} devices each: errors over u where it is ignored (at T0; chi-square for degrees) → estimated")
     there, back = replace(ONE_WAY, courses=((10.0, 30.0),)), replace(BOTH_WAYS, courses=((10.0, 30.0, 10.0),))
-    print("\nthe same with the groups of A5, over 20 °C")
     for procedure, lag, before in (
         (back, 30.0, 0.0),
         (back, 100.0, 0.0),
@@ -353,6 +345,8 @@ def lags(count: int) -> None:
         (there, 300.0, 0.0),
         (there, 100.0, 50.0),
         (there, 100.0, 2000.0),
+        (ONE_WAY, 100.0, 0.0),
+        (ONE_WAY, 100.0, 2000.0),
     ):
         a_lag(replace(procedure, groups=IN_A5, before=before), lag, count)
 
@@ -364,18 +358,19 @@ def a_lag(procedure: Procedure, lag: float, count: int) -> None:
     made = [observed(quiet, number, lag) for number in range(count)]
     with_lag = [found(*each, leave=HYSTERESIS) for each in made]
     without = [bare(*each, leave=(*LAG_ALONE, *HYSTERESIS)) for each in made]
-    lags = [(run.values[LAG_NAME], run.u[LAG_NAME]) for run in with_lag if LAG_NAME in run.values]
+    known = [(run.values[LAG_NAME], run.u[LAG_NAME]) for run in with_lag if LAG_NAME in run.values]
     every, there = rms_of([each[0] for each in without]), rms_of([each[1] for each in without])
     chi, degrees = (np.mean([getattr(each[2], what) for each in without]) for what in ("chi_square", "degrees"))
-    said = f"  {procedure.name:12s} {lag:4.0f} s" + f", {procedure.before:.0f} s before" * (procedure.before > 0.0)
-    print(f"{said}: {every:5.1f} ({there:.1f}; {chi:.0f} for {degrees:.0f})", end=" ")
+    print(f"  {procedure.name}, {procedure.courses[0]} °C, {procedure.before:.0f} s before, {lag:.0f} s:", end=" ")
+    print(f"{every:5.1f} ({there:.1f}; {chi:.0f} for {degrees:.0f})", end=" ")
     print(f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f};", end=" ")
-    values, u = np.mean([each[0] for each in lags]), rms_of([each[1] for each in lags])
-    print(f"{values:.1f} ± {np.std([each[0] for each in lags], ddof=1):.1f} s, u {u:.1f} s of {len(lags)}", flush=True)
+    values, u = np.array(known).T
+    print(f"{values.mean():.1f} ± {values.std(ddof=1):.1f} s, u {rms_of(u):.1f} s of {len(known)}", flush=True)
 
 
 def hysteresis(count: int) -> None:
-    """Print the others: hysteresis without a lag and with one of 60 s."""
+    """Print its table of hysteresis, without a lag and with one of 60 s."""
+    print(f"\nhysteresis, {count} devices each: errors over the u of the noise within rests")
     made = [observed(replace(BOTH_WAYS, steady=True), number, 60.0) for number in range(count)]
     for what, leave in (
         ("both ignored", HYSTERESIS + LAG_ALONE),
@@ -411,7 +406,6 @@ def main() -> int:
     worst = procedures(2 if short else 1000)
     if not short:
         worst = max(worst, samples(60))
-        print("\nlag, errors over u where it is ignored (at T0; chi-square for degrees) → estimated; the lag found")
         lags(24)
         hysteresis(40)
     z, ratio = warm_up(3 if short else 30)
