@@ -138,7 +138,7 @@ def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
     if procedure.steady:
         noise = replace(scenario.noise, accel_instability=0.0, gyro_instability=0.0)
         scenario = replace(scenario, noise=noise)
-    truth = {name: value if procedure.has(name) else 0.0 for name, value in (scenario.truth | more).items()}
+    truth = {name: value if procedure.has(name) else 0.0 for name, value in (dict(scenario.truth) | more).items()}
     usual = {name: size for name, size in USUAL.items() if procedure.has(name)}
     return replace(scenario, truth=truth, usual=usual, course=course)
 
