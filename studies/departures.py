@@ -35,7 +35,7 @@ from tumble.reduction.rounding import Rounding, rounding
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import groups, usual_of
+from tumble.sensors.parameters import groups, usual_sizes
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, IntArray
 
 MICRO_G = 1e-6 * G_STANDARD
@@ -380,7 +380,7 @@ def observed(setting: Setting, samples: Samples) -> Observations:
         programme=None,
         position=None,
         rounding=rounded,
-        usual=usual_of(setting.grade),
+        usual=usual_sizes(setting.grade),
     )
 
 

@@ -21,11 +21,12 @@ import numpy as np
 from formulas_against_simulation import DEVICE
 
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
 from tumble.estimation.methods.joint import TOTAL, joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
+from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.budget import GROUPS
 from tumble.planning.setup import Setup

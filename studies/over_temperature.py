@@ -29,8 +29,9 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.together import calibrate_together
 from tumble.estimation.estimate import Estimate, Fit
-from tumble.estimation.likelihood import Scatter, solve
+from tumble.estimation.likelihood import Scatter
 from tumble.estimation.methods.joint import joint
+from tumble.estimation.step import solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.reduction.observations import Observations

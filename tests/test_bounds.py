@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tumble.errors import InputError
-from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
 from tumble.estimation.methods.joint import joint
 from tumble.estimation.observability import in_words
+from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.bounds import Course, bound, bound_of, course_of, instrument_of
 from tumble.planning.budget import GROUPS, budget

@@ -15,7 +15,7 @@ from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.rounding import Rounding
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import usual_of
+from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 from tumble.units import Array
@@ -99,7 +99,7 @@ def test_the_time_base_is_that_of_rates_alone() -> None:
 def test_the_noise_of_a_turn_is_a_covariance_however_unlike_its_gyros_are(noise: tuple[float, ...]) -> None:
     """Rotation R and velocity: P_Vφ = −½ X R and P_VV = ⅓ X R Xᵀ, Eq. (8), so that what the rotation leaves of P_VV is
     X R Xᵀ/12 and the noise of the accelerometers."""
-    observations = replace(observed(), usual=usual_of("mems"))
+    observations = replace(observed(), usual=usual_sizes("mems"))
     turns = observations.turns
     assert turns is not None
     spread: Array = np.median(turns.covariance[:, 0, 0]) * np.diag(noise)

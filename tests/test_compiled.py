@@ -51,11 +51,14 @@ def chain(module: ModuleType) -> list[Array]:
     rng, unknowns, covariance = np.random.default_rng(2), np.zeros((9, 3)), np.eye(7) + 0.1
     parameters = rng.standard_normal(7)
     own, shared = module.put_back(factor, given[2], parameters, covariance, unknowns)
-    left = module.left_over(*given, unknowns, parameters, (covariance, own, shared))
+    Z, component = rng.standard_normal((4, 5, 6)), np.array([0, 0, 1, 2, 2, 4])
+    whitening = module.whitening(np.tile(np.eye(5), (4, 1, 1)), Z, component, np.array([0.1, 0.0, 0.3, 0.0, 0.2]))
+    slope, information = np.zeros(5), np.zeros((5, 5))
+    module.score(whitening @ Z, component, (Z[:, :, 0].copy(), whitening), slope, information)
     vertical, attitudes = rng.standard_normal((9, 3)), np.zeros((9, 3, 3))
     vertical /= np.linalg.norm(vertical, axis=1)[:, None]
     module.carry(vertical, np.linalg.qr(rng.standard_normal((8, 3, 3)))[0], given[2], 0.1 * np.arange(9.0), attitudes)
-    return [factor, triangle, unknowns, own, shared, *left, attitudes]
+    return [factor, triangle, unknowns, own, shared, whitening, slope, information, attitudes]
 
 
 def test_elimination_is_that_of_python_to_the_bit() -> None:

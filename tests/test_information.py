@@ -16,7 +16,7 @@ from tumble.earth import earth_rate
 from tumble.planning.bounds import Course, bound_of, course_of
 from tumble.planning.setup import Setup
 from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector
-from tumble.sensors.parameters import usual_of
+from tumble.sensors.parameters import usual_sizes
 from tumble.units import Array
 
 SAMPLES = 240
@@ -98,7 +98,7 @@ def information(course: Course, setup: Setup, velocity: bool) -> Array:
     for first, move, T in zip(course.first, course.moves, course.seconds, strict=True):
         add_turn(total, course, setup, (int(first), move, float(T)), with_bias, angles, biases, p, velocity)
     if velocity:
-        usual = usual_of(setup.instrument)
+        usual = usual_sizes(setup.instrument)
         total[LEVERS, LEVERS] += np.eye(6) / usual["accel.lever"] ** 2
         total[DELAY, DELAY] += usual["accel.delay"] ** -2.0
     return np.asarray(np.linalg.pinv(total, rcond=1e-20)[:p, :p], dtype=float)
@@ -166,7 +166,7 @@ def test_the_bound_is_the_inverse_of_the_dense_information(grade: str, velocity:
     """To 2 % of every u, with in-run instability as documented."""
     setup = Setup.of(grade=grade, programme="rough-table", gravity_u=0.0)
     names = {"accel.lever", "accel.delay"} if velocity else set()
-    setup = replace(setup, further={name: value for name, value in usual_of(grade).items() if name in names})
+    setup = replace(setup, further={name: value for name, value in usual_sizes(grade).items() if name in names})
     course = course_of(setup)
     found = bound_of(course, setup)
     u = np.sqrt(np.diag(information(course, setup, velocity)))

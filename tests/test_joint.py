@@ -18,10 +18,11 @@ from formula_setup import device_setup
 from tumble.calibration.calibrate import calibrate
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Prior, Problem, Scatter, linearise, solve, weights
+from tumble.estimation.likelihood import Prior, Problem, Scatter, linearise, weights
 from tumble.estimation.methods import joint as method
 from tumble.estimation.methods.joint import QUICK_STEPS, TOTAL, joint
 from tumble.estimation.methods.staged.method import staged
+from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes

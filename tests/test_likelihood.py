@@ -18,19 +18,19 @@ from tumble.estimation.likelihood import (
     Scatter,
     bases,
     inverse_left_jacobian,
-    left,
     left_jacobian,
     linearise,
-    solve,
+    noise_of,
     weights,
 )
+from tumble.estimation.step import left, solve, variance_slopes
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import limits_of, usual_of
+from tumble.sensors.parameters import limits_of, usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, draw_further, itinerary, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
@@ -51,7 +51,7 @@ def scenario(axes: Array = TRIAD, seed: int = 1, setup: Setup = SETUP, *, full: 
     names = accel.names + gyro.names
     truth = dict(zip(names, 0.01 * rng.standard_normal(len(names)), strict=True))
     if full:
-        truth |= draw_further(usual_of("mems"), accel, gyro, rng)
+        truth |= draw_further(usual_sizes("mems"), accel, gyro, rng)
     return replace(scenario_of(setup, rng), accel=accel, gyro=gyro, truth=truth)
 
 
@@ -70,7 +70,7 @@ def problem_at(chosen: Scenario, off: float, prior: Prior = NO_PRIOR) -> tuple[P
         gravity=observations.site.gravity + off,
         attitudes=attitudes @ rotation_matrix(off * rng.standard_normal((len(attitudes), 3))),
     )
-    problem = Problem.of(observations, prior, instrument=instrument, usual=usual_of("mems"))
+    problem = Problem.of(observations, prior, instrument=instrument, usual=usual_sizes("mems"))
     return problem, point, TurnsAbout.of(observations, instrument, values)
 
 
@@ -273,6 +273,24 @@ def bound(setup: Setup, only_programmed: bool) -> Array:
     rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, values))
     variance = np.diag(solve(problem, rows, weights(problem, rows, Scatter())).covariance)[1:]
     return np.sqrt([variance[i:j].mean() for i, j in ((0, 3), (3, 6), (6, 9), (9, 12), (12, 15), (15, 21))])
+
+
+@pytest.mark.parametrize("axes", [np.eye(3), PYRAMID], ids=["triad", "pyramid"])
+def test_slopes_of_the_variances_are_derivatives(axes: Array) -> None:
+    """Of the variances of gravity and the parameters by those of the components of scatter: central differences."""
+    problem, point, about = problem_at(scenario(axes, full=True), 1e-3)
+    rows = linearise(problem, point, about)
+    noise = noise_of(problem, rows)
+    variance = Scatter(accel=2e-4, gyro=1e-5, turn=3e-5, velocity=1e-3, jumps=1e-2).variances
+    found = variance_slopes(problem, solve(problem, rows, noise.weights(Scatter.of_variances(variance))), noise)
+    for a, slopes in enumerate(found):
+        change = 1e-4 * variance[a] * np.eye(len(variance))[a]
+        more, less = (
+            np.diag(solve(problem, rows, noise.weights(Scatter.of_variances(variance + each))).covariance)
+            for each in (change, -change)
+        )
+        numeric = (more - less) / (2.0 * change[a])
+        assert slopes == pytest.approx(numeric, rel=1e-4, abs=1e-6 * np.abs(numeric).max())
 
 
 def test_bound_is_that_of_section_8() -> None:

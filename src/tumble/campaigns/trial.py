@@ -24,8 +24,9 @@ from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
-from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, solve, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
 from tumble.estimation.methods.paper.compensation import triad_model
+from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session

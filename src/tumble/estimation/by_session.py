@@ -12,7 +12,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows, SessionSpan, eliminated, whitened_rows
+from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows, SessionSpan
+from tumble.estimation.step import tell, with_own
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.moments import Moments
 from tumble.reduction.together import apart
@@ -39,11 +40,9 @@ def each_session(linearised: Linearised) -> Iterator[Linearised]:
 def _triangles(linearised: Linearised) -> Iterator[Array]:
     """What each session says of gravity and the common parameters, (1 + m + 1, 1 + m + 1)."""
     problem, rows = linearised.problem, linearised.rows
-    whitened = whitened_rows(problem, rows, linearised.noise.weights(linearised.scatter))
-    q, nothing = len(problem.own_known), np.zeros_like(rows.prior)
-    for part, residual in zip(problem.parts, rows.own, strict=True):
-        factor = np.empty((len(part.link), 3, 6 + q + len(nothing)))
-        yield eliminated(problem, part, residual, whitened, factor, nothing)[q:, q:].copy()
+    told, q = tell(problem, rows, linearised.noise.weights(linearised.scatter)), len(problem.own_known)
+    for session, residual in zip(told.sessions, rows.own, strict=True):
+        yield with_own(problem, session, residual)[q:, q:]
 
 
 def _problem(problem: Problem, part: SessionSpan) -> Problem:
@@ -92,6 +91,6 @@ def _noise(noise: Noise, part: SessionSpan) -> Noise:
     return Noise(
         rest=noise.rest[part.rests],
         merged=noise.merged[part.turns],
-        rest_directions=tuple(Z[part.rests] for Z in noise.rest_directions),
-        merged_directions=tuple(Z[part.turns] for Z in noise.merged_directions),
+        rest_directions=(noise.rest_directions[0][part.rests], noise.rest_directions[1]),
+        merged_directions=(noise.merged_directions[0][part.turns], noise.merged_directions[1]),
     )

@@ -3,7 +3,7 @@ cimport cython
 from libc.math cimport cos, fabs, sin, sqrt
 from libc.stdint cimport int64_t
 
-cdef void _eliminate(
+cdef Py_ssize_t _eliminate(
     const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link, const unsigned char[:] counts,
     double[:, :, :] factor, double[:, ::1] triangle, double rounding,
     double[:, ::1] work, double[:, ::1] carried, double[:, ::1] kept, double[::1] length, double[::1] product,
@@ -26,6 +26,17 @@ cdef void _put_back(
     const double[:, ::1] covariance, double[:, :] unknowns, double[:, :, :, ::1] own, double[:, :, ::1] shared,
     double[:, ::1] inverse, double[:, ::1] by_next, double[:, ::1] by,
 )
+@cython.locals(part=double, along=double, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t, d=Py_ssize_t, k=Py_ssize_t)
+cdef void _score(
+    const double[:, :, ::1] directions, const int64_t[:] component, const double[:, :] residual,
+    const double[:, :, ::1] covariance, double[:, ::1] work, double[::1] product, double[::1] slope,
+    double[:, ::1] information,
+)
+@cython.locals(v=double, part=double, total=double, scale=double, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t, k=Py_ssize_t)
+cdef bint _whiten(
+    const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,
+    const double[:] variance, double[:, ::1] work, double[:, :, ::1] factors,
+)
 cdef void _solve_for(
     double[:, ::1] inverse, const double[:, ::1] factor, double[:, ::1] by_next, double[:, ::1] by, double[:] value
 ) noexcept nogil
@@ -34,21 +45,6 @@ cdef void _add_symmetric(const double[:, ::1] a, const double[:, ::1] b, double[
 cdef void _add_product(const double[:, ::1] a, const double[:, ::1] b, double[:, ::1] out) noexcept nogil
 @cython.locals(total=double)
 cdef void _inverse(const double[:, ::1] factor, double[:, ::1] inverse) noexcept nogil
-
-cdef void _left_over(
-    const double[:, :, :] rest, const double[:, :, :] turn, const int64_t[:] link, const unsigned char[:] counts,
-    const double[:, :] unknowns, const double[:, :, :, ::1] own, const double[:, :, ::1] shared,
-    double[:, ::1] rest_left, double[:, :, ::1] rest_covariance,
-    double[:, ::1] turn_left, double[:, :, ::1] turn_covariance,
-    double[:, ::1] joint, double[::1] unknown, double[::1] product, double[:, ::1] of_rest, double[:, ::1] of_turn,
-)
-cdef void _join(
-    Py_ssize_t i, bint linked, const double[:, :, :, ::1] own, const double[:, :, ::1] shared, double[:, ::1] joint
-) noexcept nogil
-cdef void _leave(
-    double[:, ::1] rows, double[:, ::1] joint, double[::1] unknown, double[::1] product, double[::1] residual,
-    double[:, ::1] covariance,
-) noexcept nogil
 
 cpdef carry(
     const double[:, :] vertical, const double[:, :, :] C, const int64_t[:] link, const double[:] turned,

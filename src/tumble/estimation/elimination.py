@@ -42,15 +42,36 @@ ROUNDING = 1e-10
 BUFFER = 96
 """Rows on the parameters that are folded into the triangle together."""
 
+MANY = 200
+"""Parameters from which on that is a factorisation by LAPACK, in blocks: the loops wait for memory there."""
+
 
 def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
     the parameters are folded into `triangle` (p + 1, p + 1), which may hold others before."""
     r, t, d, p = rest.shape[1], turn.shape[1], factor.shape[1], len(triangle) - 1
     columns, most = 2 * d + p + 1, d + r + t
-    work, carried, kept = np.zeros((most, columns)), np.zeros((d, columns)), np.zeros((BUFFER + most, p + 1))
+    buffer = BUFFER if p < MANY else len(rest) * most
+    work, carried, kept = np.zeros((most, columns)), np.zeros((d, columns)), np.zeros((buffer + most, p + 1))
     length, product = np.zeros(2 * d), np.zeros(columns)
-    _eliminate(rest, turn, link, counts, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product)
+    count = _eliminate(
+        rest, turn, link, counts, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product
+    )
+    fold(kept[:count], triangle)
+
+
+def fold(rows: Array, triangle: Array) -> None:
+    """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1)."""
+    if len(triangle) > MANY:
+        rows = rows[np.any(rows, axis=1)]
+        for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
+            lower = triangle[first:, first:]
+            lower[:] = np.linalg.qr(np.concatenate([lower, rows[:, first:]]), mode="r")
+        return
+    whole = np.ascontiguousarray(triangle)
+    _fold(rows.copy(), np.zeros(len(whole)), len(rows), whole)
+    if whole is not triangle:
+        triangle[:] = whole
 
 
 def _eliminate(
@@ -66,8 +87,9 @@ def _eliminate(
     kept: Array,
     length: Array,
     product: Array,
-) -> None:
-    """One rest after the other. `length`: squares of the columns before anything was taken off them."""
+) -> int:
+    """One rest after the other; how many rows on the parameters are left to be folded, in `kept`. `length`: squares of
+    the columns before anything was taken off them."""
     d, p, columns = factor.shape[1], triangle.shape[0] - 1, work.shape[1]
     buffer, count = kept.shape[0] - work.shape[0], 0
     with cython.nogil:
@@ -96,7 +118,7 @@ def _eliminate(
             if count > buffer:
                 _fold(kept, product, count, triangle)
                 count = 0
-        _fold(kept, product, count, triangle)
+    return count
 
 
 def _gather(work: Array, carried: Array, rest: Array, i: int, counts: bool, turn: Array, k: int) -> int:
@@ -233,6 +255,96 @@ def _put_back(
             _add_product(shared[i], by, own[0, i])
 
 
+def whitening(noise: Array, directions: Array, component: IntArray, variance: Array) -> Array:
+    """Inverse Cholesky factors (N, n, n) of N + Σ v Z Zᵀ, `directions` Z (N, n, q) being each of the component whose
+    `variance` it has. Raises LinAlgError where a covariance is none."""
+    factors = np.zeros(noise.shape)
+    if not _whiten(noise, directions, component, variance, np.zeros(noise.shape[1:]), factors):
+        raise np.linalg.LinAlgError("Matrix is not positive definite")
+    return factors
+
+
+def _whiten(noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array) -> bool:
+    """One covariance after the other; false where one is none."""
+    N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
+    with cython.nogil:
+        for k in range(N):
+            for a in range(n):
+                for b in range(a + 1):
+                    work[a, b] = noise[k, a, b]
+            for c in range(q):
+                v = variance[component[c]]
+                if v > 0.0:
+                    for a in range(n):
+                        part = v * directions[k, a, c]
+                        if part != 0.0:
+                            for b in range(a + 1):
+                                work[a, b] += part * directions[k, b, c]
+            for a in range(n):
+                for b in range(a + 1):
+                    total = work[a, b]
+                    for c in range(b):
+                        total -= work[a, c] * work[b, c]
+                    if b < a:
+                        work[a, b] = total / work[b, b]
+                    elif total > 0.0:
+                        work[a, a] = sqrt(total)
+                    else:
+                        return False
+            for a in range(n):
+                scale = 1.0 / work[a, a]
+                for c in range(a):
+                    part = work[a, c] * scale
+                    for b in range(c + 1):
+                        factors[k, a, b] -= part * factors[k, c, b]
+                factors[k, a, a] = scale
+    return True
+
+
+def score(directions: Array, component: IntArray, left: tuple[Array, Array], slope: Array, information: Array) -> None:
+    """Add to the `slope` (5,) and `information` (5, 5) of a restricted likelihood by the variances of its components
+    what residuals r (N, n) of covariance C (N, n, n) say, whitened `directions` Z (N, n, q) being each of a component:
+
+    ½ (|Zᵀ r|² − tr Zᵀ C Z),    ½ Σ (Zᵀ C Z)²
+    """
+    residual, covariance = left
+    work, product = np.zeros(directions.shape[1:]), np.zeros(len(component))
+    _score(directions, component, residual, covariance, work, product, slope, information)
+
+
+def _score(
+    directions: Array,
+    component: IntArray,
+    residual: Array,
+    covariance: Array,
+    work: Array,
+    product: Array,
+    slope: Array,
+    information: Array,
+) -> None:
+    """One residual after the other."""
+    N, n, q = directions.shape[0], directions.shape[1], directions.shape[2]
+    with cython.nogil:
+        for k in range(N):
+            work[:, :] = 0.0
+            for a in range(n):
+                for b in range(n):
+                    part = covariance[k, a, b]
+                    for c in range(q):
+                        work[a, c] += part * directions[k, b, c]
+            for c in range(q):
+                product[:] = 0.0
+                along = 0.0
+                for a in range(n):
+                    part = directions[k, a, c]
+                    along += part * residual[k, a]
+                    for d in range(q):
+                        product[d] += part * work[a, d]
+                slope[component[c]] += 0.5 * (along * along - product[c])
+                for d in range(q):
+                    information[component[c], component[d]] += 0.5 * product[d] * product[d]
+
+
 def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:
     """What the rows of a rest, solved for its unknowns, say of them: by how much they change with those of the next
     rest (d, d) and with the parameters (d, p), and their value (d,) where these are zero."""
@@ -280,105 +392,6 @@ def _inverse(factor: Array, inverse: Array) -> None:
             for c in range(a + 1, b + 1):
                 total -= factor[a, c] * inverse[c, b]
             inverse[a, b] = total / factor[a, a]
-
-
-def left_over(
-    rest: Array,
-    turn: Array,
-    link: IntArray,
-    counts: BoolArray,
-    unknowns: Array,
-    parameters: Array,
-    covariances: tuple[Array, Array, Array],
-) -> tuple[Array, Array, Array, Array]:
-    """Residuals that the rows leave, and their covariances where the noise of the rows is 1: (N, r) and (N, r, r) of
-    the rests, zero where they do not count, (K, t) and (K, t, t) of the turns. `covariances`: of the parameters, and
-    what `put_back` returns."""
-    (N, r), (K, t), d = rest.shape[:2], turn.shape[:2], unknowns.shape[1]
-    covariance, own, shared = covariances
-    m = 2 * d + len(parameters)
-    joint, unknown = np.zeros((m, m)), np.zeros(m)
-    joint[2 * d :, 2 * d :], unknown[2 * d :] = covariance, parameters
-    rest_left, rest_covariance = np.zeros((N, r)), np.zeros((N, r, r))
-    turn_left, turn_covariance = np.zeros((K, t)), np.zeros((K, t, t))
-    product, of_rest, of_turn = np.zeros(m), np.zeros((m + 1, r)), np.zeros((m + 1, t))
-    _left_over(
-        rest, turn, link, counts, unknowns, own, shared,
-        rest_left, rest_covariance, turn_left, turn_covariance,
-        joint, unknown, product, of_rest, of_turn,
-    )  # fmt: skip
-    return rest_left, rest_covariance, turn_left, turn_covariance
-
-
-def _left_over(
-    rest: Array,
-    turn: Array,
-    link: IntArray,
-    counts: BoolArray,
-    unknowns: Array,
-    own: Array,
-    shared: Array,
-    rest_left: Array,
-    rest_covariance: Array,
-    turn_left: Array,
-    turn_covariance: Array,
-    joint: Array,
-    unknown: Array,
-    product: Array,
-    of_rest: Array,
-    of_turn: Array,
-) -> None:
-    """One rest after the other."""
-    r, t, d, m = rest.shape[1], turn.shape[1], unknowns.shape[1], unknown.shape[0]
-    with cython.nogil:
-        for i in range(rest.shape[0]):
-            k = link[i]
-            _join(i, k >= 0, own, shared, joint)
-            for a in range(d):
-                unknown[a] = unknowns[i, a]
-                unknown[d + a] = unknowns[i + 1, a] if k >= 0 else 0.0
-            if counts[i]:
-                for row in range(r):
-                    for a in range(d):
-                        of_rest[a, row] = rest[i, row, a]
-                    for column in range(2 * d, m + 1):
-                        of_rest[column, row] = rest[i, row, column - d]
-                _leave(of_rest, joint, unknown, product, rest_left[i], rest_covariance[i])
-            if k >= 0:
-                for row in range(t):
-                    for column in range(m + 1):
-                        of_turn[column, row] = turn[k, row, column]
-                _leave(of_turn, joint, unknown, product, turn_left[k], turn_covariance[k])
-
-
-def _join(i: int, linked: bool, own: Array, shared: Array, joint: Array) -> None:
-    """Write the covariances of the unknowns of a rest, and of the next where they are linked, to those of the
-    parameters."""
-    d, p = shared.shape[1], shared.shape[2]
-    for a in range(d):
-        for b in range(d):
-            joint[a, b] = own[0, i, a, b]
-            joint[a, d + b] = joint[d + b, a] = own[1, i, a, b] if linked else 0.0
-            joint[d + a, d + b] = own[0, i + 1, a, b] if linked else 0.0
-        for q in range(p):
-            joint[a, 2 * d + q] = joint[2 * d + q, a] = shared[i, a, q]
-            joint[d + a, 2 * d + q] = joint[2 * d + q, d + a] = shared[i + 1, a, q] if linked else 0.0
-
-
-def _leave(rows: Array, joint: Array, unknown: Array, product: Array, residual: Array, covariance: Array) -> None:
-    """Residuals (n,) of rows (m + 1, n), column by column, for unknowns (m,), and 1 − rowsᵀ joint rows (n, n)."""
-    m, n = unknown.shape[0], residual.shape[0]
-    for i in range(n):
-        product[:] = 0.0
-        residual[i] = rows[m, i]
-        for b in range(m):
-            residual[i] -= rows[b, i] * unknown[b]
-            for c in range(m):
-                product[c] += rows[b, i] * joint[b, c]
-        covariance[i, i] = 1.0
-        for c in range(m):
-            for j in range(n):
-                covariance[i, j] -= product[c] * rows[c, j]
 
 
 def carry(vertical: Array, C: Array, link: IntArray, turned: Array, attitudes: Array) -> None:

@@ -1,5 +1,4 @@
-"""The joint likelihood of everything a session contains: residuals, analytic Jacobians, and the least-squares step with
-the attitudes eliminated.
+"""The joint likelihood of everything a session contains: residuals, analytic Jacobians and noise.
 
 Unknowns: the parameters θ of the instrument, local gravity g, and the attitude L (body → geographic) of every rest.
 Minimised is the sum of squares, each over its covariance (turntable method §8; dynamics method §3), of
@@ -44,15 +43,15 @@ from functools import cached_property
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.elimination import eliminate, left_over, put_back
+from tumble.estimation.elimination import fold, whitening
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, rotation_vector, skew
-from tumble.sensors.instrument import Instrument, functions, slopes
+from tumble.sensors.instrument import Instrument, by_sensor, functions, slopes
 from tumble.sensors.model import Block, SensorModel, beyond_body
 from tumble.sensors.parameters import CONSTANT, FUNCTIONS, Variable, limits_of
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 _UP = np.array([0.0, 1.0, 0.0])
 
@@ -145,6 +144,10 @@ class Rows:
     bias: Array
     own: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
+    def with_priors(self, problem: Problem, point: Point, about: TurnsAbout | None = None) -> Rows:
+        """The same rows with the priors of a problem."""
+        return replace(self, prior=priors(problem, point, about), own=-point.own / problem.own_known)
+
     def merged(self, first: IntArray) -> Array:
         """Rows (K, r + t, ·) of every turn together with those of the rest before it."""
         K, t = self.turn.shape[:2]
@@ -158,28 +161,20 @@ class Rows:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Noise:
     """Covariance of the rows without scatter, of the rests (N, r, r) and of the merged rows (K, r + t, r + t), and the
-    directions Z (N, r, q), (K, r + t, q) of every component of variance, by COMPONENTS: Σ = N + Σ v Z Zᵀ."""
+    directions Z (N, r, q), (K, r + t, q) of the components of variance, each with the place in COMPONENTS of the one it
+    belongs to: Σ = N + Σ v Z Zᵀ."""
 
     rest: Array
     merged: Array
-    rest_directions: tuple[Array, ...]
-    merged_directions: tuple[Array, ...]
+    rest_directions: tuple[Array, IntArray]
+    merged_directions: tuple[Array, IntArray]
 
     def weights(self, scatter: Scatter) -> Weights:
         """The weights of the rows with a scatter."""
         return Weights(
-            rest=_whitening(self.rest, self.rest_directions, scatter),
-            merged=_whitening(self.merged, self.merged_directions, scatter),
+            rest=whitening(self.rest, *self.rest_directions, scatter.variances),
+            merged=whitening(self.merged, *self.merged_directions, scatter.variances),
         )
-
-
-def _whitening(noise: Array, directions: tuple[Array, ...], scatter: Scatter) -> Array:
-    """Inverse Cholesky factors of N + Σ v Z Zᵀ."""
-    total = noise
-    for variance, Z in zip(scatter.variances, directions, strict=True):
-        if variance > 0.0 and Z.shape[2]:
-            total = total + variance * (Z @ np.swapaxes(Z, 1, 2))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -191,40 +186,24 @@ class Weights:
     merged: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Step:
-    """The least-squares step: of gravity and the parameters (1 + m,) with their covariance, of the angles (N, 3), and
-    of what each session has of its `own` (S, q), with its covariance, gravity and parameters after it (S, q + 1 + m, q
-    + 1 + m); the sum of squares that is left, priors included; twice the negative logarithm of the restricted
-    likelihood, less its constant; and what `left` needs."""
-
-    parameters: Array
-    covariance: Array
-    angles: Array
-    own: Array
-    own_covariance: Array
-    square: float
-    deviance: float
-    whitened: tuple[Array, Array]
-    shared: tuple[Array, Array]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Left:
-    """Whitened residuals after a step, and their covariances, 1 where the fit has no part in them: (N, r) and (N, r, r)
-    of the rests, which count where no turn follows, (K, r + t) and (K, r + t, r + t) of the merged rows."""
-
-    rest: tuple[Array, Array]
-    merged: tuple[Array, Array]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SessionSpan:
     """One of several sessions: its rests and turns, and the turn among these after each of its rests, or −1."""
 
     rests: slice
     turns: slice
     link: IntArray
+
+    @cached_property
+    def last(self) -> BoolArray:
+        """The rests that no turn follows, whose own rows count."""
+        return self.link < 0
+
+    @cached_property
+    def first(self) -> IntArray:
+        """The rest before each turn."""
+        linked = np.flatnonzero(self.link >= 0)
+        return linked[np.argsort(self.link[linked])]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -338,9 +317,11 @@ class Problem:
         common = np.broadcast_to(point.values, (len(of), len(point.values)))
         return np.concatenate([common, point.own[of]], axis=1)
 
-    def changed_in_turns(self, point: Point) -> tuple[Array, Array]:
+    def changed_in_turns(self, point: Point) -> tuple[Array, Array] | None:
         """By how much the coefficients (K, n, 15) of gyros and accelerometers differ in the turns from those of the
-        parameters, being changed by time, temperature or launch."""
+        parameters, being changed by time, temperature or launch; None where nothing changes."""
+        if not self.changes:
+            return None
         values, variables, out = self.values_in(point, 1), self.warmed(point).variables, []
         for block in (self.instrument.gyro, self.instrument.accel):
             assert block is not None
@@ -423,7 +404,7 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
     return Rows(
         rest=np.concatenate(rest, axis=1),
         turn=turn,
-        prior=_with_arrays(_prior_rows(problem, point), problem, point, about),
+        prior=priors(problem, point, about),
         bias=bias,
         own=-point.own / problem.own_known,
     )
@@ -433,6 +414,8 @@ def _with_changes(problem: Problem, point: Point, by: Array, place: int, growing
     """Fill in the columns (·, r, m + q) of what changes with time, temperature or launch: those of its base times what
     it goes with, at rest (`place` 0) or in the turns (1); and that of the lag, which moves the temperatures. `growing`
     are the columns (K, r, m) of what grows by 1 a second about the middle of the turns."""
+    if not problem.changes:
+        return
     values = problem.values_in(point, place)
     every = [(place, by)] if growing is None else [(place, by), (GROWING, growing)]
     for own, base, variable in problem.changes:
@@ -446,7 +429,10 @@ def _with_changes(problem: Problem, point: Point, by: Array, place: int, growing
 
 def _changed(problem: Problem, point: Point, by: Array, place: int) -> Array:
     """What these changes add (·, r)."""
-    values, out = problem.values_in(point, place), np.zeros(by.shape[:2])
+    out = np.zeros(by.shape[:2])
+    if not problem.changes:
+        return out
+    values = problem.values_in(point, place)
     for own, _, _ in problem.changes:
         out += np.einsum("krm,km->kr", by[:, :, own], values[:, own])
     return out
@@ -474,7 +460,7 @@ def _rest_rows(problem: Problem, point: Point, block: Block, observed: Array) ->
         rows[:, :, 3] = np.einsum("npk,nk->np", by_force, L[:, 1])
     D = instrument.derivative(block, point.values)
     by = rows[:, :, 4:-1]
-    by[:, :, : len(point.values)] = np.einsum("npb,pbm->npm", beta[:, :, used], D[:, used], optimize=True)
+    by[:, :, : len(point.values)] = by_sensor(beta[:, :, used], D[:, used])
     _with_changes(problem, point, by, 0)
     rows[:, :, -1] = observed - np.einsum("npb,pb->np", beta, K) - _changed(problem, point, by, 0)
     return rows
@@ -489,10 +475,10 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     assert gyro is not None
     basis, start, end = bases(point.attitudes), point.attitudes[turns.first], point.attitudes[turns.last]
     phi, V = about.moved(instrument, point.values)
-    by_phi, by_V = (
-        np.concatenate([by, np.zeros((*by.shape[:2], len(problem.own_known)))], axis=2)
-        for by in about.columns(instrument, point.values)
-    )
+    by_phi, by_V = about.columns(instrument, point.values)
+    if len(problem.own_known):
+        none = np.zeros((*by_phi.shape[:2], len(problem.own_known)))
+        by_phi, by_V = np.concatenate([by_phi, none], axis=2), np.concatenate([by_V, none], axis=2)
     growing = about.growing_columns(instrument, point.values)
     for by, grows, changed in ((by_phi, growing[0], phi), (by_V, growing[1], V)):
         _with_changes(problem, point, by, 1, grows)
@@ -502,13 +488,14 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     r = rotation_vector(C @ np.swapaxes(end, 1, 2) @ earth @ start)
     left = inverse_left_jacobian(r)
     phi_bias, V_bias = about.bias_columns()
+    by_turned = left @ left_jacobian(phi)
     rows = np.zeros((len(turns), 6, 8 + by_phi.shape[2]))
     rows[:, :3, :3] = -np.swapaxes(left, 1, 2) @ basis[turns.first]
     rows[:, :3, 3:6] = left @ C @ basis[turns.last]
-    rows[:, :3, 7:-1] = left @ left_jacobian(phi) @ by_phi
+    rows[:, :3, 7:-1] = by_turned @ by_phi
     rows[:, :3, -1] = r
     bias = np.zeros((len(turns), 6, phi_bias.shape[2]))
-    bias[:, :3], bias[:, 3:] = left @ left_jacobian(phi) @ phi_bias, V_bias
+    bias[:, :3], bias[:, 3:] = by_turned @ phi_bias, V_bias
     if instrument.in_velocities:
         predicted, by_turning = _velocity(problem, point, turns.duration)
         rows[:, 3:, :3] = by_turning
@@ -581,8 +568,9 @@ def _attitude_rows(problem: Problem, point: Point) -> Array:
     return rows
 
 
-def _prior_rows(problem: Problem, point: Point) -> Array:
-    """Measured gravity and the prior of the parameters: a diagonal and a right-hand side, whitened."""
+def priors(problem: Problem, point: Point, about: TurnsAbout | None = None) -> Array:
+    """Measured gravity and the prior of the parameters, whitened: a triangle, of a diagonal and a right-hand side; with
+    what arrays say of themselves in motion."""
     expected, u = problem.measured
     known = u > 0.0
     rows = np.zeros((len(u) + 1, len(u) + 1))
@@ -591,18 +579,9 @@ def _prior_rows(problem: Problem, point: Point) -> Array:
     else:
         rows[:-1, :-1] = _root_of_inverse(problem.prior.covariance)
     rows[:-1, -1] = rows[:-1, :-1] @ (expected - np.append(point.gravity, point.values))
+    for array in () if about is None else about.arrays:
+        fold(np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1), rows)
     return rows
-
-
-def _with_arrays(prior: Array, problem: Problem, point: Point, about: TurnsAbout | None) -> Array:
-    """The triangle of the prior together with what arrays say of themselves in motion."""
-    if about is None or not about.arrays:
-        return prior
-    rows = [np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1) for array in about.arrays]
-    first = int(prior[0, 0] == 0.0)  # gravity that is exact
-    out = np.zeros_like(prior)
-    out[first:, first:] = np.linalg.qr(np.concatenate([prior[:-1], *rows])[first:, first:], mode="r")
-    return out
 
 
 def _root_of_inverse(covariance: Array) -> Array:
@@ -652,30 +631,30 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
     rest = _diagonal(blocks)
     r, stop = rest.shape[1], n + rests.gyro.shape[1]
-    selected = np.broadcast_to(np.eye(r), rest.shape)
-    none = np.zeros((len(rests), r, 0))
-    at_rest = (selected[:, :, :n], selected[:, :, n:stop], none, none, none)
+    t = rows.turn.shape[1]
+    v = 3 if problem.instrument.in_velocities else 0
+    component = np.repeat(np.arange(len(COMPONENTS)), [n, stop - n, t - v, v, v])
+    at_rest = np.broadcast_to(np.eye(r, stop), (len(rests), r, stop)), component[:stop]
     turns = observations.turns
     if turns is None or not len(turns):
-        t = r + rows.turn.shape[1]
-        empty = (np.zeros((0, t, 0)),) * len(COMPONENTS)
-        return Noise(rest=rest, merged=np.zeros((0, t, t)), rest_directions=at_rest, merged_directions=empty)
-    bias = np.zeros((len(turns), r + rows.turn.shape[1], stop))
-    bias[:, :stop] = np.eye(stop)
-    bias[:, r:] = rows.bias
-    v = 3 if problem.instrument.in_velocities else 0
-    spare = rows.turn.shape[1] - 3 - v
-    rotation, velocity, jumps = (np.zeros((len(turns), bias.shape[1], q)) for q in (3 + spare, v, v))
-    turned = (turns.duration > 0.0)[:, None, None]  # between the parts of a rest nothing is
-    rotation[:, r : r + 3, :3] = turned * np.eye(3)
-    rotation[:, r + 3 + v :, 3:] = np.eye(spare)
-    velocity[:, r + 3 : r + 3 + v] = turned * np.eye(v)
-    jumps[:, r + 3 : r + 3 + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+        empty = np.zeros((0, r + t, len(component)))
+        return Noise(
+            rest=rest,
+            merged=np.zeros((0, r + t, r + t)),
+            rest_directions=at_rest,
+            merged_directions=(empty, component),
+        )
+    Z = np.zeros((len(turns), r + t, len(component)))
+    Z[:, :stop, :stop], Z[:, r:, :stop] = np.eye(stop), rows.bias
+    Z[:, r:, stop : stop + t] = np.eye(t)[:, np.r_[:3, 3 + v : t, 3 : 3 + v]]  # rotations, spare readings, velocities
+    turned = turns.duration > 0.0  # between the parts of a rest nothing is
+    Z[~turned, r : r + 3 + v, stop:] = 0.0
+    Z[:, r + 3 : r + 3 + v, stop + t :] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
     return Noise(
         rest=rest,
         merged=_diagonal([rest[turns.first], _turn_noise(problem, unseen)]),
         rest_directions=at_rest,
-        merged_directions=(bias[:, :, :n], bias[:, :, n:], rotation, velocity, jumps),
+        merged_directions=(Z, component),
     )
 
 
@@ -716,126 +695,3 @@ def _diagonal(blocks: list[Array]) -> Array:
 def weights(problem: Problem, rows: Rows, scatter: Scatter) -> Weights:
     """The weights of the rows from the noise within rests and a scatter."""
     return noise_of(problem, rows).weights(scatter)
-
-
-# The step
-
-
-def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
-    """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
-    rest, merged = whitened_rows(problem, rows, weight)
-    N, p, q = len(rest), len(rows.prior) - 1, len(problem.own_known)
-    factor, triangle, heads = np.empty((N, 3, 7 + q + p)), rows.prior, []
-    for part, residual in zip(problem.parts, rows.own, strict=True):
-        wide = eliminated(problem, part, residual, (rest, merged), factor[part.rests], triangle)
-        heads.append(wide[:q].copy())
-        triangle = wide[q:, q:]
-    parameters, covariance = _solved(triangle)
-    angles, own, own_covariance, shared = np.empty((N, 3)), np.empty((len(heads), q)), [], []
-    for s, (part, head) in enumerate(zip(problem.parts, heads, strict=True)):
-        own[s], whole = _put_back_own(head, parameters, covariance)
-        both = np.concatenate([own[s], parameters])
-        shared.append(put_back(factor[part.rests], part.link, both, whole, angles[part.rests]))
-        own_covariance.append(whole)
-    return Step(
-        parameters=parameters,
-        covariance=covariance,
-        angles=angles,
-        own=own,
-        own_covariance=np.array(own_covariance),
-        square=float(triangle[-1, -1] ** 2),
-        deviance=_deviance(problem, weight, factor, heads, triangle),
-        whitened=(rest, merged),
-        shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
-    )
-
-
-def eliminated(
-    problem: Problem,
-    part: SessionSpan,
-    residual: Array,
-    whitened: tuple[Array, Array],
-    factor: Array,
-    triangle: Array,
-) -> Array:
-    """What a session, the attitudes eliminated, and a triangle (1 + p, 1 + p) say of what it has of its own, with the
-    `residual` (q,) of its prior, and of gravity and the common parameters: (q + 1 + p, q + 1 + p), a triangle. The
-    rows of the attitudes go into `factor` (N, 3, ·)."""
-    q, (rest, merged) = len(problem.own_known), whitened
-    wide = np.zeros((q + len(triangle), q + len(triangle)))
-    wide[np.arange(q), np.arange(q)], wide[:q, -1] = 1.0 / problem.own_known, residual
-    wide[q:, q:] = triangle
-    eliminate(rest[part.rests], merged[part.turns], part.link, part.link < 0, factor, wide)
-    return wide
-
-
-def whitened_rows(problem: Problem, rows: Rows, weight: Weights) -> tuple[Array, Array]:
-    """The whitened rows of the rests, and of the turns with the rests before them, as the elimination has them: after
-    the angles what a session has of its own, then gravity and the common parameters."""
-    turns = problem.observations.turns
-    first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
-    merged = weight.merged @ rows.merged(first)
-    return _own_first(problem, weight.rest @ rows.rest, 3), _own_first(problem, merged, 6)
-
-
-def _own_first(problem: Problem, rows: Array, angles: int) -> Array:
-    """Rows in which what a session has of its own stands before gravity and the common parameters."""
-    q = len(problem.own_known)
-    if q == 0:
-        return rows
-    last = rows.shape[2] - 1
-    order = [*range(angles), *range(last - q, last), *range(angles, last - q), last]
-    return np.take(rows, order, axis=2)
-
-
-def _put_back_own(head: Array, parameters: Array, covariance: Array) -> tuple[Array, Array]:
-    """What a session has of its own (q,), from the rows (q, q + p + 1) that give it once the parameters are known, and
-    its covariance with them (q + p, q + p)."""
-    q = len(head)
-    if q == 0:
-        return np.zeros(0), covariance
-    inverse = np.linalg.inv(head[:, :q])
-    by_parameter = -inverse @ head[:, q:-1]
-    shared = by_parameter @ covariance
-    whole = np.block([[inverse @ inverse.T + shared @ by_parameter.T, shared], [shared.T, covariance]])
-    return inverse @ head[:, -1] + by_parameter @ parameters, whole
-
-
-def _deviance(problem: Problem, weight: Weights, factor: Array, heads: list[Array], triangle: Array) -> float:
-    """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
-    last = weight.rest[problem.link < 0]
-    own = sum(-2.0 * np.log(np.diagonal(w, axis1=1, axis2=2)).sum() for w in (last, weight.merged))
-    own_pivots = [np.diag(head) for head in heads]
-    every = [np.diagonal(factor, axis1=1, axis2=2).ravel(), *own_pivots, np.diag(triangle)[:-1]]
-    pivots = np.abs(np.concatenate(every))
-    return float(own + 2.0 * np.log(pivots[pivots > 0.0]).sum() + triangle[-1, -1] ** 2)
-
-
-def _solved(triangle: Array) -> tuple[Array, Array]:
-    """Step (1 + m,) and covariance of gravity and the parameters; of gravity zero where it is taken as exact."""
-    first = int(triangle[0, 0] == 0.0)
-    p = len(triangle) - 1
-    step, covariance = np.zeros(p), np.zeros((p, p))
-    inverse = np.linalg.inv(triangle[first:p, first:p])
-    step[first:] = inverse @ triangle[first:p, p]
-    covariance[first:, first:] = inverse @ inverse.T
-    return step, covariance
-
-
-def left(problem: Problem, step: Step) -> Left:
-    """What a step leaves of the residuals."""
-    rest, merged = step.whitened
-    found = [
-        left_over(
-            rest[part.rests],
-            merged[part.turns],
-            part.link,
-            part.link < 0,
-            step.angles[part.rests],
-            np.concatenate([own, step.parameters]),
-            (covariance, np.ascontiguousarray(step.shared[0][:, part.rests]), step.shared[1][part.rests]),
-        )
-        for part, own, covariance in zip(problem.parts, step.own, step.own_covariance, strict=True)
-    ]
-    residual, spread, merged_residual, merged_spread = (np.concatenate(each) for each in zip(*found, strict=True))
-    return Left(rest=(residual, spread), merged=(merged_residual, merged_spread))

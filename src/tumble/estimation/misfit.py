@@ -144,9 +144,8 @@ def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concern
 def group_chances(linearised: Linearised) -> list[float]:
     """Probability, by group, that chance alone makes residuals as large, from the noise within rests."""
     alone, noise = Projection(linearised, Scatter()), linearised.noise
-    r = noise.rest.shape[1]
-    pairs = zip(noise.rest_directions, noise.merged_directions, strict=True)
-    return [variance_chance(alone, rest, merged[:, r:]) for rest, merged in list(pairs)[: len(GROUPS)]]
+    (rest, of_rest), (merged, of_merged), r = noise.rest_directions, noise.merged_directions, noise.rest.shape[1]
+    return [variance_chance(alone, rest[:, :, of_rest == i], merged[:, r:, of_merged == i]) for i in range(len(GROUPS))]
 
 
 def _scatter(group: Group, linearised: Linearised) -> float:

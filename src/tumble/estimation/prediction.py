@@ -46,8 +46,10 @@ def prediction(
 
 
 def _rms(instrument: Instrument, block: Block, values: Array, covariance: Array, true: tuple[Array, Array]) -> float:
-    J = np.einsum("npb,pbm->npm", functions(block, *true), instrument.derivative(block, values), optimize=True)
-    return float(np.sqrt(np.einsum("npm,mk,npk->np", J, covariance, J, optimize=True).mean()))
+    """The mean of J Σ Jᵀ is the trace of Σ and the mean of JᵀJ, of which only the functions differ by direction."""
+    beta, D = functions(block, *true), instrument.derivative(block, values)
+    mean = np.swapaxes(beta, 0, 1).swapaxes(1, 2) @ np.swapaxes(beta, 0, 1) / len(beta)  # (n, 15, 15)
+    return float(np.sqrt(np.mean(np.sum((D @ covariance) * (mean @ D), axis=(1, 2)))))
 
 
 def directions() -> Array:

@@ -19,7 +19,8 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.estimation.estimate import DETERMINED, GroupFinding
-from tumble.estimation.likelihood import Problem, noise_of, solve
+from tumble.estimation.likelihood import Problem, noise_of
+from tumble.estimation.step import solve
 from tumble.estimation.variables import both_ways, lag_is_sought
 from tumble.planning.bounds import Course, bound_of, course_of, findings, scatter_of
 from tumble.planning.chamber_recordings import ChamberSession, problem_of

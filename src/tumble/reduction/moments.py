@@ -298,11 +298,16 @@ def _short(moments: Moments) -> BoolArray:
 
 def integrate(batches: Iterable[Pieces], turns: int, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
     """Moments of whole turns, of which every batch holds at most one piece each, in order of time."""
-    whole = _nothing(turns, compensation, own)
+    whole: Moments | None = None
     for pieces in batches:
-        _add(whole, pieces, moments_of(pieces, compensation, own))
+        found = moments_of(pieces, compensation, own)
+        if whole is None and np.array_equal(pieces.turn, np.arange(turns)):
+            whole = found
+        else:
+            whole = _nothing(turns, compensation, own) if whole is None else whole
+            _add(whole, pieces, found)
         del pieces  # before the next are read
-    return whole
+    return _nothing(turns, compensation, own) if whole is None else whole
 
 
 def integrate_each(

@@ -211,6 +211,11 @@ def functions(block: Block, force: Array, rate: Array) -> Array:
     return out
 
 
+def by_sensor(beta: Array, D: Array) -> Array:
+    """Σ_b β_npb D_pbm (N, n, m)."""
+    return np.swapaxes(np.swapaxes(beta, 0, 1) @ D, 0, 1)
+
+
 def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
     others, and rates (N, 3) of the body."""

@@ -21,13 +21,14 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.rotation import axes_angles, axes_matrix
+from tumble.rotation import axes_angles, axes_derivatives, axes_matrix
 from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
 
 _ANGLE_PAIRS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "gyro": _ANGLE_PAIRS}
+_FREE_PLACES = {kind: np.array([_ANGLE_PAIRS.index(pair) for pair in pairs]) for kind, pairs in _FREE_PAIRS.items()}
 _BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 
@@ -104,10 +105,8 @@ class Block:
         n = self.size
         bias, scale, angles = values[:n], values[n : 2 * n], values[2 * n :]
         if self.triad:
-            order = self._channel_of_axis()
-            six = dict.fromkeys(_ANGLE_PAIRS, 0.0) | dict(zip(_FREE_PAIRS[self.kind], angles, strict=True))
-            rows = (1.0 + scale)[:, None] * axes_matrix(**six)
-            return SensorModel(matrix=self.axes @ rows, bias=bias[np.argsort(order)])
+            rows = (1.0 + scale)[:, None] * axes_matrix(*self._six(angles))
+            return SensorModel(matrix=self.axes @ rows, bias=bias[np.argsort(self._channel_of_axis())])
         rotated = self._rotated(angles)
         return SensorModel(matrix=(1.0 + scale)[:, None] * rotated, bias=np.array(bias))
 
@@ -134,15 +133,11 @@ class Block:
         out = np.zeros((n, 4, m))
         scale, angles = values[n : 2 * n], values[2 * n :]
         if self.triad:
-            order = self._channel_of_axis()
-            six = dict.fromkeys(_ANGLE_PAIRS, 0.0) | dict(zip(_FREE_PAIRS[self.kind], angles, strict=True))
-            rows = axes_matrix(**six)
-            derivatives = [_axes_derivative(six, pair) for pair in _FREE_PAIRS[self.kind]]
-            for j in range(3):
-                out[order[j], 3, j] = 1.0
-                out[:, :3, 3 + j] = np.outer(self.axes[:, j], rows[j])
-            for i, derivative in enumerate(derivatives):
-                out[:, :3, 6 + i] = self.axes @ ((1.0 + scale)[:, None] * derivative)
+            six, places = self._six(angles), _FREE_PLACES[self.kind]
+            out[self._channel_of_axis(), 3, np.arange(3)] = 1.0
+            out[:, :3, 3:6] = self.axes[:, None, :] * axes_matrix(*six).T
+            by_row = (self.axes * (1.0 + scale))[:, places // 2]
+            out[:, :3, 6:] = by_row[:, None, :] * axes_derivatives(*six)[places].T
             return out
         rotated = self._rotated(angles)
         for p in range(n):
@@ -157,6 +152,13 @@ class Block:
             for i in own:
                 out[free[i][0], :3, 2 * n + i] = change[free[i][0]]
         return out
+
+    def _six(self, angles: Array) -> list[float]:
+        """The six angles of Eq. (1) of a triad, of which `angles` are free."""
+        six = [0.0] * 6
+        for place, angle in zip(_FREE_PLACES[self.kind], angles.tolist(), strict=True):
+            six[place] = angle
+        return six
 
     def _channel_of_axis(self) -> IntArray:
         """For a triad: which channel senses body axis 0, 1, 2."""
@@ -248,14 +250,6 @@ def _free_angles(kind: SensorKind, size: int) -> list[tuple[int, int]]:
     if kind == "gyro":
         return [(p, j) for p in range(size) for j in (0, 1)]
     return [(1, 0)] + [(p, j) for p in range(2, size) for j in (0, 1)]
-
-
-def _axes_derivative(six: dict[str, float], pair: str) -> Array:
-    """Derivative of the axes matrix (1) with respect to one of its angles: each row is a product of sines and
-    cosines, so the derivative is the row at the angle + π/2 with what does not depend on it removed."""
-    ahead = axes_matrix(**(six | {pair: six[pair] + np.pi / 2}))
-    behind = axes_matrix(**(six | {pair: six[pair] - np.pi / 2}))
-    return (ahead - behind) / 2.0
 
 
 def to_accelerometer_frame(

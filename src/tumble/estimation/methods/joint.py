@@ -44,12 +44,11 @@ from scipy import special
 
 from tumble.earth import EARTH_RATE
 from tumble.estimation.common_errors import common_covariance
-from tumble.estimation.elimination import carry
+from tumble.estimation.elimination import carry, fold, score
 from tumble.estimation.estimate import DETERMINED, FIT_SIGMAS, Estimate, Fit, GroupFinding, OwnEstimate
 from tumble.estimation.likelihood import (
     COMPONENTS,
     NO_PRIOR,
-    Left,
     Linearised,
     Noise,
     Point,
@@ -57,16 +56,15 @@ from tumble.estimation.likelihood import (
     Problem,
     Rows,
     Scatter,
-    Step,
     Weights,
     at_reference,
     instruments_of,
-    left,
     linearise,
     noise_of,
-    solve,
+    priors,
 )
 from tumble.estimation.prediction import prediction
+from tumble.estimation.step import Left, Step, joined, left, solve, tell, variance_slopes
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import skew
@@ -93,6 +91,7 @@ FURTHEST = 1e3  # of it, that a step may go: two components that nearly are one 
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
 end by rounding, that its variance would be divided."""
+SHARES = (0.25, 3.0)  # what a step of scoring may be of that by the information
 WIDENING_STEPS = 50
 LAGS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, -25.0, -100.0)
 """s: time constants of the sensors behind the thermometer from which the best is sought."""
@@ -205,7 +204,7 @@ def _started(problem: Problem) -> tuple[_At, tuple[Array, ...]]:
     attitudes = headings(problem, vertical, values, about)
     own = np.zeros((len(problem.parts), len(problem.own_known)))
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, own=own)
-    return _At.of(problem, point, about), (values,)
+    return _At.of(problem, point, about, _Out.nothing(problem)), (values,)
 
 
 def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[TurnsAbout | None, Array]:
@@ -281,15 +280,27 @@ def _sums(values: Array, chain: IntArray) -> Array:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _At:
-    """A point, the turns about parameters near it, and the rows linearised there."""
+    """A point, the turns about parameters near it, the rows linearised there, and their noise, large where they are
+    `out`."""
 
     point: Point
     about: TurnsAbout | None
     rows: Rows
+    noise: Noise
+    out: _Out
 
     @staticmethod
-    def of(problem: Problem, point: Point, about: TurnsAbout | None) -> _At:
-        return _At(point=point, about=about, rows=linearise(problem, point, about))
+    def of(problem: Problem, point: Point, about: TurnsAbout | None, out: _Out) -> _At:
+        rows = linearise(problem, point, about)
+        return _At(point=point, about=about, rows=rows, noise=out.noise(problem, rows), out=out)
+
+    def solved(self, problem: Problem, scatter: Scatter) -> Step:
+        """The least-squares step from here with a scatter."""
+        return solve(problem, self.rows, self.noise.weights(scatter))
+
+    def with_priors(self, problem: Problem) -> _At:
+        """The same with the priors of a problem."""
+        return replace(self, rows=self.rows.with_priors(problem, self.point, self.about))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -304,71 +315,69 @@ class _Solved:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Fitted:
-    """The solution of a problem, whose priors are as wide as the data ask for: with its scatter and what was left out,
-    what it leaves of the residuals with scatter and what without, the weights of both, the covariance of the
-    variances of the scatter, and whether it `settled` within its steps."""
+    """The solution of a problem, whose priors are as wide as the data ask for: with its scatter, what it leaves of the
+    residuals with scatter and what without, each with the weights, the covariance of the variances of the scatter, and
+    whether it `settled` within its steps."""
 
     problem: Problem
     solved: _Solved
-    left: Left
-    weights: Weights
+    left: tuple[Left, Weights]
     without: tuple[Left, Weights]
     scatter: Scatter
     components: Array
-    out: _Out
     fits: Mapping[str, Fit]
     increments: tuple[Array, ...]
     settled: bool
 
+    @property
+    def out(self) -> _Out:
+        """What was left out."""
+        return self.solved.last.out
 
-def _fitted(problem: Problem, start: _At, out: _Out, most: int = ALL_STEPS) -> _Fitted:
+
+def _fitted(problem: Problem, start: _At, most: int = ALL_STEPS) -> _Fitted:
     """The solution with the scatter that it shows, after so many steps at most."""
     scatter, components, wide = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem
-    solved = _iterated(problem, start, out, scatter, most)
+    solved = _iterated(problem, start, scatter, most)
     increments, steps = solved.increments, len(solved.increments)
-    without = _left(problem, solved, out, scatter)
-    seen = _seen(problem, out.noise(problem, solved.last.rows), *without)
+    after = without = left(problem, solved.step), solved.step.weights
+    seen = _seen(problem, solved.last.noise, *without)
     for _ in range(ROUNDS):
-        found, components = _scattered(wide, solved.last.rows, out, scatter, seen)
-        wider = _widened(wide, solved.last, out, found)
+        at = solved.last
+        found, components = _scattered(wide, at, scatter, seen)
+        wider = _widened(wide, at, found)
         if (found == scatter and wider is wide) or steps >= most:
             break
-        wide, scatter = wider, found
-        at = _At.of(wide, solved.last.point, solved.last.about)
-        solved = _iterated(wide, at, out, scatter, most - steps)  # the last step again, with scatter
+        settled, wide, scatter = wider is wide, wider, found
+        solved = _iterated(wide, at.with_priors(wide), scatter, most - steps)  # the last step again, with scatter
         increments, steps = increments[:-1] + solved.increments, steps + len(solved.increments)
-    after = _left(wide, solved, out, scatter)
+        after = left(wide, solved.step), solved.step.weights
+        if settled and len(solved.increments) == 1:
+            break
     return _Fitted(
         problem=wide,
         solved=solved,
-        left=after[0],
-        weights=after[1],
+        left=after,
         without=without,
         scatter=scatter,
         components=components,
-        out=out,
         fits=_fits(wide, after[0], scatter, without[0]),
         increments=increments,
         settled=steps < most,
     )
 
 
-def _left(problem: Problem, solved: _Solved, out: _Out, scatter: Scatter) -> tuple[Left, Weights]:
-    """What a solution leaves of the residuals, and the weights it was made with."""
-    return left(problem, solved.step), out.noise(problem, solved.last.rows).weights(scatter)
-
-
-def _iterated(problem: Problem, at: _At, out: _Out, scatter: Scatter, most: int = MAX_ITERATIONS) -> _Solved:
+def _iterated(problem: Problem, at: _At, scatter: Scatter, most: int = MAX_ITERATIONS) -> _Solved:
     """Gauss–Newton with this scatter, by so many steps at most."""
     increments: list[Array] = []
     while True:
-        step = solve(problem, at.rows, out.noise(problem, at.rows).weights(scatter))
+        step = at.solved(problem, scatter)
         point, change = moved(problem, at.point, step)
         increments.append(change)
         about = integrated(problem, point, at.about)
         if (_negligible(problem, step) and about is at.about) or len(increments) == min(most, MAX_ITERATIONS):
             return _Solved(point=point, last=at, step=step, increments=tuple(increments))
-        at = _At.of(problem, point, about)
+        at = _At.of(problem, point, about, at.out)
 
 
 def _negligible(problem: Problem, step: Step) -> bool:
@@ -408,7 +417,7 @@ def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Turn
     velocity = np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
     if not problem.instrument.in_velocities:
         velocity = np.full_like(velocity, np.inf)
-    changes: tuple[Array, Array] | None = problem.changed_in_turns(point)
+    changes = problem.changed_in_turns(point)
     if changes is not None and about.small(changes[0], (noise, velocity)):
         changes = None
     gyro_changes = 0.0 if changes is None else changes[0]
@@ -423,43 +432,48 @@ def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Turn
 def _seen(problem: Problem, noise: Noise, after: Left, weight: Weights) -> BoolArray:
     """Whether a fit leaves something of each component (5,) of scatter."""
     degrees, last = np.zeros(len(COMPONENTS)), problem.link < 0
+    at_rest, of_rest = noise.rest_directions
     rows = (weight.rest[last], after.rest[1][last]), (weight.merged, after.merged[1])
-    for (W, covariance), (Z, member) in zip(rows, _together(noise, last), strict=True):
+    for (W, covariance), (Z, of) in zip(rows, ((at_rest[last], of_rest), noise.merged_directions), strict=True):
         WZ = W @ Z
         whole, left_of = (WZ**2).sum(axis=1), (WZ * (covariance @ WZ)).sum(axis=1)
-        degrees += (left_of / np.where(whole > 0.0, whole, 1.0)).sum(axis=0) @ member
+        np.add.at(degrees, of, (left_of / np.where(whole > 0.0, whole, 1.0)).sum(axis=0))
     return np.asarray(degrees > LEAST_DEGREES)
 
 
-def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter, seen: BoolArray) -> tuple[Scatter, Array]:
+def _scattered(problem: Problem, at: _At, start: Scatter, seen: BoolArray) -> tuple[Scatter, Array]:
     """The components of scatter that are `seen` (5,) by restricted maximum likelihood at one linearisation, from a
-    start, and the covariance (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls."""
-    noise = out.noise(problem, rows)
-    directions = _together(noise, problem.link < 0)
-    variance = start.variances
+    start, and the covariance (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls. The
+    information lacks what rests and turns tell of each other: `share` is the part that it was of how the score fell in
+    the step before."""
+    variance, share = start.variances, 1.0
     active = variance > 0.0
-    deviance, score, information = _scored(problem, rows, noise, directions, variance)
+    deviance, slope, information = _scored(problem, at, variance)
     if not active.any():
         size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
-        active = seen & (score / size > -special.ndtri(SCATTER_PROBABILITY))
+        active = seen & (slope / size > -special.ndtri(SCATTER_PROBABILITY))
     for _ in range(SCATTER_STEPS):
-        active &= (variance > 0.0) | (score > 0.0)
+        active &= (variance > 0.0) | (slope > 0.0)
         if not active.any():
             break
         index = np.ix_(active, active)
         change = np.zeros_like(variance)
-        change[active] = np.linalg.solve(information[index], score[active])
+        change[active] = share * np.linalg.solve(information[index], slope[active])
         deviation = np.where(active, 1.0 / np.sqrt(np.where(active, np.diag(information), 1.0)), np.inf)
-        wanted, before = np.clip(variance + change, 0.0, variance + FURTHEST * deviation), variance
+        wanted = np.clip(variance + change, 0.0, variance + FURTHEST * deviation)
+        before, above = variance, slope
         for _ in range(5):
             variance = wanted
-            found = _scored(problem, rows, noise, directions, variance)
+            found = _scored(problem, at, variance)
             if found[0] <= deviance + 1e-6:
                 break
             wanted = 0.5 * (wanted + before)
-        deviance, score, information = found
-        if np.all(np.abs(variance - before) <= SCATTER_CONVERGED * deviation):
+        deviance, slope, information = found
+        change = np.where(active, variance - before, 0.0)
+        if np.all(np.abs(change) <= SCATTER_CONVERGED * deviation):
             break
+        expected, fallen = change @ information @ change, change @ (above - slope)
+        share = float(np.clip(expected / fallen, *SHARES)) if fallen > 0.0 else SHARES[1]
     active = variance > 0.0
     components = np.zeros((len(COMPONENTS), len(COMPONENTS)))
     if active.any():
@@ -467,37 +481,15 @@ def _scattered(problem: Problem, rows: Rows, out: _Out, start: Scatter, seen: Bo
     return Scatter.of_variances(variance), components
 
 
-def _together(noise: Noise, last: BoolArray) -> tuple[tuple[Array, Array], ...]:
-    """The directions (N, r, q) of all components of scatter side by side, and to which component (q, 5) each belongs:
-    of the rests that count, and of the merged rows."""
-    found = []
-    for directions in ([Z[last] for Z in noise.rest_directions], noise.merged_directions):
-        component = np.repeat(np.arange(len(COMPONENTS)), [Z.shape[2] for Z in directions])
-        found.append((np.concatenate(directions, axis=2), np.eye(len(COMPONENTS))[component]))
-    return tuple(found)
-
-
-def _scored(
-    problem: Problem, rows: Rows, noise: Noise, directions: tuple[tuple[Array, Array], ...], variance: Array
-) -> tuple[float, Array, Array]:
-    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances:
-
-    ½ (|Zᵀ u|² − tr Zᵀ Q Z),    ½ Σ (Zᵀ Q Z)²,    u = Wᵀ r,    Q = Wᵀ C W
-
-    with the residuals r and their covariance C."""
-    weight = noise.weights(Scatter.of_variances(variance))
-    step = solve(problem, rows, weight)
-    after = left(problem, step)
-    last = problem.link < 0
-    score, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
-    whitened = (weight.rest[last], after.rest[0][last], after.rest[1][last]), (weight.merged, *after.merged)
-    for (W, residual, covariance), (Z, member) in zip(whitened, directions, strict=True):
-        WZ = W @ Z
-        along = np.swapaxes(WZ, 1, 2) @ residual[:, :, None]
-        Q = np.swapaxes(WZ, 1, 2) @ covariance @ WZ
-        score += 0.5 * ((along[:, :, 0] ** 2).sum(axis=0) - np.einsum("kqq->q", Q)) @ member
-        information += 0.5 * (member.T @ (Q**2).sum(axis=0) @ member)
-    return step.deviance, score, information
+def _scored(problem: Problem, at: _At, variance: Array) -> tuple[float, Array, Array]:
+    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances."""
+    step = at.solved(problem, Scatter.of_variances(variance))
+    after, weight, last = left(problem, step), step.weights, problem.link < 0
+    slope, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
+    (at_rest, of_rest), (Z, of_merged) = at.noise.rest_directions, at.noise.merged_directions
+    score(weight.rest[last] @ at_rest[last], of_rest, (after.rest[0][last], after.rest[1][last]), slope, information)
+    score(weight.merged @ Z, of_merged, after.merged, slope, information)
+    return step.deviance, slope, information
 
 
 # The lag
@@ -508,13 +500,13 @@ def _with_lag(problem: Problem, at: _At) -> _At:
     temperature, has several minima: everything else is found at none, and from there that of each in one step."""
     if problem.lag is None:
         return at
-    solved = _iterated(_held(problem, 0.0), at, _Out.nothing(problem), Scatter())
-    at = _At.of(problem, solved.point, solved.last.about)
-    tried = [_at_lag(problem, at, lag, (_Out.nothing(problem), Scatter())) for lag in LAGS]
+    solved = _iterated(_held(problem, 0.0), at, Scatter())
+    at = _At.of(problem, solved.point, solved.last.about, at.out)
+    tried = [_at_lag(problem, at, lag, Scatter()) for lag in LAGS]
     best = min(range(len(LAGS)), key=lambda i: tried[i].square + _prior_of_lag(problem, LAGS[i]))
     step = tried[best]
     point = _point_of(solved.point.moved(step.parameters, step.angles, step.own), problem.lag, LAGS[best])
-    return _At.of(problem, point, solved.last.about)
+    return _At.of(problem, point, solved.last.about, at.out)
 
 
 def _prior_of_lag(problem: Problem, lag: float) -> float:
@@ -539,26 +531,25 @@ def _point_of(point: Point, where: int, lag: float) -> Point:
     return replace(point, values=values)
 
 
-def _at_lag(problem: Problem, at: _At, lag: float, noise: tuple[_Out, Scatter]) -> Step:
+def _at_lag(problem: Problem, at: _At, lag: float, scatter: Scatter) -> Step:
     """The step from a point to the solution with a lag."""
     assert problem.lag is not None
-    out, scatter = noise
     held = _held(problem, lag)
-    rows = linearise(held, _point_of(at.point, problem.lag, lag), at.about)
-    return solve(held, rows, out.noise(held, rows).weights(scatter))
+    return _At.of(held, _point_of(at.point, problem.lag, lag), at.about, at.out).solved(held, scatter)
 
 
 def _fitted_with_lag(problem: Problem, start: _At, most: int) -> _Fitted:
     """The solution with the scatter that it shows; with the lag of the start where Gauss–Newton has left it for one
     that is much less likely. In an exponential warm-up the lag shows by its square alone: the steps do not know it."""
-    nothing = _Out.nothing(problem)
-    fitted = _fitted(problem, start, nothing, most)
+    fitted = _fitted(problem, start, most)
     if problem.lag is None:
         return fitted
-    at, noise = _At.of(fitted.problem, fitted.solved.point, fitted.solved.last.about), (fitted.out, fitted.scatter)
+    at = _At.of(fitted.problem, fitted.solved.point, fitted.solved.last.about, fitted.out)
     lags = float(start.point.values[problem.lag]), float(fitted.solved.point.values[problem.lag])
-    started, found = (_at_lag(fitted.problem, at, lag, noise).deviance + _prior_of_lag(problem, lag) for lag in lags)
-    return fitted if found < started + LESS_LIKELY else _fitted(_held(problem, lags[0]), start, nothing, most)
+    started, found = (
+        _at_lag(fitted.problem, at, lag, fitted.scatter).deviance + _prior_of_lag(problem, lag) for lag in lags
+    )
+    return fitted if found < started + LESS_LIKELY else _fitted(_held(problem, lags[0]), start, most)
 
 
 def _with_posterior(fitted: _Fitted, free: Problem) -> _Fitted:
@@ -569,7 +560,7 @@ def _with_posterior(fitted: _Fitted, free: Problem) -> _Fitted:
 
     Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
     maximum. A lag that the session says nothing of stays what it is. In the problem `free` the lag is an unknown."""
-    solved, noise = fitted.solved, (fitted.out, fitted.scatter)
+    solved = fitted.solved
     if free.lag is None:
         return fitted
     where, expected = 1 + free.lag, free.measured[1]
@@ -578,10 +569,10 @@ def _with_posterior(fitted: _Fitted, free: Problem) -> _Fitted:
         return fitted
     grid = LAGS_ABOUT if fitted.problem.lag_known else u * LAG_GRID
     lags = solved.point.values[free.lag] + grid
-    at = _At.of(fitted.problem, solved.point, solved.last.about)
+    at = _At.of(fitted.problem, solved.point, solved.last.about, fitted.out)
     deviance, moved_by = np.empty(len(lags)), np.empty((len(lags), len(expected)))
     for i, lag in enumerate(lags.tolist()):
-        step = _at_lag(fitted.problem, at, lag, noise)
+        step = _at_lag(fitted.problem, at, lag, fitted.scatter)
         deviance[i], moved_by[i] = step.deviance + _prior_of_lag(free, lag), step.parameters
     moved_by[:, where] = lags
     weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)
@@ -589,12 +580,12 @@ def _with_posterior(fitted: _Fitted, free: Problem) -> _Fitted:
     mean = float(weight @ lags)
     moved_by -= weight @ moved_by
     held = _held(fitted.problem, mean)
-    start = _At.of(held, _point_of(solved.point, free.lag, mean), solved.last.about)
-    there = _iterated(held, start, *noise)
+    start = _At.of(held, _point_of(solved.point, free.lag, mean), solved.last.about, fitted.out)
+    there = _iterated(held, start, fitted.scatter)
     step = replace(there.step, covariance=there.step.covariance + (moved_by.T * weight) @ moved_by)
-    after = _left(held, there, *noise)
+    after = left(held, there.step), there.step.weights
     problem = replace(fitted.problem, measured=_lag_freed(fitted.problem, free), lag_known=False)
-    return replace(fitted, problem=problem, solved=replace(there, step=step), left=after[0], weights=after[1])
+    return replace(fitted, problem=problem, solved=replace(there, step=step), left=after)
 
 
 def _lag_freed(problem: Problem, free: Problem) -> tuple[Array, Array]:
@@ -609,26 +600,29 @@ def _lag_freed(problem: Problem, free: Problem) -> tuple[Array, Array]:
 # Priors
 
 
-def _widened(problem: Problem, at: _At, out: _Out, scatter: Scatter) -> Problem:
+def _widened(problem: Problem, at: _At, scatter: Scatter) -> Problem:
     """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where
     none is."""
     members, own_members = problem.instrument.members, _own_members(problem)
     if not members and not own_members:
         return problem
-    weight = out.noise(problem, at.rows).weights(scatter)
     expected, u = problem.measured
     now, own = u.copy(), problem.own_known.copy()
+    further = np.arange(len(u)) > problem.instrument.linear_count
+    told, q = tell(problem, at.rows, at.noise.weights(scatter)), len(own)
+    fixed = replace(problem, measured=(expected, np.where(further, np.inf, u)))
+    fold(priors(fixed, at.point, at.about), told.sessions[0, q:, q:])
     for _ in range(WIDENING_STEPS):
-        rows = replace(at.rows, prior=_with_prior(at.rows.prior, now, expected, at.point), own=-at.point.own / own)
-        step = solve(replace(problem, own_known=own), rows, weight)
-        values, variance = at.point.values + step.parameters[1:], np.diag(step.covariance)[1:]
+        trial = replace(problem, measured=(expected, np.where(further, now, np.inf)), own_known=own)
+        found = joined(trial, at.rows.with_priors(trial, at.point), told)
+        values, variance = at.point.values + found.parameters[1:], np.diag(found.covariance)[1:]
         most = 1.0
         for name, group in members.items():
             if name == "temperature.lag":
                 continue  # it multiplies others: a wide prior would let both grow
             most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variance))
-        own_variance = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, : len(own)]
-        own_square = ((at.point.own + step.own) ** 2 + own_variance).mean(axis=0)
+        own_variance = np.diagonal(found.own_covariance, axis1=1, axis2=2)[:, : len(own)]
+        own_square = ((at.point.own + found.own) ** 2 + own_variance).mean(axis=0)
         for group in own_members:
             most = max(most, _widen(own, group, own_square))
         if most < WIDENED:
@@ -652,15 +646,6 @@ def _own_members(problem: Problem) -> list[slice]:
         return []
     first = problem.own.linear_count
     return [slice(of.start - first, of.stop - first) for of in problem.own.members.values()]
-
-
-def _with_prior(prior: Array, u: Array, expected: Array, point: Point) -> Array:
-    """The whitened prior with other standard deviations."""
-    out = prior.copy()
-    diagonal = np.arange(1, len(u))
-    out[diagonal, diagonal] = 1.0 / u[1:]
-    out[1:-1, -1] = (expected[1:] - point.values) / u[1:]
-    return out
 
 
 # Chi-square
@@ -703,10 +688,10 @@ def _fit(parts: list[tuple[Array, Array]], scatter: float, unit: str) -> Fit:
 # Which rests and turns fit
 
 
-def _judged(fitted: _Fitted, after: Left, weight: Weights) -> Iterator[tuple[Array, Array]]:
+def _judged(fitted: _Fitted, left_of: tuple[Left, Weights]) -> Iterator[tuple[Array, Array]]:
     """Of accelerometers and gyros at rest, by rest, and of the turns, by turn: by how much chi-square falls without
     them, and in how many directions they have residuals."""
-    problem, out = fitted.problem, fitted.out
+    problem, out, (after, weight) = fitted.problem, fitted.out, left_of
     n = problem.observations.accel_block.size
     stop = n + problem.observations.rests.gyro.shape[1]
     r, linked = after.rest[0].shape[1], problem.link >= 0
@@ -775,7 +760,7 @@ def _sigmas(fitted: _Fitted, scatter: Scatter) -> tuple[Array, Array, Array]:
     Groups that have a `scatter` when nothing is left out are judged by their own scale: that they have none without
     some of them may be by choice of these."""
     out, found = fitted.out, []
-    judged = _judged(fitted, fitted.left, fitted.weights)
+    judged = _judged(fitted, fitted.left)
     scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
     for (fall, count), left_out, name, scale in zip(
         judged, (out.rest, out.rest, out.turn), GROUPS[:3], scales, strict=True
@@ -794,7 +779,9 @@ def _suspect(fitted: _Fitted) -> _Out | None:
     is allowed for; None where none does."""
     most, found, out, scatter = STANDS_OUT, None, fitted.out, fitted.scatter
     scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
-    judged = _judged(fitted, *fitted.without)
+    if not any(scales):
+        return None
+    judged = _judged(fitted, fitted.without)
     for group, ((fall, count), left_out, scale) in enumerate(
         zip(judged, (out.rest, out.rest, out.turn), scales, strict=True)
     ):
@@ -837,7 +824,7 @@ def _fitting(everything: _Fitted, most: int) -> _Fitted:
 
 def _again(problem: Problem, fitted: _Fitted, out: _Out) -> _Fitted:
     """The fit with something else left out."""
-    return _fitted(problem, _At.of(problem, fitted.solved.point, fitted.solved.last.about), out)
+    return _fitted(problem, _At.of(problem, fitted.solved.point, fitted.solved.last.about, out))
 
 
 # The estimate
@@ -897,7 +884,7 @@ def _linearised(fitted: _Fitted) -> Linearised:
         point=last.point,
         about=last.about,
         rows=last.rows,
-        noise=fitted.out.noise(fitted.problem, last.rows),
+        noise=last.noise,
         scatter=fitted.scatter,
     )
 
@@ -954,17 +941,11 @@ def _findings(fitted: _Fitted, covariance: Array) -> Iterator[GroupFinding]:
 
 def _degrees(fitted: _Fitted, covariance: Array) -> Array:
     """Degrees of freedom (m,) behind the u of the parameters: ν = 2 u⁴ / Var(u²)."""
-    problem, rows, variance = fitted.problem, fitted.solved.last.rows, fitted.scatter.variances
-    active = np.flatnonzero(variance > 0.0)
+    problem, variance = fitted.problem, fitted.scatter.variances
     degrees = np.full(len(covariance), MOST_DEGREES)
-    if not len(active):
+    if not variance.any():
         return degrees
-    noise, slopes = fitted.out.noise(problem, rows), np.zeros((len(COMPONENTS), len(covariance)))
-    now = np.diag(solve(problem, rows, noise.weights(fitted.scatter)).covariance)[1:]
-    for a in active:
-        step = 0.1 * variance[a]
-        more = noise.weights(Scatter.of_variances(variance + step * np.eye(len(variance))[a]))
-        slopes[a] = (np.diag(solve(problem, rows, more).covariance)[1:] - now) / step
+    slopes = variance_slopes(problem, fitted.solved.step, fitted.solved.last.noise)[:, 1:] * (variance > 0.0)[:, None]
     of_u = np.einsum("am,ab,bm->m", slopes, fitted.components, slopes)
     least = 2.0 * np.diag(covariance) ** 2 / MOST_DEGREES
     return np.asarray(MOST_DEGREES * least / np.maximum(of_u, least))

@@ -1,0 +1,254 @@
+"""The least-squares step of a linearised likelihood, with the attitudes eliminated, and what it leaves of residuals.
+
+Rows are whitened. Of each session the attitudes are eliminated, which leaves a triangle: what the session says of what
+it has of its own, of gravity and of the common parameters (`Told`). Priors are folded in after that (`joined`), so that
+others are tried without eliminating again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg.lapack import dtrtri
+
+from tumble.estimation.elimination import eliminate, fold, put_back
+from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, SessionSpan, Weights
+from tumble.units import Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Known:
+    """What is known once the attitudes are eliminated: the least-squares step of gravity and the parameters (1 + m,)
+    with their covariance, and of what each session has of its `own` (S, q), with its covariance, gravity and parameters
+    after it (S, q + 1 + m, q + 1 + m); the sum of squares that is left, priors included; and the diagonal of the
+    triangle it is from."""
+
+    parameters: Array
+    covariance: Array
+    own: Array
+    own_covariance: Array
+    square: float
+    pivots: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Step(Known):
+    """The least-squares step, with that of the angles (N, 3); twice the negative logarithm of the restricted
+    likelihood, less its constant; the weights of the rows, and what `left` needs."""
+
+    angles: Array
+    deviance: float
+    weights: Weights
+    whitened: tuple[Array, Array]
+    shared: tuple[Array, Array]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Left:
+    """Whitened residuals after a step, and their covariances, 1 where the fit has no part in them: (N, r) and (N, r, r)
+    of the rests, which count where no turn follows, (K, r + t) and (K, r + t, r + t) of the merged rows."""
+
+    rest: tuple[Array, Array]
+    merged: tuple[Array, Array]
+
+
+def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
+    """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
+    told = tell(problem, rows, weight)
+    known, N = joined(problem, rows, told), len(problem.link)
+    angles, shared = np.empty((N, 3)), []
+    for part, own, covariance in zip(problem.parts, known.own, known.own_covariance, strict=True):
+        both = np.concatenate([own, known.parameters])
+        shared.append(put_back(told.factor[part.rests], part.link, both, covariance, angles[part.rests]))
+    return Step(
+        parameters=known.parameters,
+        covariance=known.covariance,
+        own=known.own,
+        own_covariance=known.own_covariance,
+        square=known.square,
+        pivots=known.pivots,
+        angles=angles,
+        deviance=_deviance(problem, weight, told.factor, known),
+        weights=weight,
+        whitened=told.whitened,
+        shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Told:
+    """What the rows say without any prior: the whitened rows, those that give the attitudes (N, 3, ·), and of each
+    session, its attitudes eliminated, a triangle (q + 1 + p, q + 1 + p) of what it has of its own, gravity and the
+    common parameters."""
+
+    whitened: tuple[Array, Array]
+    factor: Array
+    sessions: Array
+
+
+def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
+    """What the rows of every session say by themselves."""
+    rest, merged = whitened_rows(problem, rows, weight)
+    size = len(problem.own_known) + len(rows.prior)
+    factor, sessions = np.empty((len(rest), 3, 6 + size)), np.zeros((len(problem.parts), size, size))
+    for part, triangle in zip(problem.parts, sessions, strict=True):
+        eliminate(rest[part.rests], merged[part.turns], part.link, part.last, factor[part.rests], triangle)
+    return Told(whitened=(rest, merged), factor=factor, sessions=sessions)
+
+
+def joined(problem: Problem, rows: Rows, told: Told) -> Known:
+    """What all sessions together say, with the priors of the rows."""
+    q, triangle, heads = len(problem.own_known), rows.prior, []
+    for session, residual in zip(told.sessions, rows.own, strict=True):
+        wide = with_own(problem, session, residual)
+        heads.append(wide[:q])
+        fold(triangle, wide[q:, q:])
+        triangle = wide[q:, q:]
+    parameters, covariance = _solved(triangle)
+    own = [_put_back_own(head, parameters, covariance) for head in heads]
+    return Known(
+        parameters=parameters,
+        covariance=covariance,
+        own=np.array([each[0] for each in own]),
+        own_covariance=np.array([each[1] for each in own]),
+        square=float(triangle[-1, -1] ** 2),
+        pivots=np.concatenate([*map(np.diag, heads), np.diag(triangle)[:-1]]),
+    )
+
+
+def with_own(problem: Problem, session: Array, residual: Array) -> Array:
+    """What a session says, a triangle, with the prior of what it has of its own, of whitened residual (q,)."""
+    wide, q = session.copy(), len(residual)
+    if q:
+        prior = np.zeros((q, len(wide)))
+        prior[:, :q], prior[:, -1] = np.diag(1.0 / problem.own_known), residual
+        fold(prior, wide)
+    return wide
+
+
+def whitened_rows(problem: Problem, rows: Rows, weight: Weights) -> tuple[Array, Array]:
+    """The whitened rows of the rests, and of the turns with the rests before them, as the elimination has them: after
+    the angles what a session has of its own, then gravity and the common parameters."""
+    turns = problem.observations.turns
+    first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
+    merged = weight.merged @ rows.merged(first)
+    return _own_first(problem, weight.rest @ rows.rest, 3), _own_first(problem, merged, 6)
+
+
+def _own_first(problem: Problem, rows: Array, angles: int) -> Array:
+    """Rows in which what a session has of its own stands before gravity and the common parameters."""
+    q = len(problem.own_known)
+    if q == 0:
+        return rows
+    last = rows.shape[2] - 1
+    order = [*range(angles), *range(last - q, last), *range(angles, last - q), last]
+    return np.take(rows, order, axis=2)
+
+
+def _put_back_own(head: Array, parameters: Array, covariance: Array) -> tuple[Array, Array]:
+    """What a session has of its own (q,), from the rows (q, q + p + 1) that give it once the parameters are known, and
+    its covariance with them (q + p, q + p)."""
+    q = len(head)
+    if q == 0:
+        return np.zeros(0), covariance
+    inverse = np.linalg.inv(head[:, :q])
+    by_parameter = -inverse @ head[:, q:-1]
+    shared = by_parameter @ covariance
+    whole = np.block([[inverse @ inverse.T + shared @ by_parameter.T, shared], [shared.T, covariance]])
+    return inverse @ head[:, -1] + by_parameter @ parameters, whole
+
+
+def _deviance(problem: Problem, weight: Weights, factor: Array, known: Known) -> float:
+    """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
+    last = weight.rest[problem.link < 0]
+    own = sum(-2.0 * np.log(np.diagonal(w, axis1=1, axis2=2)).sum() for w in (last, weight.merged))
+    pivots = np.abs(np.concatenate([np.diagonal(factor, axis1=1, axis2=2).ravel(), known.pivots]))
+    return float(own + 2.0 * np.log(pivots[pivots > 0.0]).sum() + known.square)
+
+
+def _solved(triangle: Array) -> tuple[Array, Array]:
+    """Step (1 + m,) and covariance of gravity and the parameters; of gravity zero where it is taken as exact."""
+    first = int(triangle[0, 0] == 0.0)
+    p = len(triangle) - 1
+    step, covariance = np.zeros(p), np.zeros((p, p))
+    inverse = inverse_of(triangle[first:p, first:p])
+    step[first:] = inverse @ triangle[first:p, p]
+    covariance[first:, first:] = inverse @ inverse.T
+    return step, covariance
+
+
+def inverse_of(triangle: Array) -> Array:
+    """The inverse of an upper triangle. Raises LinAlgError where it has none."""
+    inverse, singular = dtrtri(triangle)
+    if singular:
+        raise np.linalg.LinAlgError("Singular matrix")
+    return np.asarray(inverse)
+
+
+def left(problem: Problem, step: Step) -> Left:
+    """What a step leaves of the residuals: nothing of rests that do not count."""
+    r = step.whitened[0].shape[1]
+    rest, covariance = np.zeros((len(problem.link), r)), np.zeros((len(problem.link), r, r))
+    found = [
+        [_leave(seen, np.concatenate([own, step.parameters]), known) for seen in _seen(step, part)]
+        for part, own, known in zip(problem.parts, step.own, step.own_covariance, strict=True)
+    ]
+    at_rest, merged = ([np.concatenate(each) for each in zip(*of, strict=True)] for of in zip(*found, strict=True))
+    rest[problem.link < 0], covariance[problem.link < 0] = at_rest
+    return Left(rest=(rest, covariance), merged=(merged[0], merged[1]))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Seen:
+    """Whitened rows (M, r, ·), the angles (M, a) in them, their covariances (M, a, a), and those of the angles with the
+    parameters (M, a, p)."""
+
+    rows: Array
+    angles: Array
+    own: Array
+    shared: Array
+
+    def with_parameters(self, covariance: Array) -> Array:
+        """Covariances (M, r, p) of what the rows predict with the parameters, of `covariance` (p, p)."""
+        a, (M, r, _) = self.angles.shape[1], self.rows.shape
+        by = self.rows[:, :, a:-1].reshape(M * r, len(covariance))
+        return np.asarray(self.rows[:, :, :a] @ self.shared + (by @ covariance).reshape(M, r, len(covariance)))
+
+
+def _seen(step: Step, part: SessionSpan) -> tuple[_Seen, _Seen]:
+    """The rests of a session that count, and its merged rows."""
+    (rest, merged), first, last = step.whitened, part.first, part.last
+    (own, by_next), shared, angles = step.shared[0][:, part.rests], step.shared[1][part.rests], step.angles[part.rests]
+    both = np.empty((len(first), 6, 6))
+    both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:] = own[first], by_next[first], own[first + 1]
+    both[:, 3:, :3] = np.swapaxes(by_next[first], 1, 2)
+    pair, pair_shared = (np.concatenate([of[first], of[first + 1]], axis=1) for of in (angles, shared))
+    return (
+        _Seen(rows=rest[part.rests][last], angles=angles[last], own=own[last], shared=shared[last]),
+        _Seen(rows=merged[part.turns], angles=pair, own=both, shared=pair_shared),
+    )
+
+
+def _leave(seen: _Seen, parameters: Array, covariance: Array) -> tuple[Array, Array]:
+    """Residuals (M, r) of rows for these parameters, and 1 − A C Aᵀ (M, r, r), C being that of the unknowns."""
+    a = seen.angles.shape[1]
+    by_angle, by = seen.rows[:, :, :a], seen.rows[:, :, a:-1]
+    residual = seen.rows[:, :, -1] - (by_angle @ seen.angles[:, :, None])[:, :, 0] - by @ parameters
+    with_angles = by_angle @ seen.own + by @ np.swapaxes(seen.shared, 1, 2)
+    known = with_angles @ np.swapaxes(by_angle, 1, 2) + seen.with_parameters(covariance) @ np.swapaxes(by, 1, 2)
+    return residual, np.eye(seen.rows.shape[1]) - known
+
+
+def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
+    """Derivatives (5, 1 + m) of the variances of gravity and the parameters by those of the components of scatter: with
+    the covariances S of what rows predict with the parameters, Σ (Zᵀ Wᵀ S)² over the directions of a component."""
+    q, slopes = len(problem.own_known), np.zeros((len(COMPONENTS), len(step.parameters)))
+    (at_rest, of_rest), (of_merged, component) = noise.rest_directions, noise.merged_directions
+    Z = step.weights.rest @ at_rest, step.weights.merged @ of_merged
+    for covariance, part in zip(step.own_covariance, problem.parts, strict=True):
+        rests, turns = _seen(step, part)
+        for seen, of, along in ((rests, of_rest, Z[0][part.rests][part.last]), (turns, component, Z[1][part.turns])):
+            S = seen.with_parameters(covariance)[:, :, q:]
+            np.add.at(slopes, of, ((np.swapaxes(along, 1, 2) @ S) ** 2).sum(axis=0))
+    return slopes
