@@ -31,7 +31,8 @@ from tumble.recording.session import Session, session_of, write_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import prior_of, usual_sizes
+from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.typed_quantities import prior_of
 from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record

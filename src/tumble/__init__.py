@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     from tumble.calibration.check import check_calibration as check_calibration
     from tumble.calibration.compare import Comparison as Comparison
     from tumble.calibration.compare import compare_calibrations as compare_calibrations
+    from tumble.calibration.draft import Draft as Draft
     from tumble.calibration.from_readings import ReadingsCalibration as ReadingsCalibration
     from tumble.calibration.from_readings import calibrate_table as calibrate_table
     from tumble.calibration.launches import Run as Run
     from tumble.calibration.launches import calibrate_launches as calibrate_launches
     from tumble.calibration.launches import mean_of_launches as mean_of_launches
-    from tumble.calibration.new_session import Draft as Draft
     from tumble.calibration.new_session import new_session as new_session
     from tumble.calibration.observed import Observed as Observed
     from tumble.calibration.observed import inspect_session as inspect_session
@@ -158,7 +158,7 @@ _PUBLIC = {
     "RecordedNoise": "calibration.quiet_samples",
     "noise": "calibration.quiet_samples",
     "new_session": "calibration.new_session",
-    "Draft": "calibration.new_session",
+    "Draft": "calibration.draft",
     "Exported": "export.exported",
     "export_calibration": "export",
     "write_report": "report.write",

@@ -11,6 +11,7 @@ import json
 import re
 import tomllib
 import unicodedata
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -69,6 +70,11 @@ def shown(value: object, width: int = 60) -> str:
         return "a number without measure"
     text = "null" if value is None else repr(value)
     return text if len(text) <= width else f"{text[: width - 1]}…"
+
+
+def dotted(key: Iterable[int | str]) -> str:
+    """A key of a document as log.accel.unit; entries of lists are counted from 1: programme.position[2]."""
+    return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
 
 
 def is_plain(text: str) -> bool:

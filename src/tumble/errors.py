@@ -14,7 +14,7 @@ A poor result is not an exception: it is an `Estimate` whose outcome gives the r
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 
@@ -57,3 +57,11 @@ def needs_extra(what: str, extra: str, *libraries: str) -> Iterator[None]:
         if library not in libraries:
             raise
         raise MissingExtraError(f"{what} needs {library}; install it with: pip install 'tumble[{extra}]'") from error
+
+
+def did_you_mean(name: str, known: Iterable[str], *, alike: float = 0.6) -> str:
+    """The end of a message about a name that is not known: which one may be meant, nothing where none is `alike`."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, list(known), n=1, cutoff=alike)
+    return f"; did you mean '{near[0]}'?" if near else ""

@@ -21,9 +21,8 @@ from tumble.reduction.matching import Match
 from tumble.reduction.observations import observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
 from tumble.sensors.parameters import usual_sizes
-from tumble.units import Array
+from tumble.units import ZERO_CELSIUS, Array
 
-_ZERO_CELSIUS = 273.15
 _LEAST_BLOCKS = 30
 
 
@@ -42,7 +41,7 @@ class Blocks:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Known:
+class MeanUncertainty:
     """How well the mean of a rest is known: u of accelerometers, m/s², and gyros, rad/s (None without), the largest of
     the channels', and what part of it twice the time would leave."""
 
@@ -74,7 +73,7 @@ class Chain:
         n = len(log.accel.columns)
         accel = log.accel.to_si(samples.values[:, :n], dt)
         gyro = None if log.gyro is None else log.gyro.to_si(samples.values[:, n : n + len(log.gyro.columns)], dt)
-        temperature = log.temperature.to_celsius(samples.values[:, -1]) + _ZERO_CELSIUS if log.temperature else None
+        temperature = log.temperature.to_celsius(samples.values[:, -1]) + ZERO_CELSIUS if log.temperature else None
         if len(dt):
             chunk = Chunk(file=0, time=samples.time, dt=dt, accel=accel, gyro=gyro, temperature=temperature)
             self._reducer.feed(chunk)
@@ -111,16 +110,16 @@ class Chain:
         return without_times(reduction, replace(found, rests=spans), excluded)
 
 
-def known(reduction: Reduction, first: int, last: int) -> Known | None:
+def known(reduction: Reduction, first: int, last: int) -> MeanUncertainty | None:
     """How well the mean over blocks first … last − 1 is known; None while they are too few."""
     if last - first < 10:
         return None
     file = reduction.files[-1]
     accel, twice_accel = _uncertain(file.accel[first:last])
     if file.gyro is None:
-        return Known(accel=accel, gyro=None, twice=twice_accel / accel)
+        return MeanUncertainty(accel=accel, gyro=None, twice=twice_accel / accel)
     gyro, twice_gyro = _uncertain(file.gyro[first:last])
-    return Known(accel=accel, gyro=gyro, twice=max(twice_accel / accel, twice_gyro / gyro))
+    return MeanUncertainty(accel=accel, gyro=gyro, twice=max(twice_accel / accel, twice_gyro / gyro))
 
 
 def estimate_so_far(

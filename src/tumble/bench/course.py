@@ -11,7 +11,7 @@ from functools import reduce
 
 import numpy as np
 
-from tumble.bench.chain import Blocks, Known
+from tumble.bench.chain import Blocks, MeanUncertainty
 from tumble.bench.wishes import Wanted
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Move, Position, Programme
@@ -60,7 +60,7 @@ class Judged:
     """A rest as it is now: how well it is known, s that are left to the wanted u, whether it is `enough`, and whether
     longer would give nothing."""
 
-    known: Known | None
+    known: MeanUncertainty | None
     left: float | None
     enough: bool
     nothing_more: bool
@@ -89,7 +89,7 @@ class Progress:
         return self.groups[-1][-1] if self.lasts else None
 
 
-def judged(known: Known | None, seconds: float, wanted: Wanted) -> Judged:
+def judged(known: MeanUncertainty | None, seconds: float, wanted: Wanted) -> Judged:
     """How good a rest of so many seconds is."""
     if known is None:
         return Judged(known=None, left=None, enough=False, nothing_more=False)

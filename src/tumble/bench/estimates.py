@@ -41,11 +41,6 @@ class Estimates:
         """Whether one is being made."""
         return self._future is not None
 
-    @property
-    def enough(self) -> bool:
-        """Whether the last one reaches all that is wanted."""
-        return self.shown is not None and bool(self.shown["enough"])
-
     def take(self) -> None:
         """Take the one that was being made, if it is done."""
         if self._future is not None and self._future.done():

@@ -1,15 +1,16 @@
-"""The screens of the page: what is shown, as a function of the task, the progress, what is wrong, and the estimate."""
+"""The screens of the page: what is shown, as a function of the task, the progress, what is wrong, and the estimate
+(`tumble.bench.estimates`), None before the first."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from tumble.bench.chain import Blocks
 from tumble.bench.course import Judged, Progress, Rest, nearest_positions, scatter_now, turned_between, verticals
-from tumble.bench.estimates import Estimates
 from tumble.bench.faults import Fault
 from tumble.bench.intake import Received
 from tumble.bench.task import Task
@@ -17,7 +18,7 @@ from tumble.bench.wishes import better_by
 from tumble.programme.positions import ANY_MOVE, Move
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
 from tumble.reduction.rest_noise import drift
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 
 STILL_TURNING = 3.0 * DEGREE
 """s⁻¹: a turn that is nearly done and goes on more slowly is a unit put down with movement."""
@@ -44,19 +45,21 @@ def received_shown(received: Received | None) -> dict[str, Any]:
     }
 
 
-def screen(task: Task, progress: Progress, fault: Fault | None, estimates: Estimates, *, go_on: bool) -> dict[str, Any]:
+def screen(
+    task: Task, progress: Progress, fault: Fault | None, estimate: Mapping[str, Any] | None, *, go_on: bool
+) -> dict[str, Any]:
     """The screen, and what every screen shows. `go_on`: although all that is wanted is reached."""
     blocks = progress.blocks
     shown: dict[str, Any] = {
         "seconds": progress.now,
         "scatter": {"now": scatter_now(blocks), "limit": progress.limits.scatter},
-        "sphere": _sphere(progress, estimates),
-        "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - 273.15),
+        "sphere": _sphere(progress, estimate),
+        "temperature": None if blocks.temperature is None else float(blocks.temperature[-10:].mean() - ZERO_CELSIUS),
         "to_go": _to_go(task, progress),
         "fault": None,
     }
     if fault is None:
-        return shown | _screen(task, progress, go_on=go_on, enough=estimates.enough)
+        return shown | _screen(task, progress, go_on=go_on, enough=estimate is not None and estimate["enough"])
     said = {"kind": fault.kind, "said": fault.said, "at": fault.start, "choices": list(fault.choices)}
     return shown | {"screen": "fault", "headline": "Not good", "fault": said, **_where(task, progress)}
 
@@ -75,10 +78,10 @@ def _screen(task: Task, progress: Progress, *, go_on: bool, enough: bool) -> dic
     return _turn(task, progress)
 
 
-def _sphere(progress: Progress, estimates: Estimates) -> dict[str, Any]:
+def _sphere(progress: Progress, estimate: Mapping[str, Any] | None) -> dict[str, Any]:
     """Directions of the vertical that were taken, and what each of DIRECTIONS would leave of u."""
     taken = [group[-1].vertical.tolist() for group in progress.groups]
-    return {"taken": taken, "gains": None if estimates.shown is None else estimates.shown["gains"]}
+    return {"taken": taken, "gains": None if estimate is None else estimate["gains"]}
 
 
 def _to_go(task: Task, progress: Progress) -> float | None:

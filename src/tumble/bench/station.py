@@ -142,7 +142,7 @@ class Station:
             self._answers.moved(progress.now)
         fault = self._fault(progress)
         self._estimates.ask(self._live.now, progress, self._answers.excluded)
-        state |= screens.screen(self.task, progress, fault, self._estimates, go_on=self._answers.go_on)
+        state |= screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
         return state | {"message": self._still_said(fault)}
 
     def _fault(self, progress: Progress) -> Fault | None:

@@ -54,7 +54,7 @@ from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import group_name, sensor_kind
+from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ class Calibration:
             raise CalibrationError("calibration: expected one with accelerometers, found none")
         accel = Block(kind="accel", axes=self._axes("accel", self.accel))
         gyro = None if self.gyro is None else Block(kind="gyro", axes=self._axes("gyro", self.gyro))
-        values = {p.name: p.value for p in self.parameters if not p.name.startswith("mag.")}
+        values = {p.name: p.value for p in self.parameters if sensor_kind(p.name) != "mag"}
         models = self.accel, self.gyro
         return Compensator.of((accel, gyro), models, values, self.reference_temperature)
 
@@ -243,7 +243,8 @@ class Calibration:
         for group in self.groups:
             members = [p for p in self.parameters if group_name(p.name) == group.name]
             if group.kept and sensor_kind(group.name) == kind and members:
-                further[group.name.partition(".")[2]] = {p.name.split(".", 2)[-1]: p.value for p in members}
+                named = {within_group(p.name) or within_kind(p.name): p.value for p in members}
+                further[within_kind(group.name)] = named
         return content | further
 
     def write(self, path: FilePath, *, force: bool = False) -> None:

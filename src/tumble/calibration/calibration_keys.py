@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from tumble.documents import is_plain, shown
+from tumble.documents import dotted, is_plain, shown
 from tumble.errors import CalibrationError
 from tumble.recording.session_keys import LONGEST_NAME, ImuTable
 
@@ -352,11 +352,11 @@ _EXPECTED = {
 
 def _said(fault: Mapping[str, Any], content: Any) -> str:
     """What is to be said of a fault, after the name of the file."""
-    place = _dotted(fault["loc"])
+    place = dotted(fault["loc"])[:80]
     if fault["type"] == "value_error":
         return f"{place}: {fault['ctx']['error']}".removeprefix(": ")
     if fault["type"] == "missing":
-        above = _dotted(fault["loc"][:-1])
+        above = dotted(fault["loc"][:-1])[:80]
         found = f"no key {str(fault['loc'][-1])!r}" + (f" in {above}" if above else "")
     elif fault["type"] == "shape":
         found = fault["msg"]
@@ -367,8 +367,3 @@ def _said(fault: Mapping[str, Any], content: Any) -> str:
         found = f"{shown(value)} in place of {_EXPECTED.get(fault['type'], 'what can be there')}"
         found += f" at {place}" if place else ""
     return f"expected a calibration file of tumble, found {found}"
-
-
-def _dotted(way: Any) -> str:
-    """A way to a key, as parameters[3].value; entries of lists are counted from 1."""
-    return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in way)[:80].lstrip(".")

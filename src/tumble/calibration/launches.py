@@ -121,23 +121,9 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
     spread = values.std(axis=0, ddof=1)
     instability = _instability(runs, common, spread, alike)
     covariance, degrees = _covariance(runs, moves, common, instability)
-    parameters = tuple(
-        Parameter(
-            name=name,
-            value=float(value),
-            u=float(u),
-            unit=_named(runs[0])[name].unit,
-            deviation=_mean_deviation(runs, name),
-            run_to_run=float(each),
-            dof=dof,
-            **_learned(runs, name, float(u)),
-        )
-        for name, value, u, each, dof in zip(
-            common, values.mean(axis=0), np.sqrt(np.diag(covariance)), spread, degrees, strict=True
-        )
-    )
-    digests = [run.calibration.provenance["log_sha256"] for run in runs]
-    means = dict(zip(common, values.mean(axis=0).tolist(), strict=True))
+    mean, u = values.mean(axis=0), np.sqrt(np.diag(covariance))
+    parameters = tuple(_mean_parameter(runs, *each) for each in zip(common, mean, u, spread, degrees, strict=True))
+    means = dict(zip(common, mean.tolist(), strict=True))
     return replace(
         first,
         parameters=parameters,
@@ -158,26 +144,51 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
             *_left_out(runs, common),
             *_pooled_with(common, instability, alike),
         ),
-        launches=tuple(
-            Launch(
-                session=_name(run),
-                parameters=run.calibration.parameters,
-                covariance=run.calibration.covariance,
-                log_sha256=digest,
-                site=run.calibration.site,
-                circumstances=run.calibration.circumstances,
-                rests=run.calibration.rests,
-                turns=run.calibration.turns,
-                fits=run.calibration.fits,
-            )
-            for run, digest in zip(runs, digests, strict=True)
-        ),
+        launches=tuple(map(_launch, runs)),
         groups=_groups(runs, parameters),
-        prediction=_prediction(runs, common, values.mean(axis=0), covariance),
+        prediction=_prediction(runs, common, mean, covariance),
         reference_temperature=reference,
         clock_u=_clock_u(runs),
-        provenance=dict(first.provenance) | {"log_sha256": hashlib.sha256("\n".join(digests).encode()).hexdigest()},
+        provenance=dict(first.provenance) | {"log_sha256": _digest_of_all(runs)},
     )
+
+
+def _mean_parameter(
+    runs: Sequence[Run], name: str, value: float, u: float, run_to_run: float, degrees: float | None
+) -> Parameter:
+    """The mean of a parameter over the launches."""
+    return Parameter(
+        name=name,
+        value=float(value),
+        u=float(u),
+        unit=_named(runs[0])[name].unit,
+        deviation=_mean_deviation(runs, name),
+        run_to_run=float(run_to_run),
+        dof=degrees,
+        **_learned(runs, name, float(u)),
+    )
+
+
+def _launch(run: Run) -> Launch:
+    """A launch by itself, as it stands beside the mean."""
+    own = run.calibration
+    return Launch(
+        session=_name(run),
+        parameters=own.parameters,
+        covariance=own.covariance,
+        log_sha256=own.provenance["log_sha256"],
+        site=own.site,
+        circumstances=own.circumstances,
+        rests=own.rests,
+        turns=own.turns,
+        fits=own.fits,
+    )
+
+
+def _digest_of_all(runs: Sequence[Run]) -> str:
+    """The SHA-256 of the launches' logs together."""
+    digests = [run.calibration.provenance["log_sha256"] for run in runs]
+    return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
 def circumstances_of_all(each: Sequence[Circumstances]) -> Circumstances:

@@ -8,7 +8,6 @@ comment.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from tumble.calibration.draft import Draft, session_text
+from tumble.calibration.draft_trials import tried
 from tumble.calibration.found_log import FoundLog, files_of, found_log, mended, times_of
 from tumble.calibration.log_times import Times
-from tumble.calibration.observed import Progress, inspect_session
-from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor
-from tumble.errors import InputError, TumbleError
-from tumble.estimation.diagnosis import fitting_gyro_unit
+from tumble.calibration.observed import Progress
+from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
@@ -32,33 +31,13 @@ from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns,
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
 from tumble.recording.session import SESSION_FILE, session_of
-from tumble.reduction.observations import Observations
-from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS
+from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS
 
 _HEAD = 20_000
 _TOLERANCE = 0.3
 _SOFT = 0.03
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
-_LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
-_HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
-_USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
-_RATE_NEAR = 0.04
-_SLOW_RATE = 25.0  # Hz
-_LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Draft:
-    """The content of a session.toml as far as it is known, and how each part of it came about, in sentences. A table
-    [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest. Whether the rate is a guess,
-    and whether the unit of the gyros is."""
-
-    content: Mapping[str, Any]
-    said: tuple[str, ...]
-    magnetometer: Mapping[str, Any] | None = None
-    rate_guessed: bool = False
-    gyro_unknown: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -109,12 +88,12 @@ def new_session(
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
         draft = _of_files(files, folder, given)
-        draft, faults = _checked(_scaled(draft, progress), progress)
-        draft, faults = _with_rate(draft, faults, progress)
+        draft, faults = tried(draft, progress)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         folder.mkdir(parents=True, exist_ok=True)
+        text = session_text(draft, folder, given.programme, named=bool(given.serial))
         with whole_file(path) as temporary:
-            temporary.write_text(_text(draft, folder, given), encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8")
     return draft, faults
 
 
@@ -315,219 +294,3 @@ def _with_given(content: Mapping[str, Any], folder: Path, given: Given) -> dict[
     out = {**content, "device": device, **site}
     session_of(out)  # checked as a session is
     return out
-
-
-# -------------------- counts and rates, from rests and turns --------------------
-
-
-def _scaled(draft: Draft, progress: Progress) -> Draft:
-    """A draft with the scales of counts, and the rate of a log without times, as rests and turns show them."""
-    log = draft.content["log"]
-    gyro = log.get("gyro")
-    raw_gyro = gyro is not None and draft.gyro_unknown and gyro["unit"] == "count"
-    raw_accel = log["accel"]["unit"] == "count"
-    if not (raw_accel or raw_gyro):
-        return draft
-    observations = _observed(draft.content, progress)
-    said: list[str] = []
-    if raw_accel:
-        log, more = _accel_scaled(log, observations, progress, draft)
-        said += more
-    if raw_gyro:
-        content = {**draft.content, "log": log}
-        observations = _observed(content, progress) if raw_accel else observations
-        log, more = _gyro_scaled(content, observations, progress)
-        said += more
-    return replace(draft, content={**draft.content, "log": log}, said=(*draft.said, *said))
-
-
-def _observed(content: Mapping[str, Any], progress: Progress) -> Observations | None:
-    """Rests and turns of a session of this content; None where there are none."""
-    try:
-        return inspect_session(session_of(content), progress=progress).observations
-    except (TumbleError, np.linalg.LinAlgError):
-        return None
-
-
-def _accel_scaled(
-    log: Mapping[str, Any], observations: Observations | None, progress: Progress, draft: Draft
-) -> tuple[dict[str, Any], list[str]]:
-    """[log] with the scale and offset of accelerometers in counts, from the rests."""
-    accel, named = log["accel"], ", ".join(log["accel"]["columns"])
-    if observations is None and "gyro" in log:  # gyros in counts can hide the rests: the accelerometers alone show them
-        alone = {key: value for key, value in log.items() if key != "gyro"}
-        observations = _observed({**draft.content, "log": alone}, progress)
-    means = observations.rests.accel if observations is not None else np.empty((0, 3))
-    sphere = accel_scale(means)
-    if sphere is None:
-        radius = float(np.median(np.linalg.norm(means, axis=1))) if len(means) else 1.0
-        sphere = radius, [0.0] * 3
-    scale = counts_per_g(sphere[0])
-    seen = f"from {len(means)} rests" if len(means) >= 4 else "a guess from too few rests: state the data sheet's"
-    offset: Any = sphere[1][0] if len(set(sphere[1])) == 1 else sphere[1]
-    made = {"columns": accel["columns"], "unit": "count", "scale": scale.value, "scale_per": "g", "offset": offset}
-    return {**log, "accel": made}, [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
-
-
-def _gyro_scaled(
-    content: Mapping[str, Any], observations: Observations | None, progress: Progress
-) -> tuple[dict[str, Any], list[str]]:
-    """[log] with the scale of gyros in counts, from the turns; the offset is none or the mean at rest."""
-    log = content["log"]
-    gyro, named = log["gyro"], ", ".join(log["gyro"]["columns"])
-    bias = np.zeros(3) if observations is None else np.median(observations.rests.gyro, axis=0) / DEGREE
-    centred = {**gyro, "offset": [float(f"{b:.6g}") for b in bias]}
-    observations = _observed({**content, "log": {**log, "gyro": centred}}, progress)
-    factor = None if observations is None else gyro_factor(observations)
-    if factor is None:
-        said = (
-            f"gyros: {named} in counts; the offset is their reading at rest, the scale is unknown, for no turns show "
-            "it: put that of the data sheet there"
-        )
-        return {**log, "gyro": centred}, [said]
-    scale = counts_per_deg_s(factor / DEGREE)
-    high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
-    made = {**(centred if high else gyro), "scale": scale.value}
-    return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)"]
-
-
-def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
-    """A draft whose rate, if it is a guess, is that at which gyros in a known unit carry the vertical from rest to
-    rest."""
-    log = draft.content["log"]
-    if not draft.rate_guessed or "gyro" not in log or log["gyro"]["unit"] == "count":
-        return draft, faults
-    found = None
-    for trial in (log["rate_hz"], _SLOW_RATE):  # at too high a rate rests would be too short to be any
-        observations = _observed({**draft.content, "log": {**log, "rate_hz": trial}}, progress)
-        factor = None if observations is None else gyro_factor(observations)
-        found = trial * factor if found is None and factor is not None else found
-    if found is None:
-        return draft, faults
-    near = _USUAL_RATES[np.argmin(np.abs(np.log(_USUAL_RATES / found)))]
-    rate = float(near) if abs(near / found - 1.0) < _RATE_NEAR else float(f"{found:.4g}")
-    seen = f"rate_hz = {rate:g} from the turns ({found:.4g} found)"
-    said = f"time: {seen}: a guess to some percent"
-    said += "; put the log's rate there"
-    content = {**draft.content, "log": {**log, "rate_hz": rate}}
-    return replace(draft, content=content, said=(*draft.said, said)), _looked_at(content, progress)[1]
-
-
-# -------------------- what the recording says of the guesses --------------------
-
-
-def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
-    """A draft with the gyros' unit in which they carry the vertical from rest to rest, and the faults left."""
-    unit, faults = _looked_at(draft.content, progress)
-    if faults and draft.gyro_unknown and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
-        return _in_counts(draft, faults, progress)
-    gyro = draft.content["log"].get("gyro")
-    if not faults or unit is None or gyro["unit"] == "count":
-        return draft, faults
-    trial = _with_gyro_unit(draft.content, unit)
-    if _looked_at(trial, progress)[1]:
-        return draft, faults
-    said = f"gyros: in {unit}, not {gyro['unit']}: so they carry the vertical from rest to rest"
-    return replace(draft, content=trial, said=(*draft.said, said)), []
-
-
-def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
-    """A draft with the gyros in counts, where that makes them carry the vertical and no unit does."""
-    log = draft.content["log"]
-    factor = None if (observations := _observed(draft.content, progress)) is None else gyro_factor(observations)
-    if factor is None:
-        return draft, faults
-    scale = counts_per_deg_s(factor)
-    gyro = {
-        "columns": log["gyro"]["columns"],
-        "unit": "count",
-        "scale": scale.value,
-        "scale_per": "deg/s",
-        "offset": 0.0,
-    }
-    trial = {**draft.content, "log": {**log, "gyro": gyro}}
-    _, left = _looked_at(trial, progress)
-    if left:
-        return draft, faults
-    said = f"gyros: not in rad/s but in counts: {scale.said}: so they carry the vertical from rest to rest"
-    return replace(draft, content=trial, said=(*draft.said, said)), []
-
-
-def _with_gyro_unit(content: Mapping[str, Any], unit: str) -> dict[str, Any]:
-    log = content["log"]
-    return {**content, "log": {**log, "gyro": {**log["gyro"], "unit": unit}}}
-
-
-def _looked_at(content: Mapping[str, Any], progress: Progress) -> tuple[str | None, list[str]]:
-    """The unit of the gyros that would fit better than the stated one, and what a look at the recording finds wrong
-    with a session of this content."""
-    try:
-        found = inspect_session(session_of(content), progress=progress)
-    except TumbleError as error:
-        return None, [str(error)]
-    if found.trial is None or not found.faults:
-        return None, list(found.faults)
-    return fitting_gyro_unit(found.trial, found.session, found.rate), list(found.faults)
-
-
-# -------------------- the file --------------------
-
-
-def _text(draft: Draft, folder: Path, given: Given) -> str:
-    """session.toml with a comment on all that has to be filled in."""
-    log = draft.content["log"]
-    stated = [log["file"]] if isinstance(log["file"], str) else log["file"]
-    files = [os.path.relpath(file, folder.resolve()) for file in stated]
-    serial = draft.content["device"]["serial"]
-    latitude = draft.content.get("site", {}).get("latitude_deg")
-    place = "of the place; without it the Earth's rate and local gravity are unknown"
-    lines = [
-        "format = 1",
-        "",
-        "[device]",
-        _line("serial", serial) + ("" if given.serial else "   # the serial number"),
-        '# model = "…"',
-        "",
-        *_imu_lines(draft.content["device"].get("imu", {})),
-        "[site]",
-        f"# latitude_deg = 0.0   # {place}" if latitude is None else _line("latitude_deg", latitude),
-        "# height_m = 0.0",
-        "# gravity = 9.80665    # m/s², where it was measured; gravity_u is its standard uncertainty",
-        "",
-        "[log]",
-        _line("file", files[0] if len(files) == 1 else files),
-        *(_line(key, log[key]) for key in _LOG_KEYS if key in log),
-        "",
-    ]
-    for kind in ("accel", "gyro", "temperature"):
-        if kind in log:
-            lines += [f"[log.{kind}]", *(_line(key, value) for key, value in log[kind].items()), ""]
-    if draft.magnetometer is not None:
-        lines += ["# [log.magnetometer]", *(f"# {_line(key, value)}" for key, value in draft.magnetometer.items()), ""]
-    if given.programme is None:
-        lines += [
-            "# the positions, if they were planned: see `tumble programme`",
-            "# [programme]",
-            '# name = "rough-table"',
-        ]
-    else:
-        lines += ["[programme]", _line("name", given.programme)]
-    return "\n".join(lines) + "\n"
-
-
-def _imu_lines(imu: Mapping[str, int]) -> list[str]:
-    """The table [device.imu]."""
-    if not imu:
-        return []
-    said = "# which sensors of the autopilot these are, from 1, and their device ids: `tumble export` compares them"
-    return ["[device.imu]", said, *(_line(key, value) for key, value in imu.items()), ""]
-
-
-_LOG_KEYS = (
-    "delimiter", "decimal", "comment", "header", "encoding", "time", "time_unit", "regular", "rate_hz"
-)  # fmt: skip
-
-
-def _line(key: str, value: Any) -> str:
-    """A key with its value: numbers, strings and lists are written alike in TOML and JSON."""
-    return f"{key} = {json.dumps(value, ensure_ascii=False)}"

@@ -19,7 +19,6 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -32,7 +31,7 @@ from tumble.calibration.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHO
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_rows
 from tumble.documents import text_of_document, toml_of
-from tumble.errors import InputError
+from tumble.errors import InputError, did_you_mean
 from tumble.planning.bounds import instrument_of
 from tumble.planning.setup import Terms
 from tumble.programme.positions import BUILT_IN
@@ -173,7 +172,8 @@ def _fault(fault: Any, content: Mapping[str, Any]) -> str:
     for part in fault["loc"]:
         if part not in table.model_fields:
             if fault["type"] == "extra_forbidden":
-                return f"unknown key '{part}' {'in [grid]' if keys else 'at the top level'}{_nearest(part, table)}"
+                where = "in [grid]" if keys else "at the top level"
+                return f"unknown key '{part}' {where}{did_you_mean(part, table.model_fields)}"
             break
         keys.append(part)
         value = value.get(part) if isinstance(value, Mapping) else None
@@ -182,11 +182,6 @@ def _fault(fault: Any, content: Mapping[str, Any]) -> str:
     expected = (_GridKeys if len(keys) > 1 else _CampaignKeys).model_fields[keys[-1]].description
     found = "none" if fault["type"] == "missing" else json.dumps(value, default=str, ensure_ascii=False)
     return f"{'.'.join(keys)}: expected {expected}, found {found}"
-
-
-def _nearest(name: str, table: type[BaseModel]) -> str:
-    near = get_close_matches(name, table.model_fields, n=1)
-    return f"; did you mean '{near[0]}'?" if near else ""
 
 
 class _CampaignTable(BaseModel):

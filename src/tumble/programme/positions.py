@@ -17,14 +17,13 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import cache
 from itertools import permutations, product
 from types import MappingProxyType
 
 import numpy as np
 
-from tumble.errors import ProgrammeError
+from tumble.errors import ProgrammeError, did_you_mean
 from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, Array
 
@@ -137,8 +136,7 @@ def _turn(code: str, turn: str) -> tuple[Array, float]:
 def programme(name: str) -> Programme:
     """The built-in programme of this name. Raises ProgrammeError for any other name."""
     if name not in BUILT_IN:
-        near = get_close_matches(name, BUILT_IN, n=1)
-        advice = f"; did you mean {near[0]!r}?" if near else ""
+        advice = did_you_mean(name, BUILT_IN)
         raise ProgrammeError(f"programme: expected one of {', '.join(BUILT_IN)}, found {name!r}{advice}")
     return BUILT_IN[name]()
 

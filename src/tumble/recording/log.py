@@ -11,12 +11,11 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 
-from tumble.errors import LogError
+from tumble.errors import LogError, did_you_mean
 from tumble.recording.circumstances import date_of_unix
 from tumble.recording.dialect import LINE_BYTES
 from tumble.recording.gaps import Bridge, Gap, Grid, check_head, is_reading, rows_of
@@ -175,8 +174,7 @@ def _check_columns(source: LogSource, spec: LogSpec) -> None:
     names = source.names
     for column in spec.columns:
         if column not in names:
-            near = get_close_matches(column, names, n=1, cutoff=0.5)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
+            hint = did_you_mean(column, names, alike=0.5)
             shown = ", ".join(names[:12]) + (", …" if len(names) > 12 else "")
             raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
         if Counter(names)[column] > 1:

@@ -13,17 +13,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import date as date_type
 from datetime import datetime
-from difflib import get_close_matches
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from tumble.documents import is_plain, shown
-from tumble.errors import ProgrammeError
+from tumble.documents import dotted, is_plain, shown
+from tumble.errors import ProgrammeError, did_you_mean
 from tumble.programme import positions as programme
 from tumble.recording.dialect import DELIMITERS, Dialect
-from tumble.sensors.parameters import prior_of
+from tumble.sensors.typed_quantities import prior_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
 
 CLOCK = "iso8601"
@@ -476,7 +475,7 @@ TABLES: Mapping[str, type[SessionTable]] = {
 def _check_known(key: str, value: str, known: Iterable[str]) -> None:
     names = list(known)
     if value not in names:
-        raise ValueError(f'{key}: expected one of {", ".join(names)}, found "{value}"{_nearest(value, names)}')
+        raise ValueError(f'{key}: expected one of {", ".join(names)}, found "{value}"{did_you_mean(value, names)}')
 
 
 def _repeated(values: Iterable[str]) -> list[str]:
@@ -493,14 +492,14 @@ def faults_of(error: ValidationError, content: Mapping[str, Any]) -> list[str]:
         key, table, expected = _located(fault["loc"])
         if fault["type"] == "extra_forbidden":
             unknown = str(fault["loc"][-1])
-            said = f"unknown key '{unknown}' {_in_table(key)}{_nearest(unknown, table.model_fields)}"
+            said = f"unknown key '{unknown}' {_in_table(key)}{did_you_mean(unknown, table.model_fields)}"
             faults[(*key, unknown)] = said
         elif fault["type"] == "value_error":
             dot = "." if key else ""
-            faults[key] = f"{_dotted(key)}{dot}{fault['ctx']['error']}"
+            faults[key] = f"{dotted(key)}{dot}{fault['ctx']['error']}"
         else:
             found = "none" if fault["type"] == "missing" else _shown(_value_at(key, content))
-            faults.setdefault(key, f"{_dotted(key)}: expected {expected}, found {found}")
+            faults.setdefault(key, f"{dotted(key)}: expected {expected}, found {found}")
     return list(faults.values())
 
 
@@ -529,18 +528,8 @@ def _value_at(key: tuple[int | str, ...], content: Any) -> Any:
     return content
 
 
-def _dotted(key: tuple[int | str, ...]) -> str:
-    """A key as log.accel.unit; positions are counted from 1: programme.position[2]."""
-    return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
-
-
 def _in_table(key: tuple[int | str, ...]) -> str:
-    return f"in [{_dotted(key)}]" if key else "at the top level"
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    near = get_close_matches(name, list(known), n=1)
-    return f"; did you mean '{near[0]}'?" if near else ""
+    return f"in [{dotted(key)}]" if key else "at the top level"
 
 
 def _shown(value: Any, width: int = 60) -> str:

@@ -31,7 +31,8 @@ from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError
 from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
 from tumble.sensors.frames import FRAMES
-from tumble.sensors.parameters import ParameterGroup, group_name, group_of, quantity_of
+from tumble.sensors.parameters import ParameterGroup, group_name, group_of
+from tumble.sensors.typed_quantities import quantity_of
 
 FORMAT = 1
 

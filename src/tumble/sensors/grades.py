@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Protocol
 
-from tumble.errors import InputError
+from tumble.errors import InputError, did_you_mean
 from tumble.sensors.parameters import group_name, sensor_kind, within_kind
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 
@@ -153,8 +152,7 @@ TURN_ON: Mapping[str, TurnOn] = MappingProxyType(
 def grade(name: str) -> Grade:
     """The grade of this name. Raises InputError for any other name."""
     if name not in GRADES:
-        near = get_close_matches(name, GRADES, n=1)
-        advice = f"; did you mean {near[0]!r}?" if near else ""
+        advice = did_you_mean(name, GRADES)
         raise InputError(f"grade: expected one of {', '.join(GRADES)}, found {name!r}{advice}")
     return GRADES[name]
 

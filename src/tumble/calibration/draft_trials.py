@@ -1,0 +1,188 @@
+"""What a look at the recording says of a draft: the scales of counts, the unit of gyros, the rate, and what is wrong.
+
+Accelerometers at rest read gravity, which tells their scale; gyros must carry the vertical from rest to rest, which
+tells theirs, their unit, and the rate of a log without times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tumble.calibration.draft import Draft
+from tumble.calibration.observed import Progress, inspect_session
+from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor
+from tumble.errors import TumbleError
+from tumble.estimation.diagnosis import fitting_gyro_unit
+from tumble.recording.session import session_of
+from tumble.reduction.observations import Observations
+from tumble.units import DEGREE
+
+_LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
+_HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
+_USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
+_RATE_NEAR = 0.04
+_SLOW_RATE = 25.0  # Hz
+_LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
+
+
+def tried(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft with what rests and turns say of its guesses, and the faults that are left."""
+    draft, faults = _checked(_scaled(draft, progress), progress)
+    return _with_rate(draft, faults, progress)
+
+
+# -------------------- counts and rates, from rests and turns --------------------
+
+
+def _scaled(draft: Draft, progress: Progress) -> Draft:
+    """A draft with the scales of counts, and the rate of a log without times, as rests and turns show them."""
+    log = draft.content["log"]
+    gyro = log.get("gyro")
+    raw_gyro = gyro is not None and draft.gyro_unknown and gyro["unit"] == "count"
+    raw_accel = log["accel"]["unit"] == "count"
+    if not (raw_accel or raw_gyro):
+        return draft
+    observations = _observed(draft.content, progress)
+    said: list[str] = []
+    if raw_accel:
+        log, more = _accel_scaled(log, observations, progress, draft)
+        said += more
+    if raw_gyro:
+        content = {**draft.content, "log": log}
+        observations = _observed(content, progress) if raw_accel else observations
+        log, more = _gyro_scaled(content, observations, progress)
+        said += more
+    return replace(draft, content={**draft.content, "log": log}, said=(*draft.said, *said))
+
+
+def _observed(content: Mapping[str, Any], progress: Progress) -> Observations | None:
+    """Rests and turns of a session of this content; None where there are none."""
+    try:
+        return inspect_session(session_of(content), progress=progress).observations
+    except (TumbleError, np.linalg.LinAlgError):
+        return None
+
+
+def _accel_scaled(
+    log: Mapping[str, Any], observations: Observations | None, progress: Progress, draft: Draft
+) -> tuple[dict[str, Any], list[str]]:
+    """[log] with the scale and offset of accelerometers in counts, from the rests."""
+    accel, named = log["accel"], ", ".join(log["accel"]["columns"])
+    if observations is None and "gyro" in log:  # gyros in counts can hide the rests: the accelerometers alone show them
+        alone = {key: value for key, value in log.items() if key != "gyro"}
+        observations = _observed({**draft.content, "log": alone}, progress)
+    means = observations.rests.accel if observations is not None else np.empty((0, 3))
+    sphere = accel_scale(means)
+    if sphere is None:
+        radius = float(np.median(np.linalg.norm(means, axis=1))) if len(means) else 1.0
+        sphere = radius, [0.0] * 3
+    scale = counts_per_g(sphere[0])
+    seen = f"from {len(means)} rests" if len(means) >= 4 else "a guess from too few rests: state the data sheet's"
+    offset: Any = sphere[1][0] if len(set(sphere[1])) == 1 else sphere[1]
+    made = {"columns": accel["columns"], "unit": "count", "scale": scale.value, "scale_per": "g", "offset": offset}
+    return {**log, "accel": made}, [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
+
+
+def _gyro_scaled(
+    content: Mapping[str, Any], observations: Observations | None, progress: Progress
+) -> tuple[dict[str, Any], list[str]]:
+    """[log] with the scale of gyros in counts, from the turns; the offset is none or the mean at rest."""
+    log = content["log"]
+    gyro, named = log["gyro"], ", ".join(log["gyro"]["columns"])
+    bias = np.zeros(3) if observations is None else np.median(observations.rests.gyro, axis=0) / DEGREE
+    centred = {**gyro, "offset": [float(f"{b:.6g}") for b in bias]}
+    observations = _observed({**content, "log": {**log, "gyro": centred}}, progress)
+    factor = None if observations is None else gyro_factor(observations)
+    if factor is None:
+        said = (
+            f"gyros: {named} in counts; the offset is their reading at rest, the scale is unknown, for no turns show "
+            "it: put that of the data sheet there"
+        )
+        return {**log, "gyro": centred}, [said]
+    scale = counts_per_deg_s(factor / DEGREE)
+    high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
+    made = {**(centred if high else gyro), "scale": scale.value}
+    return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)"]
+
+
+def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft whose rate, if it is a guess, is that at which gyros in a known unit carry the vertical from rest to
+    rest."""
+    log = draft.content["log"]
+    if not draft.rate_guessed or "gyro" not in log or log["gyro"]["unit"] == "count":
+        return draft, faults
+    found = None
+    for trial in (log["rate_hz"], _SLOW_RATE):  # at too high a rate rests would be too short to be any
+        observations = _observed({**draft.content, "log": {**log, "rate_hz": trial}}, progress)
+        factor = None if observations is None else gyro_factor(observations)
+        found = trial * factor if found is None and factor is not None else found
+    if found is None:
+        return draft, faults
+    near = _USUAL_RATES[np.argmin(np.abs(np.log(_USUAL_RATES / found)))]
+    rate = float(near) if abs(near / found - 1.0) < _RATE_NEAR else float(f"{found:.4g}")
+    seen = f"rate_hz = {rate:g} from the turns ({found:.4g} found)"
+    said = f"time: {seen}: a guess to some percent"
+    said += "; put the log's rate there"
+    content = {**draft.content, "log": {**log, "rate_hz": rate}}
+    return replace(draft, content=content, said=(*draft.said, said)), _looked_at(content, progress)[1]
+
+
+# -------------------- what the recording says of the guesses --------------------
+
+
+def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft with the gyros' unit in which they carry the vertical from rest to rest, and the faults left."""
+    unit, faults = _looked_at(draft.content, progress)
+    if faults and draft.gyro_unknown and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
+        return _in_counts(draft, faults, progress)
+    gyro = draft.content["log"].get("gyro")
+    if not faults or unit is None or gyro["unit"] == "count":
+        return draft, faults
+    trial = _with_gyro_unit(draft.content, unit)
+    if _looked_at(trial, progress)[1]:
+        return draft, faults
+    said = f"gyros: in {unit}, not {gyro['unit']}: so they carry the vertical from rest to rest"
+    return replace(draft, content=trial, said=(*draft.said, said)), []
+
+
+def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft with the gyros in counts, where that makes them carry the vertical and no unit does."""
+    log = draft.content["log"]
+    factor = None if (observations := _observed(draft.content, progress)) is None else gyro_factor(observations)
+    if factor is None:
+        return draft, faults
+    scale = counts_per_deg_s(factor)
+    gyro = {
+        "columns": log["gyro"]["columns"],
+        "unit": "count",
+        "scale": scale.value,
+        "scale_per": "deg/s",
+        "offset": 0.0,
+    }
+    trial = {**draft.content, "log": {**log, "gyro": gyro}}
+    _, left = _looked_at(trial, progress)
+    if left:
+        return draft, faults
+    said = f"gyros: not in rad/s but in counts: {scale.said}: so they carry the vertical from rest to rest"
+    return replace(draft, content=trial, said=(*draft.said, said)), []
+
+
+def _with_gyro_unit(content: Mapping[str, Any], unit: str) -> dict[str, Any]:
+    log = content["log"]
+    return {**content, "log": {**log, "gyro": {**log["gyro"], "unit": unit}}}
+
+
+def _looked_at(content: Mapping[str, Any], progress: Progress) -> tuple[str | None, list[str]]:
+    """The unit of the gyros that would fit better than the stated one, and what a look at the recording finds wrong
+    with a session of this content."""
+    try:
+        found = inspect_session(session_of(content), progress=progress)
+    except TumbleError as error:
+        return None, [str(error)]
+    if found.trial is None or not found.faults:
+        return None, list(found.faults)
+    return fitting_gyro_unit(found.trial, found.session, found.rate), list(found.faults)
