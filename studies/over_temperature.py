@@ -54,6 +54,7 @@ from tumble.simulation.temperature_profile import truth_at as true_at
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
 GRADE = "navigation"
+SETUP = Setup.of(grade=GRADE, terms="full", rest=120.0)
 REFERENCE = 20.0 + ZERO_CELSIUS
 ONCE = programme("rough-table")
 TWICE = Programme(
@@ -64,6 +65,7 @@ TWICE = Programme(
 )
 USUAL = usual_sizes(GRADE)
 LAG = USUAL["temperature.lag"]
+LINEAR = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
 WITH_TEMPERATURE: tuple[Variable, ...] = ("temperature", "temperature²", "hysteresis")
 SLOPES = {
     "accel.bias.t1": 20e-6 * G_STANDARD,
@@ -77,8 +79,9 @@ SLOPES = {
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Procedure:
     """Courses of temperature, °C, of the sessions, each passed through at a constant rate, and the programme; whether
-    there is hysteresis; the minutes of a warm-up, which goes as an exponential, else None; and whether biases are
-    steady, so that nothing scatters from rest to rest."""
+    there is hysteresis; the minutes of a warm-up, which goes as an exponential, else None; whether biases are steady,
+    so that nothing scatters from rest to rest; for how long, s, the first ramp has been going on before the recording;
+    and the groups beyond the linear model, all where None."""
 
     name: str
     courses: tuple[tuple[float, ...], ...]
@@ -86,6 +89,12 @@ class Procedure:
     hysteresis: bool = False
     warm_up: float | None = None
     steady: bool = False
+    before: float = 0.0
+    groups: Sequence[str] | None = None
+
+    def has(self, name: str) -> bool:
+        """Whether instruments have this parameter."""
+        return self.groups is None or group_name(name) in (*self.groups, *LINEAR)
 
 
 LEVELS = Procedure(name="three levels", courses=((0.0, 0.0), (20.0, 20.0), (40.0, 40.0)))
@@ -97,21 +106,23 @@ ISOTHERMAL = Procedure(name="no change", courses=((20.0, 20.0),))
 
 def session(procedure: Procedure, course: Sequence[float], lag: float) -> tuple[Climate, float]:
     """The climate of a session, and how long it takes, s."""
-    setup = Setup.of(grade=GRADE)
-    turns = len(procedure.programme.moves) * (180.0 / np.rad2deg(setup.turn_rate))
-    long = setup.first_rest + setup.rest * len(procedure.programme.positions) + turns
+    turns = len(procedure.programme.moves) * (np.pi / SETUP.turn_rate)
+    long = SETUP.first_rest + SETUP.rest * len(procedure.programme.positions) + turns
     kelvin = np.array(course) + ZERO_CELSIUS
     time = np.linspace(0.0, long, len(kelvin))
     if procedure.warm_up is not None:
         time = np.arange(0.0, long, 5.0)
         kelvin = kelvin[0] + (kelvin[-1] - kelvin[0]) * (1.0 - np.exp(-time / (60.0 * procedure.warm_up)))
+    if procedure.before > 0.0:
+        fallen = procedure.before * (kelvin[1] - kelvin[0]) / (time[1] - time[0])
+        time, kelvin = np.append(-procedure.before, time), np.append(kelvin[0] - fallen, kelvin)
     span = 0.5 * (kelvin.min() + kelvin.max()), max(0.5 * float(np.ptp(kelvin)), 1.0)
     return Climate(time=time, kelvin=kelvin[:, None], reference=REFERENCE, lag=lag, span=span), long
 
 
 def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
     """An instrument with every parameter of the usual size."""
-    scenario = scenario_of(Setup.of(grade=GRADE, terms="full"), rng)
+    scenario = scenario_of(SETUP, rng)
     course = scenario.course
     assert isinstance(course, OnTable)
     every = Instrument.of(scenario.accel, scenario.gyro, USUAL, WITH_TEMPERATURE)
@@ -128,7 +139,9 @@ def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
     if procedure.steady:
         noise = replace(scenario.noise, accel_instability=0.0, gyro_instability=0.0)
         scenario = replace(scenario, noise=noise)
-    return replace(scenario, truth=dict(scenario.truth) | more, usual=USUAL, course=course)
+    truth = {name: value if procedure.has(name) else 0.0 for name, value in (dict(scenario.truth) | more).items()}
+    usual = {name: size for name, size in USUAL.items() if procedure.has(name)}
+    return replace(scenario, truth=truth, usual=usual, course=course)
 
 
 def of_launch(scenario: Scenario, rng: np.random.Generator, *, several: bool) -> Scenario:
@@ -137,7 +150,7 @@ def of_launch(scenario: Scenario, rng: np.random.Generator, *, several: bool) ->
     for name in truth:
         group, size = group_name(name), scenario.usual.get(f"{group_name(name)}.launch")
         if group.endswith(".drift"):
-            truth[name] = float(scenario.usual[group] * rng.standard_normal())
+            truth[name] = float(scenario.usual.get(group, 0.0) * rng.standard_normal())
         elif several and size is not None:
             truth[name] += float(size * rng.standard_normal())
     return replace(scenario, truth=truth)
@@ -260,7 +273,6 @@ def rms(runs: Sequence[Found], groups: Sequence[str] = ()) -> float:
     return float(np.sqrt(np.mean(np.square(z))))
 
 
-LINEAR = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
 THERMAL = tuple(f"{base}.{ending}" for ending in ("t1", "t2") for base in LINEAR if "axis" not in base)
 
 
@@ -317,28 +329,49 @@ AT_REFERENCE = ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale")
 HYSTERESIS, LAG_ALONE = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), ("temperature.lag",)
 
 
+IN_A5 = ("accel.quadratic", "accel.lever", "accel.delay", *THERMAL, "temperature.lag")
+"""The groups of the method's A5, by its degrees of freedom: 74 in one programme."""
+
+
 def lags(count: int) -> None:
-    """Print the tables of the method's A5: lags, and hysteresis with a lag of 60 s, estimated, and what is lost where
-    they are ignored and nothing but the noise within rests is allowed for. Bias scatters in no rest."""
-    print(f"\nlag, {count} devices each: errors over u where it is ignored (at T0; chi-square for degrees); estimate")
-    for procedure, lag in (
-        (BOTH_WAYS, 30.0),
-        (BOTH_WAYS, 100.0),
-        (BOTH_WAYS, 300.0),
-        (ONE_WAY, 100.0),
-        (ONE_WAY, 300.0),
+    """Print the table of the method's A5 of lags, with its groups, over 20 °C; and of single ramps that had been going
+    on before the recording, and over 40 °C."""
+    print(f"\nlag, {count} devices each: errors over u where it is ignored (at T0; chi-square for degrees) → estimated")
+    there, back = replace(ONE_WAY, courses=((10.0, 30.0),)), replace(BOTH_WAYS, courses=((10.0, 30.0, 10.0),))
+    for procedure, lag, before in (
+        (back, 30.0, 0.0),
+        (back, 100.0, 0.0),
+        (back, 300.0, 0.0),
+        (there, 100.0, 0.0),
+        (there, 300.0, 0.0),
+        (there, 100.0, 50.0),
+        (there, 100.0, 2000.0),
+        (ONE_WAY, 100.0, 0.0),
+        (ONE_WAY, 100.0, 2000.0),
     ):
-        quiet = replace(procedure, hysteresis=False, steady=True)
-        made = [observed(quiet, number, lag) for number in range(count)]
-        with_lag = [found(*each, leave=HYSTERESIS) for each in made]
-        without = [bare(*each, leave=(*LAG_ALONE, *HYSTERESIS)) for each in made]
-        values = [run.values["temperature.lag"] for run in with_lag]
-        u = rms_of([run.u["temperature.lag"] for run in with_lag])
-        every, there = rms_of([each[0] for each in without]), rms_of([each[1] for each in without])
-        chi, degrees = (np.mean([getattr(each[2], what) for each in without]) for what in ("chi_square", "degrees"))
-        print(f"  {procedure.name:12s} {lag:4.0f} s: {every:5.1f} ({there:.1f}; {chi:.0f} for {degrees:.0f})", end=" ")
-        print(f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f};", end=" ")
-        print(f"{np.mean(values):.1f} ± {np.std(values, ddof=1):.1f} s, u {u:.1f} s")
+        a_lag(replace(procedure, groups=IN_A5, before=before), lag, count)
+
+
+def a_lag(procedure: Procedure, lag: float, count: int) -> None:
+    """Print what a lag costs where it is ignored and nothing but the noise within rests is allowed for, and how it is
+    estimated. Bias scatters in no rest."""
+    quiet = replace(procedure, hysteresis=False, steady=True)
+    made = [observed(quiet, number, lag) for number in range(count)]
+    with_lag = [found(*each, leave=HYSTERESIS) for each in made]
+    without = [bare(*each, leave=(*LAG_ALONE, *HYSTERESIS)) for each in made]
+    known = [(run.values[LAG_NAME], run.u[LAG_NAME]) for run in with_lag if LAG_NAME in run.values]
+    every, there = rms_of([each[0] for each in without]), rms_of([each[1] for each in without])
+    chi, degrees = (np.mean([getattr(each[2], what) for each in without]) for what in ("chi_square", "degrees"))
+    print(f"  {procedure.name}, {procedure.courses[0]} °C, {procedure.before:.0f} s before, {lag:.0f} s:", end=" ")
+    print(f"{every:5.1f} ({there:.1f}; {chi:.0f} for {degrees:.0f})", end=" ")
+    print(f"→ {rms(with_lag, (*LINEAR, *THERMAL)):.2f};", end=" ")
+    values, u = np.array(known).T
+    print(f"{values.mean():.1f} ± {values.std(ddof=1):.1f} s, u {rms_of(u):.1f} s of {len(known)}", flush=True)
+
+
+def hysteresis(count: int) -> None:
+    """Print its table of hysteresis, without a lag and with one of 60 s."""
+    print(f"\nhysteresis, {count} devices each: errors over the u of the noise within rests")
     made = [observed(replace(BOTH_WAYS, steady=True), number, 60.0) for number in range(count)]
     for what, leave in (
         ("both ignored", HYSTERESIS + LAG_ALONE),
@@ -374,7 +407,8 @@ def main() -> int:
     worst = procedures(2 if short else 1000)
     if not short:
         worst = max(worst, samples(60))
-        lags(16)
+        lags(24)
+        hysteresis(40)
     z, ratio = warm_up(3 if short else 30)
     honest = worst < (6.0 if short else 2.0) and z < (1.3 if short else 1.05) and ratio < 1.2
     print(f"\nIs u over temperature honest, and does a warm-up cost little? {'Yes' if honest else 'No'}")

@@ -26,6 +26,7 @@ from tumble.reduction.moments import (
     accel_own_columns,
     combined,
     delay_column,
+    growing_moments,
     gyro_columns,
     gyro_own_columns,
     integrate,
@@ -193,6 +194,33 @@ def test_a_number_that_is_not_one_spoils_its_own_turn_only() -> None:
     for f in fields(Moments):
         ours, theirs = (np.delete(getattr(x, f.name), 7, axis=0) for x in (found, clean))
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_growing_moments_are_what_a_bias_does_that_grows_within_a_turn() -> None:
+    """To the 2 % that steps are not a line; of a turn that comes in two batches, and of one without samples."""
+    rng = np.random.default_rng(6)
+    rates, forces, intervals = wandering(rng, 1300, largest=0.4)
+    plain = nominal()
+    whole = pieces_of((rates, forces, intervals), np.array([2, 700, 1300]), np.array([650, 1300, 1300]))
+    halves = [
+        replace(whole, turn=np.array([0, 1]), start=np.array([2, 700]), stop=np.array([300, 1000])),
+        replace(whole, turn=np.array([0, 1]), start=np.array([300, 1000]), stop=np.array([650, 1300])),
+    ]
+    Phi, Psi = growing_moments(halves, whole.stop - whole.start, plain)
+    assert not Phi[2].any()
+    assert not Psi[2].any()
+    growth, step = np.zeros((1300, 1)), 1e-5
+    for start, stop in ((2, 650), (700, 1300)):
+        time = np.cumsum(intervals[start:stop]) - 0.5 * intervals[start:stop]
+        growth[start:stop, 0] = time - 0.5 * intervals[start:stop].sum()
+    for j, axis in enumerate(np.eye(3)):
+        by_gyro = [replace(whole, rates=rates + sign * step * growth * axis) for sign in (1.0, -1.0)]
+        by_accel = [replace(whole, forces=forces + sign * step * growth * axis) for sign in (1.0, -1.0)]
+        more, less = (moments_of(each, plain) for each in by_gyro)
+        phi = rotation_vector(more.C @ np.swapaxes(less.C, 1, 2))
+        felt = np.subtract(*(moments_of(each, plain).V for each in by_accel))
+        for found, expected in ((Phi[:, :, j, 0], phi), (Psi[:, :, j, 0], more.V - less.V), (Phi[:, :, j, 0], felt)):
+            np.testing.assert_allclose(2.0 * step * found, expected, atol=0.02 * np.abs(expected).max())
 
 
 # A simulated turn --------------------------------------------------------------------------------------------------

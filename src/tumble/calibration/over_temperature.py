@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.variables import OVER_TEMPERATURE, both_ways, lag_is_sought
+from tumble.estimation.variables import both_ways, lag_is_sought
 from tumble.reduction.observations import Observations
+from tumble.reduction.warming import OVER_TEMPERATURE
 from tumble.sensors.parameters import THERMAL, variable_of
 from tumble.units import ZERO_CELSIUS, Array
 

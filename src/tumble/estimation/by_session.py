@@ -55,7 +55,7 @@ def _problem(problem: Problem, part: SessionSpan) -> Problem:
     none = np.zeros(N, dtype=np.int64)
     single = SessionSpan(rests=slice(0, N), turns=slice(0, K), link=part.link)
     variables, by_lag = (
-        {name: (at_rest[part.rests], in_turns[part.turns]) for name, (at_rest, in_turns) in of.items()}
+        {name: (rest[part.rests], turn[part.turns], grows[part.turns]) for name, (rest, turn, grows) in of.items()}
         for of in (problem.variables, problem.by_lag)
     )
     return replace(
@@ -87,7 +87,8 @@ def _turns(about: TurnsAbout | None, some: slice) -> TurnsAbout | None:
     in_motion = {motion: by[some] for motion, by in about.in_motion.items()}
     rate, force = (of if of.ndim == 2 else of[some] for of in (about.rate, about.force))
     moments = Moments(**{field.name: getattr(about.moments, field.name)[some] for field in fields(Moments)})
-    return replace(about, rate=rate, force=force, moments=moments, in_motion=in_motion, **each)
+    growing = about.growing and (about.growing[0][some], about.growing[1][some], about.growing[2][some])
+    return replace(about, rate=rate, force=force, moments=moments, in_motion=in_motion, growing=growing, **each)
 
 
 def _noise(noise: Noise, part: SessionSpan) -> Noise:

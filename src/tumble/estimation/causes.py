@@ -319,7 +319,7 @@ def _kinds(session: _Session) -> list[tuple[Literal["accel", "gyro"], Block]]:
 
 def _of_time(session: _Session) -> Iterator[_Columns]:
     """Drift, beyond what its prior allows for, and warm-up."""
-    at_rest, in_turn = (values[:, 0] for values in session.problem.variables["time"])
+    at_rest, in_turn, _ = (values[:, 0] for values in session.problem.variables["time"])
     span = max(float(np.ptp(at_rest)), 1.0)
     rows = session.linearised.rows
     for kind, block in _kinds(session):

@@ -45,7 +45,7 @@ import numpy as np
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.estimation.elimination import fold, whitening
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.estimation.variables import Variables, by_lag, variables_of
+from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import Instrument, by_sensor, functions, slopes
@@ -425,17 +425,21 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
     )
 
 
-def _with_changes(problem: Problem, point: Point, by: Array, place: int) -> None:
+def _with_changes(problem: Problem, point: Point, by: Array, place: int, growing: Array | None = None) -> None:
     """Fill in the columns (·, r, m + q) of what changes with time, temperature or launch: those of its base times what
-    it goes with, at rest (`place` 0) or in the turns (1); and that of the lag, which moves the temperatures."""
+    it goes with, at rest (`place` 0) or in the turns (1); and that of the lag, which moves the temperatures. `growing`
+    are the columns (K, r, m) of what grows by 1 a second about the middle of the turns."""
     if not problem.changes:
         return
     values = problem.values_in(point, place)
+    every = [(place, by)] if growing is None else [(place, by), (GROWING, growing)]
     for own, base, variable in problem.changes:
-        by[:, :, own] = problem.goes_with(problem.variables, variable, own, place)[:, None] * by[:, :, base]
-        if variable in problem.by_lag:
-            moved = problem.goes_with(problem.by_lag, variable, own, place) * values[:, own]
-            by[:, :, problem.lag] += np.einsum("krm,km->kr", by[:, :, base], moved)
+        by[:, :, own] = 0.0
+        for what, columns in every:
+            by[:, :, own] += problem.goes_with(problem.variables, variable, own, what)[:, None] * columns[:, :, base]
+            if variable in problem.by_lag:
+                moved = problem.goes_with(problem.by_lag, variable, own, what) * values[:, own]
+                by[:, :, problem.lag] += np.einsum("krm,km->kr", columns[:, :, base], moved)
 
 
 def _changed(problem: Problem, point: Point, by: Array, place: int) -> Array:
@@ -490,8 +494,9 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     if len(problem.own_known):
         none = np.zeros((*by_phi.shape[:2], len(problem.own_known)))
         by_phi, by_V = np.concatenate([by_phi, none], axis=2), np.concatenate([by_V, none], axis=2)
-    for by, changed in ((by_phi, phi), (by_V, V)):
-        _with_changes(problem, point, by, 1)
+    growing = about.growing_columns(instrument, point.values)
+    for by, grows, changed in ((by_phi, growing[0], phi), (by_V, growing[1], V)):
+        _with_changes(problem, point, by, 1, grows)
         changed -= _changed(problem, point, by, 1)
     C = rotation_matrix(phi) @ about.C
     earth = rotation_matrix(-turns.duration[:, None] * problem.earth)

@@ -59,6 +59,8 @@ class TurnsAbout:
     to_rate: Array
     arrays: tuple[ArrayLevers, ...] = ()
     """What the accelerometers of arrays say of each other in motion."""
+    growing: tuple[Array, Array, Array] | None = None
+    """by_phi, by_velocity and by_force of coefficients that grow by 1 a second about the middle of the turns."""
 
     @staticmethod
     def of(
@@ -88,7 +90,8 @@ class TurnsAbout:
         assert turns is not None
         resting = specific_force(instrument, values, observations.rests.accel)
         ends = resting[turns.first], resting[turns.last]
-        about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts, ends)
+        growing = observations.growing_moments_about(about) if warms(instrument) else None
+        about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts, ends, growing)
         if instrument.in_motion("lever") is None:
             return about_turns
         arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)
@@ -101,9 +104,11 @@ class TurnsAbout:
         about: tuple[Array, Array, float],
         lefts: tuple[Array, Array],
         ends: tuple[Array, Array],
+        growing: tuple[Array, Array] | None = None,
     ) -> TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
-        accelerometers, and the specific forces (K, 3) at rest at their `ends`."""
+        accelerometers, and the specific forces (K, 3) at rest at their `ends`; `growing` are the moments of what grows
+        within the turns."""
         to_rate, to_force = lefts
         by_force = _paths(moments.Phi, to_force)
         by_phi, by_velocity = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
@@ -128,6 +133,7 @@ class TurnsAbout:
                 "single delay": -single_delay_columns(moments, to_force, accel.axes, ends)[:, :, accel.channels[:-1]],
             },
             to_rate=to_rate,
+            growing=None if growing is None else _growing(growing, lefts),
         )
 
     @property
@@ -159,6 +165,15 @@ class TurnsAbout:
             if (own := instrument.in_motion(motion)) is not None:
                 V[:, :, own] = by
         return phi, V
+
+    def growing_columns(self, instrument: Instrument, values: Array) -> tuple[Array, Array] | tuple[None, None]:
+        """The same (K, 3, m) of parameters that grow by 1 a second about the middle of the turns."""
+        if self.growing is None or instrument.gyro is None:
+            return None, None
+        of_gyro, of_accel = (instrument.derivative(block, values) for block in (instrument.gyro, instrument.accel))
+        by_phi, by_velocity, by_force = self.growing
+        V = np.tensordot(by_velocity, of_gyro, axes=2) + np.tensordot(by_force, of_accel, axes=2)
+        return np.tensordot(by_phi, of_gyro, axes=2), V
 
     def bias_columns(self) -> tuple[Array, Array]:
         """−∂φ/∂b and −∂V/∂b (K, 3, n) of the biases of the accelerometers, then of the gyros."""
@@ -193,9 +208,20 @@ class TurnsAbout:
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
 
 
+def _growing(moments: tuple[Array, Array], lefts: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+    """by_phi, by_velocity and by_force of coefficients that grow within the turns, of Φ and Ψ weighted with time."""
+    Phi, Psi = moments
+    return _paths(Phi, lefts[0]), _paths(Psi, lefts[0]), _paths(Phi, lefts[1])
+
+
 def _applied(by: Array, change: Array) -> Array:
     """Σ by · ΔK (K, 3) of coefficients (n, 15), or (K, n, 15)."""
     return np.asarray(np.einsum("kipb,kpb->ki", by, np.broadcast_to(change, (len(by), *change.shape[-2:]))))
+
+
+def warms(instrument: Instrument) -> bool:
+    """Whether parameters grow with the temperature within a turn."""
+    return any(group.variable == "temperature" for group in instrument.further)
 
 
 def own_axes(instrument: Instrument) -> OwnAxes:

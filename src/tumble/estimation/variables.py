@@ -16,11 +16,10 @@ import numpy as np
 
 from tumble.reduction.observations import Observations
 from tumble.reduction.thermometer import Warmth
+from tumble.reduction.warming import OVER_TEMPERATURE
 from tumble.sensors.parameters import Variable
 from tumble.units import Array, BoolArray
 
-OVER_TEMPERATURE = 10.0
-"""K: where the rests span less, a lag and a hysteresis are not sought."""
 BOTH_WAYS = 3
 """Rests that have to come from each side for a hysteresis to be sought."""
 INNER = 0.8
@@ -28,14 +27,17 @@ INNER = 0.8
 SHORTEST = 1e-6  # s: of a turn
 LAG_STEP = 1.0  # s, of the difference for the derivative
 
-Variables = Mapping[Variable, tuple[Array, Array]]
-"""Of the rests (N, T) and of the turns (K, T): by thermometer, or (·, 1) where all parameters go with the same."""
+Variables = Mapping[Variable, tuple[Array, Array, Array]]
+"""Of the rests (N, T) and of the turns (K, T), and by how much a second it grows within the turns (K, T): by
+thermometer, or (·, 1) where all parameters go with the same."""
+GROWING = 2
+"""The place of the last."""
 
 
-def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array]]:
+def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array, Array]]:
     """What parameters may change with, of the rests and of the turns: time from the middle of the session, s, the
-    temperature of each thermometer from its mean, K, and its square, and the direction it came from; and of
-    several sessions, each of them."""
+    temperature of each thermometer from its mean, K, and its square, and the direction it came from; what is left of a
+    warm-up; and of several sessions, each of them."""
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
     for of in (slice(None),) if session is None else (session == s for s in range(session[-1] + 1)):
@@ -43,10 +45,9 @@ def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable,
     at_rest: dict[Variable, Array] = {"time": time[:, None]}
     if session is not None:
         at_rest["launch"] = np.ones((len(rests), 1))
-    if turns is None:
-        out = {name: (values, np.zeros((0, 1))) for name, values in at_rest.items()}
-    else:
-        out = {name: (v, 0.5 * (v[turns.first] + v[turns.last])) for name, v in at_rest.items()}
+    first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
+    grows = {"time": 1.0, "launch": 0.0}
+    out = {name: (v, 0.5 * (v[first] + v[last]), np.full((len(first), 1), grows[name])) for name, v in at_rest.items()}
     if observations.warm_up is not None:
         out["warm-up"] = left_of_warm_up(observations, observations.warm_up)
     if rests.temperatures is not None:
@@ -54,32 +55,39 @@ def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable,
     return out
 
 
-def left_of_warm_up(observations: Observations, settling: float) -> tuple[Array, Array]:
+def left_of_warm_up(observations: Observations, settling: float) -> tuple[Array, Array, Array]:
     """What is left of a warm-up with a time constant, s: means of e^(−t/τ) over the rests (N, 1) and turns (K, 1), t
-    from the start of the first rest."""
-    rests, turns = observations.rests, observations.turns
-    first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
+    from the start of the first rest, and by how much a second it grows within the turns."""
+    rests = observations.rests
+    begin, seconds = _turning(observations)
 
     def mean(start: Array, stop: Array) -> Array:
         passed = np.maximum(stop - start, SHORTEST) / settling
         left = np.exp((rests.start[0] - start) / settling) * -np.expm1(-passed) / passed
         return np.asarray(left[:, None])
 
-    return mean(rests.start, rests.stop), mean(rests.stop[first], rests.start[last])
+    in_turns = mean(begin, begin + seconds)
+    return mean(rests.start, rests.stop), in_turns, -in_turns / settling
 
 
-def _of_temperature(observations: Observations, kelvin: Array, lag: float) -> dict[Variable, tuple[Array, Array]]:
+def _of_temperature(
+    observations: Observations, kelvin: Array, lag: float
+) -> dict[Variable, tuple[Array, Array, Array]]:
     """What goes with the temperature."""
-    rest, turn = _warmth(observations, kelvin, lag)
-    reference = kelvin.mean(axis=0)
-    warmer = rest.kelvin - reference, turn.kelvin - reference
-    square = warmer[0] ** 2 + rest.variance, warmer[1] ** 2 + turn.variance
-    out: dict[Variable, tuple[Array, Array]] = {"temperature": warmer, "temperature²": square}
+    reference, seconds = kelvin.mean(axis=0), np.maximum(_turning(observations)[1], 1.0)[:, None]
+    rest, turn, before, after = (_of_warmth(each, reference) for each in _warmth(observations, kelvin, lag))
+    out = {name: (rest[name], turn[name], 2.0 * (after[name] - before[name]) / seconds) for name in rest}
+    if not both_ways(observations):
+        del out["hysteresis"]
     if lag_is_sought(observations):
-        out["lag"] = np.zeros_like(warmer[0]), np.zeros_like(warmer[1])
-    if both_ways(observations):
-        out["hysteresis"] = rest.hysteresis, turn.hysteresis
+        out["lag"] = np.zeros_like(rest["temperature"]), *np.zeros((2, *turn["temperature"].shape))
     return out
+
+
+def _of_warmth(warmth: Warmth, reference: Array) -> dict[Variable, Array]:
+    """What goes with the temperatures, about the references (T,), K."""
+    warmer = warmth.kelvin - reference
+    return {"temperature": warmer, "temperature²": warmer**2 + warmth.variance, "hysteresis": warmth.hysteresis}
 
 
 def sensors_at(observations: Observations, kelvin: Array, lag: float) -> Array:
@@ -88,32 +96,40 @@ def sensors_at(observations: Observations, kelvin: Array, lag: float) -> Array:
     return _warmth(observations, kelvin, lag)[0].kelvin
 
 
-def _warmth(observations: Observations, kelvin: Array, lag: float) -> tuple[Warmth, Warmth]:
-    """What the sensors have in the rests and in the turns, by the records of the thermometers; without them the
-    `kelvin` (N, T) of the rests, and of the turns what is between."""
+def _turning(observations: Observations) -> tuple[Array, Array]:
+    """When the turns begin, and how long they last (K,), s."""
+    rests, turns = observations.rests, observations.turns
+    if turns is None:
+        return np.zeros(0), np.zeros(0)
+    return rests.stop[turns.first], rests.start[turns.last] - rests.stop[turns.first]
+
+
+def _warmth(observations: Observations, kelvin: Array, lag: float) -> tuple[Warmth, Warmth, Warmth, Warmth]:
+    """What the sensors have in the rests, in the turns, and in the first and in the second half of these, by the
+    records of the thermometers; without them the `kelvin` (N, T) of the rests, and of the turns what is between."""
     rests, turns, thermometers = observations.rests, observations.turns, observations.thermometers
     first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
     if thermometers is None:
         between = 0.5 * (kelvin[first] + kelvin[last])
         at_rest, in_turns = (Warmth(kelvin=k, variance=0.0 * k, hysteresis=0.0 * k) for k in (kelvin, between))
-        return at_rest, in_turns
-    file = np.concatenate([rests.file, rests.file[first]])
-    when = np.concatenate([rests.start, rests.stop[first]]), np.concatenate([rests.stop, rests.start[last]])
+        return at_rest, in_turns, in_turns, in_turns
+    begin, seconds = _turning(observations)
+    middle, end, K = begin + 0.5 * seconds, begin + seconds, len(first)
+    file = np.concatenate([rests.file, np.tile(rests.file[first], 3)])
+    when = np.concatenate([rests.start, begin, begin, middle]), np.concatenate([rests.stop, end, middle, end])
     every = thermometers.means(file, *when, lag)
-    return every[: len(rests)], every[len(rests) :]
+    in_turns, before, after = (every[len(rests) + i * K : len(rests) + (i + 1) * K] for i in range(3))
+    return every[: len(rests)], in_turns, before, after
 
 
-def by_lag(observations: Observations, lag: float) -> dict[Variable, tuple[Array, Array]]:
+def by_lag(observations: Observations, lag: float) -> dict[Variable, tuple[Array, Array, Array]]:
     """Derivatives by the lag, 1/s, of what goes with the temperature."""
     later, sooner = (variables_of(observations, lag + step) for step in (LAG_STEP, -LAG_STEP))
-    return {
-        name: (
-            (later[name][0] - sooner[name][0]) / (2.0 * LAG_STEP),
-            (later[name][1] - sooner[name][1]) / (2.0 * LAG_STEP),
-        )
-        for name in later
-        if name in ("temperature", "temperature²", "hysteresis")
-    }
+    out: dict[Variable, tuple[Array, Array, Array]] = {}
+    for name in (name for name in later if name in ("temperature", "temperature²", "hysteresis")):
+        rest, turn, grows = ((b - a) / (2.0 * LAG_STEP) for b, a in zip(later[name], sooner[name], strict=True))
+        out[name] = rest, turn, grows
+    return out
 
 
 def lag_is_sought(observations: Observations) -> bool:

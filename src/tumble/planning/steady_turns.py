@@ -49,9 +49,10 @@ def _gauss() -> tuple[Array, Array, Array]:
 
 def steady_moments(
     vector: Array, T: Array, start: Array, setup: Setup, own: OwnAxes, still: Array | None = None
-) -> Moments:
+) -> tuple[Moments, tuple[Array, Array]]:
     """Moments of turns through rotation vectors (K, 3), body, inertial, in T (K,) s from attitudes (K, 3, 3); with
-    `still` (K,) s before and after them in which nothing turns."""
+    `still` (K,) s before and after them in which nothing turns. And Φ and Ψ weighted with the time from the middle, as
+    `tumble.reduction.moments.growing_moments` has them."""
     K = len(T)
     lasts = T[:, None] if still is None else np.stack([still, T, still], axis=1)
     nodes, weights, to_end = _gauss()
@@ -76,7 +77,9 @@ def steady_moments(
     crossed = -skew(to_go) @ C
     V = np.einsum("kn,kni->ki", dt, felt)
     n, m = len(own.gyro), len(own.accel)
-    return Moments(
+    time = passed.reshape(K, -1) - 0.5 * lasts.sum(axis=1)[:, None]
+    growing = _sums(time * dt, C, beta), _sums(time * dt, crossed, beta[..., :_LINEAR])
+    whole = Moments(
         C=rotation_matrix(vector),
         V=V,
         Phi=_sums(dt, C, beta),
@@ -92,6 +95,7 @@ def steady_moments(
         body_accel=np.einsum("kn,knb->kb", dt, own_accel).reshape(K, 2, m),
         jumps=np.zeros(K),
     )
+    return whole, growing
 
 
 def _own(along: Array) -> Array:

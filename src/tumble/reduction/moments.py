@@ -21,8 +21,9 @@ the delay, is left out of the columns: it is of second order, and gone when the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,6 +34,8 @@ from tumble.units import Array, IntArray
 
 REGRESSORS = 13
 NO_AXES: Array = np.empty((0, 3))
+PARTS = 8
+"""Parts of a turn in which something grows: a staircase of n steps has 1 − 1/n² of what a line does."""
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -292,6 +295,42 @@ def integrate_each(
             )
             _add(whole, one, moments_of(one, compensations[turn], own))
     return whole
+
+
+def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: Compensation) -> tuple[Array, Array]:
+    """Φ (K, 3, 3, 13) and Ψ (K, 3, 3, 7) of turns of so many samples (K,), weighted with the time, s, from the middle
+    of each: what a coefficient does that grows by 1 a second within a turn. From PARTS of each, in which the weight is
+    that of the middle; with C and V of what is before a part, and V′ of what comes after it,
+
+        Σ t C Φ,    Σ t (C Ψ + C Φ × V′)
+    """
+    whole = integrate(_in_parts(batches, lengths), PARTS * len(lengths), compensation)
+    C, V, T = np.broadcast_to(np.eye(3), (len(lengths), 3, 3)), np.zeros((len(lengths), 3)), np.zeros(len(lengths))
+    seen = []
+    for j in range(PARTS):
+        part = Moments(**{f.name: getattr(whole, f.name)[j::PARTS] for f in fields(Moments)})
+        V, T = V + _turned(C, part.V), T + part.T
+        seen.append((T - 0.5 * part.T, V, _turned(C, part.Phi), _turned(C, part.Psi)))
+        C = C @ part.C
+    Phi, Psi = np.zeros_like(seen[0][2]), np.zeros_like(seen[0][3])
+    for middle, before, of_part, moved in seen:
+        weight = (middle - 0.5 * T)[:, None, None, None]
+        Phi += weight * of_part
+        Psi += weight * (moved + _crossed(of_part[..., : _kernels.LINEAR], V - before))
+    return Phi, Psi
+
+
+def _in_parts(batches: Iterable[Pieces], lengths: IntArray) -> Iterator[Pieces]:
+    """The same samples in pieces of PARTS of every turn, one after the other."""
+    done = np.zeros(len(lengths), dtype=np.int64)
+    for pieces in batches:
+        parts = []
+        for k, start, stop in zip(pieces.turn.tolist(), pieces.start.tolist(), pieces.stop.tolist(), strict=True):
+            edges = np.clip(start - done[k] + lengths[k] * np.arange(PARTS + 1) // PARTS, start, stop).tolist()
+            parts += [(PARTS * k + j, a, b) for j, (a, b) in enumerate(pairwise(edges)) if b > a]
+            done[k] += stop - start
+        turn, start, stop = np.array(parts, dtype=np.int64).reshape(-1, 3).T
+        yield replace(pieces, turn=turn, start=start, stop=stop)
 
 
 def _nothing(turns: int, compensation: Compensation, own: OwnAxes) -> Moments:

@@ -36,6 +36,7 @@ from tumble.reduction.moments import (
     Moments,
     OwnAxes,
     Pieces,
+    growing_moments,
     integrate,
     integrate_each,
     moments_of,
@@ -45,7 +46,7 @@ from tumble.reduction.rest_noise import accel_covariance, channel_rounding, dens
 from tumble.reduction.rounding import Rounding, rounding_notes
 from tumble.reduction.segmentation import RestSpan
 from tumble.reduction.thermometer import Thermometers
-from tumble.reduction.warming import without_warming
+from tumble.reduction.warming import KelvinAtLag, without_warming
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array, IntArray
 
@@ -125,6 +126,11 @@ class TurnSamples:
     stop: IntArray
     others: tuple[tuple[int, TurnSamples], ...] = ()
     _only_batch: list[Pieces] = field(default_factory=list, repr=False)
+
+    @property
+    def lengths(self) -> IntArray:
+        """How many samples the turns have (K,)."""
+        return np.concatenate([self.stop - self.start, *(other.lengths for _, other in self.others)])
 
     def pieces(self) -> Iterator[Pieces]:
         """Batches of whole or cut turns, of no turn two pieces."""
@@ -256,6 +262,12 @@ class Observations:
             raise ValueError("moments_about_each: expected observations of a log with gyros and turns, found none")
         return integrate_each(self.turn_samples.pieces(), compensations, own)
 
+    def growing_moments_about(self, compensation: Compensation) -> tuple[Array, Array]:
+        """Φ and Ψ of the same turns, weighted with the time from the middle of each, see `growing_moments`."""
+        if self.turns is None or self.turn_samples is None:
+            raise ValueError("growing_moments_about: expected observations of a log with gyros and turns, found none")
+        return growing_moments(self.turn_samples.pieces(), self.turn_samples.lengths, compensation)
+
     def turns_about(self, gyro: SensorModel) -> Turns:
         """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the
         sensitivities at this model."""
@@ -285,18 +297,20 @@ def _linear(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: Sen
 
 def reduced_rests(
     reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyro: Block | None
-) -> tuple[Rests, ColouredNoise | None, dict[str, Rounding]]:
-    """The rests at these spans, at least one, the noise of the gyros and the rounding by kind of channel."""
+) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
+    """The rests at these spans, at least one, what their noise is fitted to of the accelerometers, the noise of the
+    gyros and the rounding by kind of channel."""
     by_file = {f.file: f for f in reduction.files}
     blocks = [by_file[s.file] for s in spans]
     durations = np.array([s.stop - s.start for s in spans])
     accel_series, gyro_series, temperatures = _series(blocks, spans)
-    accel_quiet = without_warming(accel_series, temperatures, accel.thermometer)
+    warmth = _warmth(reduction, blocks, spans, temperatures)
+    accel_quiet = without_warming(accel_series, warmth, accel.thermometer)
     rounded = {"accel": channel_rounding(reduction, spans, "accel")}
     accel_spread = accel_covariance(accel_quiet, accel) + np.diag(ACCEL_FLOOR**2 + rounded["accel"].of_rest ** 2)
     gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
     if gyro is not None:
-        gyro_noise = fit_coloured_noise(without_warming(gyro_series, temperatures, gyro.thermometer))
+        gyro_noise = fit_coloured_noise(without_warming(gyro_series, warmth, gyro.thermometer))
         rounded["gyro"] = channel_rounding(reduction, spans, "gyro")
         gyro_spread = np.array([gyro_noise.covariance_of_mean(len(s), i) for i, s in enumerate(gyro_series)])
         gyro_spread += np.diag(GYRO_FLOOR**2 + rounded["gyro"].of_rest ** 2)
@@ -317,7 +331,7 @@ def reduced_rests(
         magnetometer=magnetometer,
         magnetometer_covariance=magnetometer_covariance,
     )
-    return rests, gyro_noise, rounded
+    return rests, accel_quiet, gyro_noise, rounded
 
 
 def _series(
@@ -331,6 +345,19 @@ def _series(
     return accel, gyro, kelvin if len(kelvin) == len(pairs) else None
 
 
+def _warmth(
+    reduction: Reduction, blocks: Sequence[FileBlocks], spans: tuple[RestSpan, ...], kelvin: list[Array] | None
+) -> KelvinAtLag | None:
+    """From a lag to the temperatures, K, of what follows each thermometer in the rests at these spans, where it has
+    itself `kelvin`; None where there are none."""
+    if kelvin is None:
+        return None
+    thermometers, file = _thermometers(reduction), np.repeat([s.file for s in spans], [len(each) for each in kelvin])
+    read = np.concatenate(kelvin)
+    time = np.concatenate([f.edges[1:][s.first : s.last] for f, s in zip(blocks, spans, strict=True)])
+    return lambda lag: read if lag == 0.0 else thermometers.means(file, time, time, lag).kelvin
+
+
 def observe(
     reduction: Reduction,
     match: Match,
@@ -342,14 +369,12 @@ def observe(
     """Reduce the rests and turns of a log to observations. At least one rest is needed. What an array reads in motion
     does not depend on the rests: it is made unless it is given, of the same log with other rests."""
     spans = match.rests
-    rests, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
+    rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
     turns, samples, readings = None, None, None
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         by_file, block_seconds = {f.file: f for f in reduction.files}, reduction.files[0].size / reduction.rate
-        accel_series, _, temperatures = _series([by_file[s.file] for s in spans], spans)
-        accel_noise = fit_coloured_noise(without_warming(accel_series, temperatures, accel.thermometer))
         whole = _recorded_turns(spans, reduction.gaps)
-        noises = (accel, accel_noise), (gyro, gyro_noise)
+        noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         turns, samples = _turns(reduction.samples, by_file, spans, whole, *noises, block_seconds)
         readings = _turn_readings(by_file, spans, turns, gyro_noise, block_seconds) if gyro.size > 3 else None
         arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays

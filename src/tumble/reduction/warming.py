@@ -6,12 +6,15 @@ through all rests alike, block by block,
 
     y − ȳ = (a + c m)(T − T̄) + (b + d m)((T − T₀)² − mean),    m = ȳ less its mean over the rests,
 
-a and b of biases, c and d of scale factors: four numbers a channel, so that slow noise of the rests stays.
+a and b of biases, c and d of scale factors: four numbers a channel, so that slow noise of the rests stays. Over a range
+of temperatures T is that of the sensors, which follow the thermometer with the lag that leaves least: where a ramp
+begins or bends they fall behind it, which is no noise either.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,32 +22,115 @@ from tumble.units import Array, IntArray
 
 WARMED = 0.1
 """K: where no rest warms or cools by more, nothing is taken off."""
+OVER_TEMPERATURE = 10.0
+"""K: where the rests span less, a lag and a hysteresis are not sought."""
+LAGS = np.array([-200.0, -100.0, -50.0, -25.0, 0.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])
+"""s: among which the best is sought, and then"""
+CLOSER = 4
+"""times between those beside it, each time"""
+BETWEEN = 7
+"""of them."""
+
+KelvinAtLag = Callable[[float], Array]
+"""From a lag, s, to the temperatures (K, T), K, that what follows each thermometer has at the blocks of all rests."""
 
 
-def without_warming(series: Sequence[Array], kelvin: Sequence[Array] | None, thermometer: IntArray) -> list[Array]:
-    """Block means (K, c) of every rest less what goes with their temperatures (K, T), K, about those of the rest; each
-    channel has a `thermometer` (c,)."""
-    if kelvin is None or max(_change(each) for each in kelvin) < WARMED:
+def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermometer: IntArray) -> list[Array]:
+    """Block means (K, c) of every rest less what goes with their temperatures about those of the rest; each channel
+    has a `thermometer` (c,)."""
+    if kelvin is None or not len(thermometer):
         return list(series)
-    means = np.array([each.mean(axis=0) for each in series])
-    apart, lengths = means - means.mean(axis=0), [len(each) for each in series]
-    reference = np.mean([each.mean(axis=0) for each in kelvin], axis=0)
-    warmer = np.concatenate([_centred(each) for each in kelvin])
-    squared = np.concatenate([_centred((each - reference) ** 2) for each in kelvin])
-    out = np.concatenate([each - mean for each, mean in zip(series, means, strict=True)])
-    for c, t in enumerate(thermometer.tolist()):
-        common = np.column_stack([warmer[:, t], squared[:, t]])
-        columns = np.column_stack([common, np.repeat(apart[:, c], lengths)[:, None] * common])
-        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        out[:, c] -= columns @ (np.linalg.lstsq(columns / size, out[:, c])[0] / size)
-    return [each + mean for each, mean in zip(np.split(out, np.cumsum(lengths)[:-1]), means, strict=True)]
+    read = np.split(kelvin(0.0), np.cumsum([len(each) for each in series])[:-1])
+    if max(_change(each) for each in read) < WARMED:
+        return list(series)
+    with_one = {t: _Rests.of([each[:, thermometer == t] for each in series]) for t in np.unique(thermometer).tolist()}
+
+    def explained(lag: float) -> float:
+        warm = kelvin(lag)
+        return sum(rests.explained(warm[:, t]) for t, rests in with_one.items())
+
+    sought = np.ptp([each.mean(axis=0) for each in read], axis=0).max() >= OVER_TEMPERATURE
+    warm = kelvin(_best(explained, LAGS) if sought else 0.0)
+    out = [np.empty_like(each) for each in series]
+    for t, rests in with_one.items():
+        for whole, quiet in zip(out, rests.without(warm[:, t]), strict=True):
+            whole[:, thermometer == t] = quiet
+    return out
+
+
+def _best(explained: Callable[[float], float], lags: Array) -> float:
+    """The lag, s, that explains most."""
+    for _ in range(CLOSER):
+        found = int(np.argmax([explained(lag) for lag in lags.tolist()]))
+        lags = np.linspace(lags[max(found - 1, 0)], lags[min(found + 1, len(lags) - 1)], BETWEEN)
+    return float(lags[np.argmax([explained(lag) for lag in lags.tolist()])])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Rests:
+    """Block means of rests, of channels with one thermometer: their means (c, N), what they differ by from these
+    (c, K), where the rests begin among the blocks (N,), how many blocks they have (N,), and the noise (c,) from block
+    to block."""
+
+    means: Array
+    off: Array
+    first: IntArray
+    count: IntArray
+    noise: Array
+
+    @staticmethod
+    def of(series: Sequence[Array]) -> _Rests:
+        means, count = np.array([each.mean(axis=0) for each in series]), np.array([len(each) for each in series])
+        off = np.concatenate([each - mean for each, mean in zip(series, means, strict=True)])
+        noise = np.concatenate([np.diff(each, axis=0) for each in series]).std(axis=0)
+        return _Rests(
+            means=means.T,
+            off=np.ascontiguousarray(off.T),
+            first=np.cumsum(count) - count,
+            count=count,
+            noise=np.where(noise > 0.0, noise, 1.0),
+        )
+
+    def explained(self, kelvin: Array) -> float:
+        """By how much the sum of squares, in units of the noise, falls."""
+        _, coefficients, along = self._fitted(kelvin)
+        return float(((coefficients * along).sum(axis=1) / self.noise**2).sum())
+
+    def without(self, kelvin: Array) -> list[Array]:
+        """Block means (K, c) of the rests less what goes with the temperature."""
+        columns, coefficients, _ = self._fitted(kelvin)
+        of_bias, of_scale = coefficients[:, :2, None], coefficients[:, 2:, None]
+        slopes = np.repeat(of_bias + self._apart[:, None] * of_scale, self.count, axis=2)
+        quiet = self.off - np.einsum("jk,cjk->ck", columns, slopes) + np.repeat(self.means, self.count, axis=1)
+        return np.split(quiet.T, self.first[1:])
+
+    def _fitted(self, kelvin: Array) -> tuple[Array, Array, Array]:
+        """T and its square (2, K) about their means in each rest, their coefficients (c, 4), and the products of the
+        columns with the readings (c, 4): normal equations, their columns of length 1."""
+        warmer = kelvin - self._mean(kelvin).mean()
+        columns = np.stack([warmer, warmer**2])
+        columns -= np.repeat(self._mean(columns), self.count, axis=1)
+        square = np.add.reduceat(columns[:, None] * columns, self.first, axis=2)
+        with_read = np.add.reduceat(columns[:, None] * self.off, self.first, axis=2)
+        powers = self._apart ** np.arange(3)[:, None, None]
+        one, first, second = np.einsum("dcn,ijn->dcij", powers, square)
+        normal = np.concatenate([np.concatenate([one, first], axis=2), np.concatenate([first, second], axis=2)], axis=1)
+        along = np.einsum("dcn,icn->cdi", powers[:2], with_read).reshape(-1, 4)
+        size = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
+        inverse = np.linalg.pinv(normal / (size[:, :, None] * size[:, None, :]), rcond=1e-12, hermitian=True)
+        return columns, np.einsum("cij,cj->ci", inverse, along / size) / size, along
+
+    @property
+    def _apart(self) -> Array:
+        """The means (c, N) less their mean over the rests."""
+        return np.asarray(self.means - self.means.mean(axis=1, keepdims=True))
+
+    def _mean(self, values: Array) -> Array:
+        """Means (·, N) over the rests of values (·, K)."""
+        return np.asarray(np.add.reduceat(values, self.first, axis=-1) / self.count)
 
 
 def _change(kelvin: Array) -> float:
     """The most that temperatures (K, T) change by from the first to the last tenth."""
     tenth = max(len(kelvin) // 10, 1)
     return float(np.abs(kelvin[-tenth:].mean(axis=0) - kelvin[:tenth].mean(axis=0)).max())
-
-
-def _centred(values: Array) -> Array:
-    return np.asarray(values - values.mean(axis=0))

@@ -87,6 +87,10 @@ QUICK_STEPS = 20
 """Steps that the fit of a quick estimate may take: that of a sound session takes ten."""
 SCATTER_STEPS = 40
 SCATTER_CONVERGED = 0.02  # of the standard deviation of a component of variance
+FURTHEST = 1e3  # of it, that a step may go: two components that nearly are one would send each other anywhere
+LEAST_DEGREES = 0.5
+"""Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
+end by rounding, that its variance would be divided."""
 SHARES = (0.25, 3.0)  # what a step of scoring may be of that by the information
 WIDENING_STEPS = 50
 LAGS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, -25.0, -100.0)
@@ -354,9 +358,10 @@ def _fitted(problem: Problem, start: _At, most: int = ALL_STEPS) -> _Fitted:
     solved = _iterated(problem, start, scatter, most)
     increments, steps = solved.increments, len(solved.increments)
     after = without = left(problem, solved.step), solved.step.weights
+    seen = _seen(problem, solved.last.noise, *without)
     for _ in range(ROUNDS):
         at = solved.last
-        found, components = _scattered(wide, at, scatter)
+        found, components = _scattered(wide, at, scatter, seen)
         wider = _widened(wide, at, found)
         if (found == scatter and wider is wide) or steps >= most:
             break
@@ -441,16 +446,29 @@ def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Turn
 # Scatter
 
 
-def _scattered(problem: Problem, at: _At, start: Scatter) -> tuple[Scatter, Array]:
-    """The components of scatter by restricted maximum likelihood at one linearisation, from a start, and the covariance
-    (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls. The information lacks what
-    rests and turns tell of each other: `share` is the part that it was of how the score fell in the step before."""
+def _seen(problem: Problem, noise: Noise, after: Left, weight: Weights) -> BoolArray:
+    """Whether a fit leaves something of each component (5,) of scatter."""
+    degrees, last = np.zeros(len(COMPONENTS)), problem.link < 0
+    at_rest, of_rest = noise.rest_directions
+    rows = (weight.rest[last], after.rest[1][last]), (weight.merged, after.merged[1])
+    for (W, covariance), (Z, of) in zip(rows, ((at_rest[last], of_rest), noise.merged_directions), strict=True):
+        WZ = W @ Z
+        whole, left_of = (WZ**2).sum(axis=1), (WZ * (covariance @ WZ)).sum(axis=1)
+        np.add.at(degrees, of, (left_of / np.where(whole > 0.0, whole, 1.0)).sum(axis=0))
+    return np.asarray(degrees > LEAST_DEGREES)
+
+
+def _scattered(problem: Problem, at: _At, start: Scatter, seen: BoolArray) -> tuple[Scatter, Array]:
+    """The components of scatter that are `seen` (5,) by restricted maximum likelihood at one linearisation, from a
+    start, and the covariance (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls. The
+    information lacks what rests and turns tell of each other: `share` is the part that it was of how the score fell in
+    the step before."""
     variance, share = start.variances, 1.0
     active = variance > 0.0
     deviance, slope, information = _scored(problem, at, variance)
     if not active.any():
         size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
-        active = slope / size > -special.ndtri(SCATTER_PROBABILITY)
+        active = seen & (slope / size > -special.ndtri(SCATTER_PROBABILITY))
     for _ in range(SCATTER_STEPS):
         active &= (variance > 0.0) | (slope > 0.0)
         if not active.any():
@@ -459,7 +477,8 @@ def _scattered(problem: Problem, at: _At, start: Scatter) -> tuple[Scatter, Arra
         change = np.zeros_like(variance)
         change[active] = share * np.linalg.solve(information[index], slope[active])
         deviation = np.where(active, 1.0 / np.sqrt(np.where(active, np.diag(information), 1.0)), np.inf)
-        wanted, before, above = np.maximum(variance + change, 0.0), variance, slope
+        wanted = np.clip(variance + change, 0.0, variance + FURTHEST * deviation)
+        before, above = variance, slope
         for _ in range(5):
             variance = wanted
             found = _scored(problem, at, variance)
