@@ -274,9 +274,9 @@ def _stays(force: Array, rate: Array, seconds: float, window: int) -> bool:
     the first window to the last."""
     before, after = (part.mean(axis=0) for part in (force[:window], force[-window:]))
     size = float(np.linalg.norm(before))
-    moved = float(np.linalg.norm(after - before)) / size
-    turned = float(np.linalg.norm(np.cross(rate, before))) / size * seconds
-    return moved < max(turned / 3.0, STAYS)
+    moved = float(np.linalg.norm(after - before))
+    turned = float(np.linalg.norm(np.cross(rate, before))) * seconds
+    return moved < max(turned / 3.0, STAYS * size)
 
 
 def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
