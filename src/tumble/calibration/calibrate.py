@@ -204,10 +204,11 @@ def estimated(
     """The estimate and what it was made from, or why there is none."""
     usual, said = _usual(session, observations, terms)
     notes, clock_u = observations.notes + said, session.log.gyro_clock_u
-    observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u)
+    unstamped = session.log.unstamped
+    observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u, unstamped=unstamped)
     try:
         estimate = _with_time_base(method(observations), observations)
-        if terms == "linear" and estimate.linearised is not None and session.log.unstamped:
+        if terms == "linear" and estimate.linearised is not None and unstamped:
             lost = lost_by_velocities(replace(observations, usual=_usual(session, observations, "full")[0]))
             estimate = replace(estimate, reasons=(*estimate.reasons, *lost))
         return estimate, observations

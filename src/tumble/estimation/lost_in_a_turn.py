@@ -26,10 +26,10 @@ from tumble.units import DEGREE, Array
 
 
 def with_one_turn(found: Sequence[Cause], linearised: Linearised, projection: Projection) -> list[Cause]:
-    """Causes, in which samples lost in one turn stand for samples lost in all, where they are the more likely; the
-    `projection` is that with the scatter of the estimate."""
+    """Causes, in which, of a log without time stamps, samples lost in one turn stand for samples lost in all, where
+    they are the more likely; the `projection` is that with the scatter of the estimate."""
     everywhere = next((cause for cause in found if cause.name == "lost samples"), None)
-    if everywhere is None:  # nothing is turned
+    if everywhere is None or not linearised.problem.observations.unstamped:  # nothing is turned, or time tells
         return list(found)
     one = lost_in_a_turn(linearised, projection)
     if one is None or one.probability >= everywhere.probability:

@@ -222,6 +222,8 @@ class Observations:
     """Of every session, what the accelerometers of an array read in motion, where there are enough of them."""
     clock_u: float = 0.0
     """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
+    unstamped: bool = False
+    """Whether no time in the log says that samples are missing."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
     warm_up: float | None = None
