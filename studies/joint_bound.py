@@ -22,7 +22,8 @@ from formulas_against_simulation import DEVICE
 
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
-from tumble.estimation.methods.joint import TOTAL, joint
+from tumble.estimation.methods.joint.fit import TOTAL
+from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged

@@ -30,7 +30,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.together import calibrate_together
 from tumble.estimation.estimate import Estimate, Fit
 from tumble.estimation.likelihood import Scatter
-from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.step import solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme

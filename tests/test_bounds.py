@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tumble.errors import InputError
 from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
-from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.observability import in_words
 from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout

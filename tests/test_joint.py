@@ -19,8 +19,9 @@ from tumble.calibration.calibrate import calibrate
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Prior, Problem, Scatter, linearise, weights
-from tumble.estimation.methods import joint as method
-from tumble.estimation.methods.joint import QUICK_STEPS, TOTAL, joint
+from tumble.estimation.methods.joint.fit import TOTAL
+from tumble.estimation.methods.joint.method import QUICK_STEPS, joint
+from tumble.estimation.methods.joint.start import start_of
 from tumble.estimation.methods.staged.method import staged
 from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
@@ -135,7 +136,7 @@ def unscattered(session: Observations) -> Array:
     """Covariance of the parameters at the estimate with the noise within rests alone."""
     problem = Problem.of(session)
     found = joint(session)
-    at, _ = method._started(problem)
+    at, _ = start_of(problem)
     turned = found.gyro is not None and session.turns is not None
     about = TurnsAbout.of(session, problem.instrument, found.values) if turned else None
     rows = linearise(problem, replace(at.point, values=found.values), about)

@@ -22,7 +22,7 @@ from tumble.estimation.causes import Projection, weighted_chance
 from tumble.estimation.diagnosis import gravity_said, listed, verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.likelihood import Scatter
-from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.misfit import misfit
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

@@ -11,7 +11,7 @@ import pytest
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate, Outcome
-from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.joint.method import joint
 from tumble.planning.setup import Setup
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations

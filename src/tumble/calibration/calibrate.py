@@ -23,7 +23,7 @@ from tumble.estimation.common_errors import by_time_base
 from tumble.estimation.diagnosis import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
-from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.methods.magnetometer import NAMES as MAGNETOMETER_NAMES
 from tumble.estimation.methods.magnetometer import magnetometer
 from tumble.estimation.methods.paper.scalar import scalar

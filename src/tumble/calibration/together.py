@@ -21,7 +21,7 @@ from tumble.calibration.observed import Progress, inspect_session, observations_
 from tumble.calibration.results import Member, Parameter
 from tumble.errors import InputError
 from tumble.estimation.estimate import Estimate, Outcome, OwnEstimate
-from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.joint.method import joint
 from tumble.files import FilePath
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Log

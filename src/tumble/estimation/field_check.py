@@ -35,7 +35,8 @@ from scipy import special
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED, Fit
 from tumble.estimation.likelihood import Point, Prior, Problem, Scatter, Weights, linearise, weights
-from tumble.estimation.methods.joint import headings, integrated, moved
+from tumble.estimation.methods.joint.iteration import integrated, moved
+from tumble.estimation.methods.joint.start import headings
 from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations

@@ -19,7 +19,7 @@ from tumble.estimation.causes import Cause, Concerns, Projection, causes, varian
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Linearised, Scatter
 from tumble.estimation.lost_in_a_turn import lost_in_a_turn, with_one_turn
-from tumble.estimation.methods.joint import joint
+from tumble.estimation.methods.joint.method import joint
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 

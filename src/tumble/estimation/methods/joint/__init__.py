@@ -1,0 +1,1 @@
+"""The joint method: everything a session contains in one likelihood."""

@@ -1,0 +1,155 @@
+"""Gauss–Newton of the joint method: a point, the rows there, the step, and what is left out of it.
+
+Turns are integrated again about the current parameters wherever the second-order effect of the change since counts
+(`TurnsAbout.good_for`). A chain of turns whose heading the gyros hardly see (no better than UNSEEN) keeps it where it
+is: it is still an unknown of every step, so that it takes nothing from the parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tumble.estimation.likelihood import Noise, Point, Problem, Rows, Scatter, linearise, noise_of
+from tumble.estimation.step import Step, solve
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.units import Array, BoolArray
+
+MAX_ITERATIONS = 30
+CONVERGED = 1e-3  # of the standard uncertainty
+SQUARED = 10.0  # error after a step, in units of the spreads, over the square of the step
+UNSEEN = 0.2  # rad: a heading that the gyros know to no better
+LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Out:
+    """Rests (N,) and turns (K,) that are left out."""
+
+    rest: BoolArray
+    turn: BoolArray
+
+    @staticmethod
+    def nothing(problem: Problem) -> Out:
+        """Of a problem from which nothing is left out."""
+        turns = problem.observations.turns
+        return Out(
+            rest=np.zeros(len(problem.link), dtype=bool), turn=np.zeros(0 if turns is None else len(turns), dtype=bool)
+        )
+
+    def noise(self, problem: Problem, rows: Rows) -> Noise:
+        """The noise of the rows, large where they are left out."""
+        noise = noise_of(problem, rows)
+        if not (self.rest.any() or self.turn.any()):
+            return noise
+        rest, merged, r = noise.rest.copy(), noise.merged.copy(), noise.rest.shape[1]
+        rest[self.rest] += LEFT_OUT * _diagonals(rest[self.rest])
+        if len(merged):
+            turns = problem.observations.turns
+            assert turns is not None
+            more = LEFT_OUT * _diagonals(merged)
+            more[:, :r] *= self.rest[turns.first][:, None, None]
+            more[:, r:] *= self.turn[:, None, None]
+            merged += more
+        return replace(noise, rest=rest, merged=merged)
+
+
+def _diagonals(matrices: Array) -> Array:
+    """The diagonals of matrices (N, n, n), as matrices."""
+    return np.asarray(matrices * np.eye(matrices.shape[1]))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class At:
+    """A point, the turns about parameters near it, the rows linearised there, and their noise, large where they are
+    `out`."""
+
+    point: Point
+    about: TurnsAbout | None
+    rows: Rows
+    noise: Noise
+    out: Out
+
+    @staticmethod
+    def of(problem: Problem, point: Point, about: TurnsAbout | None, out: Out) -> At:
+        """The rows of a problem at a point, and their noise."""
+        rows = linearise(problem, point, about)
+        return At(point=point, about=about, rows=rows, noise=out.noise(problem, rows), out=out)
+
+    def solved(self, problem: Problem, scatter: Scatter) -> Step:
+        """The least-squares step from here with a scatter."""
+        return solve(problem, self.rows, self.noise.weights(scatter))
+
+    def with_priors(self, problem: Problem) -> At:
+        """The same with the priors of a problem."""
+        return replace(self, rows=self.rows.with_priors(problem, self.point, self.about))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Solved:
+    """The point where the iteration ended, the last step, where that began, and the changes of the parameters."""
+
+    point: Point
+    last: At
+    step: Step
+    increments: tuple[Array, ...]
+
+
+def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS) -> Solved:
+    """Gauss–Newton with this scatter, by so many steps at most."""
+    increments: list[Array] = []
+    while True:
+        step = at.solved(problem, scatter)
+        point, change = moved(problem, at.point, step)
+        increments.append(change)
+        about = integrated(problem, point, at.about)
+        if (negligible(problem, step) and about is at.about) or len(increments) == min(most, MAX_ITERATIONS):
+            return Solved(point=point, last=at, step=step, increments=tuple(increments))
+        at = At.of(problem, point, about, at.out)
+
+
+def negligible(problem: Problem, step: Step) -> bool:
+    """Whether what is left to do after a step is: Gauss–Newton squares the error, in units of the spreads."""
+    change, u = np.abs(step.parameters[1:]), np.sqrt(np.diag(step.covariance)[1:])
+    after = change * min(1.0, SQUARED * float(np.max(change / problem.spread)))
+    return bool(np.all(after <= CONVERGED * u + 1e-15))
+
+
+def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
+    """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
+    parameters. Chains whose heading is hardly seen keep it."""
+    share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
+    angles = share * step.angles
+    seen = np.bincount(problem.chain, _heading_information(problem, step))
+    mean = np.bincount(problem.chain, angles[:, 2]) / np.bincount(problem.chain)
+    angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[problem.chain]
+    return point.moved(share * step.parameters, angles, share * step.own), share * step.parameters[1:]
+
+
+def _heading_information(problem: Problem, step: Step) -> Array:
+    """What the gyros of each rest (N,) say of its heading, rad⁻²."""
+    rest, merged = step.whitened
+    n, r = problem.observations.accel_block.size, rest.shape[1]
+    own = (rest[:, n:, 2] ** 2).sum(axis=1)
+    linked = problem.link >= 0
+    own[linked] = (merged[problem.link[linked], n:r, 2] ** 2).sum(axis=1)
+    return np.asarray(own)
+
+
+def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
+    """The turns, integrated again if the parameters have moved too far since."""
+    turns = problem.observations.turns
+    if about is None or turns is None:
+        return None
+    noise = np.sqrt(np.trace(turns.covariance, axis1=1, axis2=2) / 3.0)
+    velocity = np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
+    if not problem.instrument.in_velocities:
+        velocity = np.full_like(velocity, np.inf)
+    changes = problem.changed_in_turns(point)
+    if changes is not None and about.small(changes[0], (noise, velocity)):
+        changes = None
+    gyro_changes = 0.0 if changes is None else changes[0]
+    if about.good_for(problem.instrument, point.values, (noise, velocity), gyro_changes):
+        return about
+    return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)

@@ -1,0 +1,166 @@
+"""Which rests and turns fit.
+
+A rest or turn is judged by how much chi-square falls without it, as Gaussian sigmas of the same probability (F where
+the scale is estimated too). One bad rest of few hides behind the scatter it makes. So where a group scatters and one of
+it stands out before the scatter is allowed for, everything is estimated again without it, and so on; then these are
+judged by what the others predict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from tumble.estimation.estimate import FIT_SIGMAS
+from tumble.estimation.likelihood import Problem, Scatter, Weights, noise_of
+from tumble.estimation.methods.joint.fit import GROUPS, Fitted, fit_of
+from tumble.estimation.methods.joint.iteration import LEFT_OUT, At, Out
+from tumble.estimation.step import Left
+from tumble.units import Array, BoolArray
+
+FREE = 0.01  # of the variance of the noise: directions in which residuals have less say nothing
+ROUNDED = 1e-9  # of the largest: directions of a projector below it are rounding
+STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 without a bad one, 1 % have such a one
+LEAST_CHANCE = 1e-300
+
+
+def _judged(fitted: Fitted, left_of: tuple[Left, Weights]) -> Iterator[tuple[Array, Array]]:
+    """Of accelerometers and gyros at rest, by rest, and of the turns, by turn: by how much chi-square falls without
+    them, and in how many directions they have residuals."""
+    problem, out, (after, weight) = fitted.problem, fitted.out, left_of
+    n = problem.observations.accel_block.size
+    stop = n + problem.observations.rests.gyro.shape[1]
+    r, linked = after.rest[0].shape[1], problem.link >= 0
+    noise = noise_of(problem, fitted.solved.last.rows)
+    at_rest, merged = (
+        _pulls(*found) for found in ((weight.rest, after.rest, noise.rest), (weight.merged, after.merged, noise.merged))
+    )
+    for part in (slice(0, n), slice(n, stop)):
+        rows = at_rest.part(part)
+        for own, of_turn in zip(rows, merged.part(part), strict=True):
+            own[linked] = of_turn[problem.link[linked]]
+        yield _falls(rows, out.rest)
+    yield _falls(merged.part(slice(r, None)), out.turn)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Pulls:
+    """Of rows (N, r): the pull P r on them, the block of P, their covariance, and what is added to its diagonal where
+    they are left out."""
+
+    pull: Array
+    projector: Array
+    noise: Array
+    left_out: Array
+
+    def part(self, rows: slice) -> tuple[Array, Array, Array, Array]:
+        """The same of some of the rows."""
+        of = self.projector[:, rows, rows].copy(), self.noise[:, rows, rows].copy()
+        return self.pull[:, rows].copy(), *of, self.left_out[:, rows].copy()
+
+
+def _pulls(W: Array, left_of: tuple[Array, Array], noise: Array) -> _Pulls:
+    back = np.swapaxes(W, 1, 2)
+    return _Pulls(
+        pull=np.einsum("kab,kb->ka", back, left_of[0]),
+        projector=back @ left_of[1] @ W,
+        noise=np.asarray(np.linalg.inv(back @ W)),
+        left_out=LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2),
+    )
+
+
+def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tuple[Array, Array]:
+    """Falls of chi-square (N,) without rows, see `_Pulls`, and directions (N,) in which they have residuals; of those
+    that are left out, the chi-square of their readings about what all others predict."""
+    pull, Q, noise, inflation = rows
+    if not pull.size:
+        return np.zeros(len(left_out)), np.zeros(len(left_out), dtype=np.int64)
+    size = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
+    variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
+    seen = variance > FREE
+    square = np.einsum("ia,iab->ib", pull * size, directions) ** 2
+    fall = np.where(seen, square / np.where(seen, variance, 1.0), 0.0).sum(axis=1)
+    count = seen.sum(axis=1)
+    for i in np.flatnonzero(left_out):
+        kept = variance[i] > ROUNDED * variance[i].max()
+        along = directions[i][:, kept]
+        spread = np.diag(1.0 / variance[i][kept])
+        own = spread - along.T @ np.diag(inflation[i] / size[i] ** 2) @ along
+        difference = spread @ along.T @ (pull[i] * size[i])
+        fall[i], count[i] = difference @ np.linalg.solve(own, difference), len(difference)
+    return fall, count
+
+
+def sigmas_of(fitted: Fitted, scatter: Scatter) -> tuple[Array, Array, Array]:
+    """How far each rest is from the fit by its accelerometers and by its gyros (N,), and each turn (K,), in sigmas.
+    Groups that have a `scatter` when nothing is left out are judged by their own scale: that they have none without
+    some of them may be by choice of these."""
+    out, found = fitted.out, []
+    judged = _judged(fitted, fitted.left)
+    scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
+    for (fall, count), left_out, name, scale in zip(
+        judged, (out.rest, out.rest, out.turn), GROUPS[:3], scales, strict=True
+    ):
+        degrees = fitted.fits[name].degrees if name in fitted.fits else 0.0
+        k = np.maximum(count, 1)
+        others = np.maximum(degrees - k * max(1, left_out.sum()), 1.0)  # what was chosen has taken the largest with it
+        chance = special.fdtrc(k, others, fall / k) if scale > 0.0 else special.chdtrc(k, fall)
+        found.append(0.0 - special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
+    accel, gyro, turn = found
+    return accel, gyro, turn
+
+
+def _suspect(fitted: Fitted) -> Out | None:
+    """With the rest or turn left out too that stands out most among those of a group that scatters, before the scatter
+    is allowed for; None where none does."""
+    most, found, out, scatter = STANDS_OUT, None, fitted.out, fitted.scatter
+    scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
+    if not any(scales):
+        return None
+    judged = _judged(fitted, fitted.without)
+    for group, ((fall, count), left_out, scale) in enumerate(
+        zip(judged, (out.rest, out.rest, out.turn), scales, strict=True)
+    ):
+        candidates = (count > 0) & ~left_out
+        if scale == 0.0 or candidates.sum() < 3:
+            continue
+        size = np.where(candidates, fall / np.maximum(count, 1), 0.0)
+        ratio = size / np.median(size[candidates])
+        worst = int(np.argmax(ratio))
+        if ratio[worst] > most:
+            most, found = float(ratio[worst]), (group, worst)
+    if found is None:
+        return None
+    rest, turn = out.rest.copy(), out.turn.copy()
+    (turn if found[0] == 2 else rest)[found[1]] = True
+    return Out(rest=rest, turn=turn)
+
+
+def without_misfits(everything: Fitted, most: int) -> Fitted:
+    """The fit without what does not fit. Suspects, `most` of them, are left out one after the other, for they hide each
+    other; those that the others confirm stay out."""
+    fitted = everything
+    for _ in range(most):
+        suspect = _suspect(fitted)
+        if suspect is None:
+            break
+        fitted = _again(everything.problem, fitted, suspect)
+    if fitted is everything:
+        return everything
+    by_accel, by_gyro, turn = sigmas_of(fitted, everything.scatter)
+    rest = np.maximum(by_accel, by_gyro)
+    confirmed = Out(rest=fitted.out.rest & (rest > FIT_SIGMAS), turn=fitted.out.turn & (turn > FIT_SIGMAS))
+    count = confirmed.rest.sum() + confirmed.turn.sum()
+    if count == 0:
+        return everything
+    if count == fitted.out.rest.sum() + fitted.out.turn.sum():
+        return fitted
+    return _again(everything.problem, fitted, confirmed)
+
+
+def _again(problem: Problem, fitted: Fitted, out: Out) -> Fitted:
+    """The fit with something else left out."""
+    return fit_of(problem, At.of(problem, fitted.solved.point, fitted.solved.last.about, out))

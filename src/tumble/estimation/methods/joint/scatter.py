@@ -1,0 +1,92 @@
+"""Scatter on top of the noise within rests, by restricted maximum likelihood.
+
+With D = ∂Σ/∂σ² and P the projector onto residuals (A3): score ½(rᵀPDPr − tr PD), information ½ tr PDPD of which the
+part within a rest and its turn is taken. A component counts where chance alone would exceed its score less often than
+SCATTER_PROBABILITY.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import special
+
+from tumble.estimation.elimination import score
+from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Scatter, Weights
+from tumble.estimation.methods.joint.iteration import At
+from tumble.estimation.step import Left, left
+from tumble.units import Array, BoolArray
+
+SCATTER_PROBABILITY = 0.25
+"""A component of scatter is estimated where chance alone would exceed its score less often than this. A limit at the
+median would find scatter in most sessions that have none, and give intervals that cover too much; a strict one would
+miss scatter that is there."""
+SCATTER_STEPS = 40
+SCATTER_CONVERGED = 0.02  # of the standard deviation of a component of variance
+FURTHEST = 1e3  # of it, that a step may go: two components that nearly are one would send each other anywhere
+LEAST_DEGREES = 0.5
+"""Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
+end by rounding, that its variance would be divided."""
+SHARES = (0.25, 3.0)  # what a step of scoring may be of that by the information
+
+
+def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights) -> BoolArray:
+    """Whether a fit leaves something of each component (5,) of scatter."""
+    degrees, last = np.zeros(len(COMPONENTS)), problem.link < 0
+    at_rest, of_rest = noise.rest_directions
+    rows = (weight.rest[last], after.rest[1][last]), (weight.merged, after.merged[1])
+    for (W, covariance), (Z, of) in zip(rows, ((at_rest[last], of_rest), noise.merged_directions), strict=True):
+        WZ = W @ Z
+        whole, left_of = (WZ**2).sum(axis=1), (WZ * (covariance @ WZ)).sum(axis=1)
+        np.add.at(degrees, of, (left_of / np.where(whole > 0.0, whole, 1.0)).sum(axis=0))
+    return np.asarray(degrees > LEAST_DEGREES)
+
+
+def scatter_of(problem: Problem, at: At, start: Scatter, seen: BoolArray) -> tuple[Scatter, Array]:
+    """The components of scatter that are `seen` (5,) by restricted maximum likelihood at one linearisation, from a
+    start, and the covariance (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls. The
+    information lacks what rests and turns tell of each other: `share` is the part that it was of how the score fell in
+    the step before."""
+    variance, share = start.variances, 1.0
+    active = variance > 0.0
+    deviance, slope, information = _scored(problem, at, variance)
+    if not active.any():
+        size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
+        active = seen & (slope / size > -special.ndtri(SCATTER_PROBABILITY))
+    for _ in range(SCATTER_STEPS):
+        active &= (variance > 0.0) | (slope > 0.0)
+        if not active.any():
+            break
+        index = np.ix_(active, active)
+        change = np.zeros_like(variance)
+        change[active] = share * np.linalg.solve(information[index], slope[active])
+        deviation = np.where(active, 1.0 / np.sqrt(np.where(active, np.diag(information), 1.0)), np.inf)
+        wanted = np.clip(variance + change, 0.0, variance + FURTHEST * deviation)
+        before, above = variance, slope
+        for _ in range(5):
+            variance = wanted
+            found = _scored(problem, at, variance)
+            if found[0] <= deviance + 1e-6:
+                break
+            wanted = 0.5 * (wanted + before)
+        deviance, slope, information = found
+        change = np.where(active, variance - before, 0.0)
+        if np.all(np.abs(change) <= SCATTER_CONVERGED * deviation):
+            break
+        expected, fallen = change @ information @ change, change @ (above - slope)
+        share = float(np.clip(expected / fallen, *SHARES)) if fallen > 0.0 else SHARES[1]
+    active = variance > 0.0
+    components = np.zeros((len(COMPONENTS), len(COMPONENTS)))
+    if active.any():
+        components[np.ix_(active, active)] = np.linalg.inv(information[np.ix_(active, active)])
+    return Scatter.of_variances(variance), components
+
+
+def _scored(problem: Problem, at: At, variance: Array) -> tuple[float, Array, Array]:
+    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances."""
+    step = at.solved(problem, Scatter.of_variances(variance))
+    after, weight, last = left(problem, step), step.weights, problem.link < 0
+    slope, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
+    (at_rest, of_rest), (Z, of_merged) = at.noise.rest_directions, at.noise.merged_directions
+    score(weight.rest[last] @ at_rest[last], of_rest, (after.rest[0][last], after.rest[1][last]), slope, information)
+    score(weight.merged @ Z, of_merged, after.merged, slope, information)
+    return step.deviance, slope, information

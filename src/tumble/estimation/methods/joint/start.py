@@ -1,0 +1,105 @@
+"""The start of the joint method, in closed form.
+
+Verticals from nominal accelerometers; gyro parameters by one linear least-squares pass over the rests and over the
+verticals that the turns carry (the indirect method); headings carried along each chain of turns, and turned together by
+what the gyros see of the horizontal Earth's rate.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tumble.earth import EARTH_RATE
+from tumble.estimation.elimination import carry
+from tumble.estimation.likelihood import Point, Problem
+from tumble.estimation.methods.joint.iteration import At, Out
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.rotation import skew
+from tumble.sensors.model import SensorModel
+from tumble.units import Array, IntArray
+
+ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
+ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
+
+
+def start_of(problem: Problem) -> tuple[At, tuple[Array, ...]]:
+    """A point near the solution, in closed form, and the step there from zero."""
+    observations, instrument = problem.observations, problem.instrument
+    values = problem.measured[0][1:].copy()
+    force = problem.accel_model(values).apply(observations.rests.accel)
+    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    about = None
+    if instrument.gyro is not None:
+        about, values[instrument.own(instrument.gyro)] = _started_gyros(problem, values, vertical)
+    attitudes = headings(problem, vertical, values, about)
+    own = np.zeros((len(problem.parts), len(problem.own_known)))
+    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, own=own)
+    return At.of(problem, point, about, Out.nothing(problem)), (values,)
+
+
+def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[TurnsAbout | None, Array]:
+    """Gyro parameters from the means of the rests and the verticals that the turns carry, linearised once, and the
+    turns integrated about them."""
+    observations, up, instrument = problem.observations, problem.earth[1], problem.instrument
+    block = instrument.gyro
+    assert block is not None
+    own = instrument.own(block)
+    model = block.model(values[own])
+    median = np.median(observations.rests.gyro, axis=0)
+    started = values.copy()
+    started[own] = block.parameters(SensorModel(matrix=model.matrix, bias=median))
+    turns = observations.turns
+    if turns is None:
+        return None, started[own]
+    about = TurnsAbout.of(observations, instrument, started)
+    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(started[own]))
+    by_turn = about.columns(instrument, started)[0][:, :, own]
+    back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
+    rate = (observations.rests.gyro - median) @ about.to_rate.T
+    by_rest = np.einsum("aqm,iq->iam", derivative[:, :3], up * vertical) + derivative[:, 3]
+    count = by_turn.shape[2]
+    jacobian = np.concatenate([
+        (skew(back) @ by_turn).reshape(-1, count) / ROUGH_TURN,
+        by_rest.reshape(-1, count) / EARTH_RATE,
+        np.diag(1.0 / problem.spread[own]),
+    ])  # fmt: skip
+    residual = np.concatenate([
+        (vertical[turns.first] - back).ravel() / ROUGH_TURN,
+        (rate - up * vertical).ravel() / EARTH_RATE,
+        np.zeros(count),
+    ])  # fmt: skip
+    started[own] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+    near = bool(np.all(about.second_order(instrument, started)[0] < ROUGH_EFFECT))
+    return (about if near else TurnsAbout.of(observations, instrument, started)), started[own]
+
+
+def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
+    """Attitudes (N, 3, 3) with these verticals. With N', E' the axes of a chain whose heading is any, the rates at
+    rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a and s of each chain."""
+    observations, link = problem.observations, problem.link
+    attitudes = np.empty((len(vertical), 3, 3))
+    turns = observations.turns
+    if about is None or turns is None:
+        C, turned = np.empty((0, 3, 3)), np.empty(0)
+    else:
+        C, turned = about.C, turns.duration * problem.earth[1]
+    carry(np.ascontiguousarray(vertical), np.ascontiguousarray(C), link, turned, attitudes)
+    if observations.gyro_block is None or problem.earth[0] == 0.0:
+        return attitudes
+    rate = problem.gyro_model(values).apply(observations.rests.gyro) - problem.earth[1] * vertical
+    chain = problem.chain
+    count = np.bincount(chain)
+    level = attitudes[:, ::2]  # N' and E'
+    seen = _sums(np.einsum("iab,ib->ia", level, rate), chain)
+    axes = _sums(level.reshape(-1, 6), chain).reshape(-1, 2, 3)
+    normal = len(rate) * np.eye(3) - np.einsum("cab,cad,c->bd", axes, axes, 1.0 / count)
+    error = np.linalg.lstsq(normal, rate.sum(axis=0) - np.einsum("cab,ca,c->b", axes, seen, 1.0 / count), 1e-6)[0]
+    heading = seen - axes @ error
+    heading = (heading / np.linalg.norm(heading, axis=1, keepdims=True))[chain]
+    north = np.einsum("ia,iab->ib", heading, level)
+    return np.stack([north, vertical, np.cross(north, vertical)], axis=1)
+
+
+def _sums(values: Array, chain: IntArray) -> Array:
+    """Sums of rows (N, c) over the chains."""
+    return np.asarray(np.add.reduceat(values, np.flatnonzero(np.diff(chain, prepend=-1)), axis=0))

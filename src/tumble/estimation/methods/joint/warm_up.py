@@ -1,0 +1,113 @@
+"""A warm-up without a thermometer: biases that settle exponentially after the start, with one time constant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import special
+
+from tumble.estimation.likelihood import Problem, instruments_of
+from tumble.estimation.methods.joint.fit import TOTAL, Fitted, fit_of
+from tumble.estimation.methods.joint.iteration import At, Solved
+from tumble.estimation.step import Step
+from tumble.units import Array
+
+UNEXPLAINED = 1e-4
+"""Where chance alone exceeds all residuals, by the noise within rests, less often, a warm-up is looked for."""
+WARM_UPS = np.geomspace(0.03, 1.0, 11)
+"""Its time constants that are tried, in parts of the session; the first and the last belong to none."""
+NEAR = 0.2
+"""A change of the logarithm of a time constant over which its likelihood is a parabola."""
+FARTHEST = 0.5
+"""And the largest change by one parabola."""
+SETTLED_TO = 0.2
+"""Of its u: by how much it may still move."""
+WARM_UP_ROUNDS = 5
+TIME_CONSTANT_KNOWN = 0.5
+"""u of the logarithm of a time constant: what is known less well is no warm-up that is seen."""
+EVIDENT = 40.0
+"""−2 log of the likelihood without a warm-up over that with it: beyond doubt."""
+
+
+def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
+    """The solution with biases that settle exponentially after the start, where they make a session that the noise
+    within rests does not explain far more likely; else that without. What is not known of the time constant τ is in
+    the covariance:
+
+        C = C(τ) + (∂θ/∂ log τ)(∂θ/∂ log τ)ᵀ u²(log τ)"""
+    settling, found, by = _time_constant(fitted, problem), fitted, np.zeros(0)
+    for _ in range(WARM_UP_ROUNDS):
+        if settling is None:
+            return fitted
+        before, warm = settling, _settling(problem, settling)
+        found = fit_of(warm, _without_own(warm, found.solved))
+        settling, u, by = _closest(found, settling)
+        if settling is not None and abs(np.log(settling / before)) < SETTLED_TO * u:
+            break
+    longest = WARM_UPS[-1] * np.ptp(problem.observations.rests.start)
+    if settling is None or settling > longest or _evidence(fitted) - _evidence(found) < EVIDENT:
+        return fitted
+    step = found.solved.step
+    spread = replace(step, covariance=step.covariance + np.outer(by, by))
+    return replace(found, solved=replace(found.solved, step=spread))
+
+
+def _time_constant(fitted: Fitted, problem: Problem) -> float | None:
+    """The time constant, s, of the warm-up that goes best with a solution without one; None where none is needed, where
+    a thermometer says more, and where what goes best is none that begins and ends within the session."""
+    rests, total = problem.observations.rests, fitted.fits[TOTAL]
+    explained = special.chdtrc(max(total.degrees, 1.0), total.chi_square) > UNEXPLAINED
+    unknown = "accel.bias.warmup" not in problem.observations.usual
+    if explained or unknown or rests.temperatures is not None or rests.file[0] != rests.file[-1]:
+        return None
+    tried = (WARM_UPS * np.ptp(rests.start)).tolist()
+    best = int(np.argmin([_at_time_constant(fitted, each).deviance for each in tried]))
+    return tried[best] if 0 < best < len(tried) - 1 else None
+
+
+def _settling(problem: Problem, settling: float) -> Problem:
+    """The problem with biases that settle with a time constant, s."""
+    observations = replace(problem.observations, warm_up=settling)
+    own = instruments_of(observations)[1]
+    return Problem.of(observations, problem.prior, instrument=problem.instrument, own=own, usual=observations.usual)
+
+
+def _without_own(problem: Problem, solved: Solved) -> At:
+    """The start of a solution from one with another warm-up, or without."""
+    point = replace(solved.point, own=np.zeros((len(problem.parts), len(problem.own_known))))
+    return At.of(problem, point, solved.last.about, solved.last.out)
+
+
+def _at_time_constant(fitted: Fitted, settling: float) -> Step:
+    """The step from a solution to that with another time constant, s, or with one, of a warm-up."""
+    other = replace(_settling(fitted.problem, settling), measured=fitted.problem.measured)
+    if fitted.problem.own is not None:
+        other = replace(other, own_known=fitted.problem.own_known)
+    return _without_own(other, fitted.solved).solved(other, fitted.scatter)
+
+
+def _closest(fitted: Fitted, settling: float) -> tuple[float | None, float, Array]:
+    """The most likely time constant, s, with the scatter and the priors of a solution with one, by parabolas of the
+    likelihood over its logarithm, None where there is none; u of the logarithm, and what that makes of gravity and the
+    parameters (1 + m,)."""
+    u, by = np.inf, np.zeros(0)
+    for _ in range(WARM_UP_ROUNDS):
+        shorter, here, longer = (_at_time_constant(fitted, settling * float(np.exp(h))) for h in (-NEAR, 0.0, NEAR))
+        bend = (shorter.deviance - 2.0 * here.deviance + longer.deviance) / NEAR**2
+        if bend <= 2.0 * TIME_CONSTANT_KNOWN**-2:
+            return None, u, by
+        u = float(np.sqrt(2.0 / bend))
+        by = u * (longer.parameters - shorter.parameters) / (2.0 * NEAR)
+        moved = float(np.clip(0.5 * (shorter.deviance - longer.deviance) / (NEAR * bend), -FARTHEST, FARTHEST))
+        settling *= float(np.exp(moved))
+        if abs(moved) < SETTLED_TO * u:
+            break
+    return settling, u, by
+
+
+def _evidence(fitted: Fitted) -> float:
+    """−2 log of the likelihood with what is not known of the parameters by their priors, less a constant."""
+    problem = fitted.problem
+    priors = np.concatenate([problem.measured[1][1:], problem.own_known])
+    return fitted.solved.step.deviance + 2.0 * float(np.log(priors[priors > 0.0]).sum())

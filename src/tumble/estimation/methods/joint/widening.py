@@ -1,0 +1,70 @@
+"""Priors that are as wide as the data ask for.
+
+Groups beyond the linear model are all kept, each with a prior of its usual size (dynamics method, A4). A prior that the
+data exceed is widened, never narrowed:
+
+    λ² ← max(1, mean of (ĉ² + Var ĉ)/s²),   s ← λ s   until it settles                                            (A4)
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tumble.estimation.elimination import fold
+from tumble.estimation.likelihood import Problem, Scatter, priors
+from tumble.estimation.methods.joint.iteration import At
+from tumble.estimation.step import joined, tell
+from tumble.units import Array
+
+WIDENING_STEPS = 50
+WIDENED = 1.01  # λ of a step that counts as settled
+
+
+def with_wider_priors(problem: Problem, at: At, scatter: Scatter) -> Problem:
+    """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where
+    none is."""
+    members, own_members = problem.instrument.members, _own_members(problem)
+    if not members and not own_members:
+        return problem
+    expected, u = problem.measured
+    now, own = u.copy(), problem.own_known.copy()
+    further = np.arange(len(u)) > problem.instrument.linear_count
+    told, q = tell(problem, at.rows, at.noise.weights(scatter)), len(own)
+    fixed = replace(problem, measured=(expected, np.where(further, np.inf, u)))
+    fold(priors(fixed, at.point, at.about), told.sessions[0, q:, q:])
+    for _ in range(WIDENING_STEPS):
+        trial = replace(problem, measured=(expected, np.where(further, now, np.inf)), own_known=own)
+        found = joined(trial, at.rows.with_priors(trial, at.point), told)
+        values, variance = at.point.values + found.parameters[1:], np.diag(found.covariance)[1:]
+        most = 1.0
+        for name, group in members.items():
+            if name == "temperature.lag":
+                continue  # it multiplies others: a wide prior would let both grow
+            most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variance))
+        own_variance = np.diagonal(found.own_covariance, axis1=1, axis2=2)[:, : len(own)]
+        own_square = ((at.point.own + found.own) ** 2 + own_variance).mean(axis=0)
+        for group in own_members:
+            most = max(most, _widen(own, group, own_square))
+        if most < WIDENED:
+            break
+    if np.all(now <= u * WIDENED) and np.all(own <= problem.own_known * WIDENED):
+        return problem
+    return replace(problem, measured=(expected, now), own_known=own)
+
+
+def _widen(known: Array, group: slice, square: Array) -> float:
+    """Widen the priors of a group, in place, that the squares of its parameters and variances exceed; by how much."""
+    widened = float(np.sqrt(np.mean(square[group] / known[group] ** 2)))
+    if widened > 1.0:
+        known[group] *= widened
+    return max(widened, 1.0)
+
+
+def _own_members(problem: Problem) -> list[slice]:
+    """Where the groups stand of what each session has of its own."""
+    if problem.own is None:
+        return []
+    first = problem.own.linear_count
+    return [slice(of.start - first, of.stop - first) for of in problem.own.members.values()]
