@@ -70,7 +70,7 @@ def main() -> None:
         quiet[times] = statistics.median(seconds(observations) for _ in range(RUNS))
         print(f"{15 * times:5} rests: {1e3 * quiet[times]:.2f} ms")
     print(
-        f"{1.0 / statistics.mean(each):.0f} joint estimates a second and core (target 300); ten times the rests take "
+        f"{1.0 / statistics.mean(each):.0f} joint estimates a second and core (target 500); ten times the rests take "
         f"{quiet[10] / quiet[1]:.1f} times as long (target 12)"
     )
 
