@@ -470,7 +470,7 @@ def result_of(
         groups=estimate.groups,
         prediction=estimate.prediction,
         axes=_axes(observations),
-        reference_temperature=_reference(observations),
+        reference_temperature=reference_of(observations),
         thermometers=_thermometers(session, observations),
         references=references_of(observations),
         imu=session.device.imu,
@@ -492,7 +492,7 @@ def _thermometers(session: Session, observations: Observations) -> dict[str, tup
     return {block.kind: known.names(block.kind) for block in blocks if block is not None}
 
 
-def _reference(observations: Observations) -> float | None:
+def reference_of(observations: Observations) -> float | None:
     """The temperature, °C, at which parameters have their values: the mean of the thermometers over the rests."""
     temperature = observations.rests.temperature
     return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS

@@ -25,7 +25,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from tumble import __version__
-from tumble.calibration.calibrate import grade_of, readings_of_session, references_of
+from tumble.calibration.calibrate import grade_of, readings_of_session, reference_of, references_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.calibration.observed import inspect_session, observations_for_calibration
@@ -43,7 +43,7 @@ from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
-from tumble.units import ZERO_CELSIUS, Array
+from tumble.units import Array
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 _RAW = ("count", "V")
@@ -136,7 +136,7 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
         notes=_notes(own, observations, grade, guessed=guessed),
         frame=given.frame,
         instrument=known.instrument,
-        temperature=_celsius(observations),
+        temperature=reference_of(observations),
         references=references_of(observations),
     )
 
@@ -184,17 +184,12 @@ def _notes(calibration: Calibration, observations: Observations, grade: str, *, 
     origin = ", guessed from the noise; [device] grade says another" if guessed else ""
     launches = ", or as from launch to launch of the calibration" if calibration.launches else ""
     notes = [f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
-    then, now = calibration.reference_temperature, _celsius(observations)
+    then, now = calibration.reference_temperature, reference_of(observations)
     if then is None or now is None:
         notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")
     elif abs(now - then) > 1.0:
         notes.append(f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures")
     return tuple(notes)
-
-
-def _celsius(observations: Observations) -> float | None:
-    temperature = observations.rests.temperature
-    return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS
 
 
 # What was known before

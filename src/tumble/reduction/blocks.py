@@ -64,6 +64,11 @@ class Tail:
         return np.asarray(total / weight)
 
 
+def extremes(channels: tuple[ChannelState, ...]) -> Array:
+    """The least and the most (2, n) that channels read, SI."""
+    return np.array([[channel.minimum for channel in channels], [channel.maximum for channel in channels]])
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FileBlocks:
     """The blocks of one file: `edges` (K + 1) in s, means over K blocks of `size` samples each of the

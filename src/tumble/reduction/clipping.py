@@ -14,7 +14,7 @@ import numpy as np
 from tumble.recording.gaps import Gap
 from tumble.recording.session import Channels
 from tumble.reduction.array_motion import read_by
-from tumble.reduction.blocks import Reduction
+from tumble.reduction.blocks import Reduction, extremes
 from tumble.reduction.matching import Match
 from tumble.sensors.model import Block
 from tumble.units import Array, BoolArray
@@ -47,8 +47,16 @@ def without_clipped_turns(
         if count < FEWEST:
             continue
         said.append(f"turn from rest {i + 1} to rest {i + 2} is left out: gyros are clipped in {count} of its samples")
-        gap = Gap(file=before.file, row=0, time=before.stop, samples=count, what="clipped", stop=after.start)
-        gaps.append(replace(gap, integrable=False))
+        gap = Gap(
+            file=before.file,
+            row=0,
+            time=before.stop,
+            samples=count,
+            what="clipped",
+            stop=after.start,
+            integrable=False,
+        )
+        gaps.append(gap)
     return replace(reduction, gaps=(*reduction.gaps, *gaps)), tuple(said)
 
 
@@ -56,8 +64,7 @@ def _limits(reduction: Reduction, channels: Channels) -> Array:
     """The least and the most (2, n) that gyros read, SI, where that is where a converter ends; else infinite."""
     if channels.unit_name != "count":
         return np.full((2, len(reduction.gyro_channels)), np.inf)
-    states = reduction.gyro_channels
-    read = np.array([[state.minimum for state in states], [state.maximum for state in states]])
+    read = extremes(reduction.gyro_channels)
     raw = read / channels.unit.factor * channels.scale + channels.offset
     ends = np.array([-CONVERTERS, CONVERTERS - 1.0])
     at_end = (np.abs(raw[:, :, None] - ends[:, None]) < EXACT).any(axis=2)

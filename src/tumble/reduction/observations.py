@@ -26,7 +26,7 @@ from tumble.programme.positions import Programme
 from tumble.recording.gaps import Gap
 from tumble.recording.session import Site
 from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
-from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
+from tumble.reduction.blocks import FileBlocks, Reduction, extremes
 from tumble.reduction.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.matching import Match
 from tumble.reduction.moments import (
@@ -405,17 +405,12 @@ def _arrays(reduction: Reduction, rests: Rests, accel: Block, gyro: Block) -> tu
     array = MovedArray(
         accel=accel,
         gyro=gyro,
-        accel_extremes=_extremes(reduction.accel_channels),
-        gyro_extremes=_extremes(reduction.gyro_channels),
+        accel_extremes=extremes(reduction.accel_channels),
+        gyro_extremes=extremes(reduction.gyro_channels),
         at_rest=np.linalg.pinv(gyro.axes) @ rests.gyro.mean(axis=0),
     )
     found = array_moments(reduction.samples, parts, array)
     return () if found is None else (found,)
-
-
-def _extremes(channels: tuple[ChannelState, ...]) -> Array:
-    """The least and the most (2, n) that channels read."""
-    return np.array([[channel.minimum for channel in channels], [channel.maximum for channel in channels]])
 
 
 def _thermometers(reduction: Reduction) -> Thermometers:
