@@ -25,6 +25,7 @@ compilation to the next, and rows of a campaign would differ in the last digit f
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg.lapack import dtpqrt
 
 from tumble.units import Array, BoolArray, IntArray
 
@@ -45,6 +46,9 @@ BUFFER = 96
 MANY = 200
 """Parameters from which on that is a factorisation by LAPACK, in blocks: the loops wait for memory there."""
 
+WIDE = 32
+"""Columns of such a block."""
+
 
 def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
@@ -63,15 +67,21 @@ def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, facto
 def fold(rows: Array, triangle: Array) -> None:
     """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1)."""
     if len(triangle) > MANY:
-        rows = rows[np.any(rows, axis=1)]
-        for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
-            lower = triangle[first:, first:]
-            lower[:] = np.linalg.qr(np.concatenate([lower, rows[:, first:]]), mode="r")
+        _fold_many(rows[np.any(rows, axis=1)], triangle)
         return
     whole = np.ascontiguousarray(triangle)
     _fold(rows.copy(), np.zeros(len(whole)), len(rows), whole)
     if whole is not triangle:
         triangle[:] = whole
+
+
+def _fold_many(rows: Array, triangle: Array) -> None:
+    """The same by LAPACK, from the first column on that is not zero; rows that are a triangle there cost a third."""
+    for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
+        upper = triangle[first:, first:]
+        below, n = rows[:, first:], min(len(rows), len(upper))
+        both = dtpqrt(0 if np.any(np.tril(below, -1)) else n, min(WIDE, len(upper)), upper, below)
+        upper[:] = np.triu(both[0])
 
 
 def _eliminate(

@@ -37,14 +37,13 @@ def with_wider_priors(problem: Problem, at: At, scatter: Scatter) -> Problem:
     for _ in range(WIDENING_STEPS):
         trial = replace(problem, measured=(expected, np.where(further, now, np.inf)), own_known=own)
         found = joined(trial, at.rows.with_priors(trial, at.point), told)
-        values, variance = at.point.values + found.parameters[1:], np.diag(found.covariance)[1:]
+        values, variances = at.point.values + found.parameters[1:], found.variances
         most = 1.0
         for name, group in members.items():
             if name == "temperature.lag":
                 continue  # it multiplies others: a wide prior would let both grow
-            most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variance))
-        own_variance = np.diagonal(found.own_covariance, axis1=1, axis2=2)[:, : len(own)]
-        own_square = ((at.point.own + found.own) ** 2 + own_variance).mean(axis=0)
+            most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variances[0, q + 1 :]))
+        own_square = ((at.point.own + found.own) ** 2 + variances[:, :q]).mean(axis=0)
         for group in own_members:
             most = max(most, _widen(own, group, own_square))
         if most < WIDENED:
