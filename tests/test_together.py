@@ -19,7 +19,8 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.by_session import each_session
 from tumble.estimation.causes import Projection
-from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, linearise, noise_of
+from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, noise_of
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.misfit import misfit
 from tumble.estimation.step import solve

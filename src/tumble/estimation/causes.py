@@ -30,7 +30,8 @@ from scipy import special
 from scipy.linalg import solve_triangular
 
 from tumble.earth import earth_rate
-from tumble.estimation.likelihood import Linearised, Scatter, linearise
+from tumble.estimation.likelihood import Linearised, Scatter
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.rotation import rotation_matrix, rotation_vector, tangent_basis
 from tumble.sensors.instrument import functions

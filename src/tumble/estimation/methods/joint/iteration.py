@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Noise, Point, Problem, Rows, Scatter, linearise, noise_of
+from tumble.estimation.likelihood import Noise, Point, Problem, Rows, Scatter, noise_of
+from tumble.estimation.linearisation import linearise, with_priors
 from tumble.estimation.step import Step, solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
@@ -83,7 +84,7 @@ class At:
 
     def with_priors(self, problem: Problem) -> At:
         """The same with the priors of a problem."""
-        return replace(self, rows=self.rows.with_priors(problem, self.point, self.about))
+        return replace(self, rows=with_priors(self.rows, problem, self.point, self.about))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -147,9 +148,10 @@ def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Turn
     if not problem.instrument.in_velocities:
         velocity = np.full_like(velocity, np.inf)
     changes = problem.changed_in_turns(point)
-    if changes is not None and about.small(changes[0], (noise, velocity)):
+    of_gyros = slice(problem.instrument.accel.size, None)
+    if changes is not None and about.small(changes[:, of_gyros], (noise, velocity)):
         changes = None
-    gyro_changes = 0.0 if changes is None else changes[0]
+    gyro_changes = 0.0 if changes is None else changes[:, of_gyros]
     if about.good_for(problem.instrument, point.values, (noise, velocity), gyro_changes):
         return about
     return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)

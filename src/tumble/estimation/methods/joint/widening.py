@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.estimation.elimination import fold
-from tumble.estimation.likelihood import Problem, Scatter, priors
+from tumble.estimation.likelihood import Problem, Scatter
+from tumble.estimation.linearisation import priors, with_priors
 from tumble.estimation.methods.joint.iteration import At
 from tumble.estimation.step import joined, tell
 from tumble.units import Array
@@ -36,7 +37,7 @@ def with_wider_priors(problem: Problem, at: At, scatter: Scatter) -> Problem:
     fold(priors(fixed, at.point, at.about), told.sessions[0, q:, q:])
     for _ in range(WIDENING_STEPS):
         trial = replace(problem, measured=(expected, np.where(further, now, np.inf)), own_known=own)
-        found = joined(trial, at.rows.with_priors(trial, at.point), told)
+        found = joined(trial, with_priors(at.rows, trial, at.point), told)
         values, variances = at.point.values + found.parameters[1:], found.variances
         most = 1.0
         for name, group in members.items():
