@@ -172,14 +172,16 @@ def _reflect(work: Array, product: Array, top: int, column: int, rows: int, leas
         product[other] = 0.0
     for row in range(top, rows):
         part = work[row, column]
-        for other in range(column + 1, columns):
-            product[other] += part * work[row, other]
+        if part != 0.0:
+            for other in range(column + 1, columns):
+                product[other] += part * work[row, other]
     for other in range(column + 1, columns):
         product[other] *= scale
     for row in range(top, rows):
         part = work[row, column]
-        for other in range(column + 1, columns):
-            work[row, other] -= product[other] * part
+        if part != 0.0:
+            for other in range(column + 1, columns):
+                work[row, other] -= product[other] * part
     work[top, column] = diagonal
     for row in range(top + 1, rows):
         work[row, column] = 0.0
@@ -188,7 +190,8 @@ def _reflect(work: Array, product: Array, top: int, column: int, rows: int, leas
 
 def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
     """Fold rows (count, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections
-    of the rows together with one row of the triangle at a time."""
+    of the rows together with one row of the triangle at a time. Rows that are 0 in a column have no part in that of its
+    row, so that those of a triangle cost a third."""
     size = triangle.shape[0]
     for c in range(size):
         square = 0.0
@@ -206,15 +209,17 @@ def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
             product[other] = top * triangle[c, other]
         for row in range(count):
             part = kept[row, c]
-            for other in range(c + 1, size):
-                product[other] += part * kept[row, other]
+            if part != 0.0:
+                for other in range(c + 1, size):
+                    product[other] += part * kept[row, other]
         for other in range(c + 1, size):
             product[other] *= scale
             triangle[c, other] -= product[other] * top
         for row in range(count):
             part = kept[row, c]
-            for other in range(c + 1, size):
-                kept[row, other] -= product[other] * part
+            if part != 0.0:
+                for other in range(c + 1, size):
+                    kept[row, other] -= product[other] * part
 
 
 def put_back(

@@ -38,17 +38,28 @@ class Known:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Told:
+    """What rows say without any prior: their weights, the whitened rows, those that give the attitudes (N, 3, ·), and
+    of each session, its attitudes eliminated, a triangle (q + 1 + p, q + 1 + p) of what it has of its own, gravity and
+    the common parameters."""
+
+    weights: Weights
+    whitened: tuple[Array, Array]
+    factor: Array
+    sessions: Array
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step(Known):
     """The least-squares step, with that of the angles (N, 3); the covariance of gravity and the parameters, and that of
     each session, of what it has of its own, gravity and the parameters; twice the negative logarithm of the restricted
-    likelihood, less its constant; the weights of the rows, and what `left` needs."""
+    likelihood, less its constant; what the rows told, and what `left` needs."""
 
     covariance: Array
     own_covariance: Array
     angles: Array
     deviance: float
-    weights: Weights
-    whitened: tuple[Array, Array]
+    told: Told
     shared: tuple[Array, Array]
 
 
@@ -63,7 +74,11 @@ class Left:
 
 def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
     """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
-    told = tell(problem, rows, weight)
+    return completed(problem, rows, tell(problem, rows, weight))
+
+
+def completed(problem: Problem, rows: Rows, told: Told) -> Step:
+    """The least-squares step of what rows have told and of their priors."""
     known, N = joined(problem, rows, told), len(problem.link)
     angles, shared = np.empty((N, 3)), []
     own_covariance = known.roots @ np.swapaxes(known.roots, 1, 2)
@@ -79,22 +94,10 @@ def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
         square=known.square,
         pivots=known.pivots,
         angles=angles,
-        deviance=_deviance(problem, weight, told.factor, known),
-        weights=weight,
-        whitened=told.whitened,
+        deviance=_deviance(problem, told, known),
+        told=told,
         shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
     )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Told:
-    """What the rows say without any prior: the whitened rows, those that give the attitudes (N, 3, ·), and of each
-    session, its attitudes eliminated, a triangle (q + 1 + p, q + 1 + p) of what it has of its own, gravity and the
-    common parameters."""
-
-    whitened: tuple[Array, Array]
-    factor: Array
-    sessions: Array
 
 
 def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
@@ -104,7 +107,7 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
     factor, sessions = np.empty((len(rest), 3, 6 + size)), np.zeros((len(problem.parts), size, size))
     for part, triangle in zip(problem.parts, sessions, strict=True):
         eliminate(rest[part.rests], merged[part.turns], part.link, part.last, factor[part.rests], triangle)
-    return Told(whitened=(rest, merged), factor=factor, sessions=sessions)
+    return Told(weights=weight, whitened=(rest, merged), factor=factor, sessions=sessions)
 
 
 def joined(problem: Problem, rows: Rows, told: Told) -> Known:
@@ -167,12 +170,12 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
     return inverse @ head[:, -1] + by_parameter @ parameters, whole
 
 
-def _deviance(problem: Problem, weight: Weights, factor: Array, known: Known) -> float:
+def _deviance(problem: Problem, told: Told, known: Known) -> float:
     """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
-    last = weight.rest[problem.link < 0]
-    own = sum(-2.0 * np.log(np.diagonal(w, axis1=1, axis2=2)).sum() for w in (last, weight.merged))
-    pivots = np.abs(np.concatenate([np.diagonal(factor, axis1=1, axis2=2).ravel(), known.pivots]))
-    return float(own + 2.0 * np.log(pivots[pivots > 0.0]).sum() + known.square)
+    own = told.weights.rest[problem.link < 0], told.weights.merged
+    whitened = np.concatenate([np.diagonal(each, axis1=1, axis2=2).ravel() for each in own])
+    pivots = np.abs(np.concatenate([np.diagonal(told.factor, axis1=1, axis2=2).ravel(), known.pivots]))
+    return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum()) + known.square)
 
 
 def _solved(triangle: Array) -> tuple[Array, Array]:
@@ -196,7 +199,7 @@ def inverse_of(triangle: Array) -> Array:
 
 def left(problem: Problem, step: Step) -> Left:
     """What a step leaves of the residuals: nothing of rests that do not count."""
-    r = step.whitened[0].shape[1]
+    r = step.told.whitened[0].shape[1]
     rest, covariance = np.zeros((len(problem.link), r)), np.zeros((len(problem.link), r, r))
     found = [
         [_leave(seen, np.concatenate([own, step.parameters]), known) for seen in _seen(step, part)]
@@ -226,7 +229,7 @@ class _Seen:
 
 def _seen(step: Step, part: SessionSpan) -> tuple[_Seen, _Seen]:
     """The rests of a session that count, and its merged rows."""
-    (rest, merged), first, last = step.whitened, part.first, part.last
+    (rest, merged), first, last = step.told.whitened, part.first, part.last
     (own, by_next), shared, angles = step.shared[0][:, part.rests], step.shared[1][part.rests], step.angles[part.rests]
     both = np.empty((len(first), 6, 6))
     both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:] = own[first], by_next[first], own[first + 1]
@@ -255,7 +258,7 @@ def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
     the covariances S of what rows predict with the parameters, Σ (Zᵀ Wᵀ S)² over the directions of a component."""
     q, slopes = len(problem.own_known), np.zeros((len(COMPONENTS), len(step.parameters)))
     (at_rest, of_rest), (of_merged, component) = noise.rest_directions, noise.merged_directions
-    Z = step.weights.rest @ at_rest, step.weights.merged @ of_merged
+    Z = step.told.weights.rest @ at_rest, step.told.weights.merged @ of_merged
     for covariance, part in zip(step.own_covariance, problem.parts, strict=True):
         rests, turns = _seen(step, part)
         for seen, of, along in ((rests, of_rest, Z[0][part.rests][part.last]), (turns, component, Z[1][part.turns])):

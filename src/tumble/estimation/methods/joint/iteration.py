@@ -13,7 +13,7 @@ import numpy as np
 
 from tumble.estimation.likelihood import Noise, Point, Problem, Rows, Scatter, noise_of
 from tumble.estimation.linearisation import linearise, with_priors
-from tumble.estimation.step import Step, solve
+from tumble.estimation.step import Step, Told, completed, solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
@@ -97,17 +97,18 @@ class Solved:
     increments: tuple[Array, ...]
 
 
-def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS) -> Solved:
-    """Gauss–Newton with this scatter, by so many steps at most."""
+def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS, told: Told | None = None) -> Solved:
+    """Gauss–Newton with this scatter, by so many steps at most, and with what the first rows have `told` already."""
     increments: list[Array] = []
+    step = at.solved(problem, scatter) if told is None else completed(problem, at.rows, told)
     while True:
-        step = at.solved(problem, scatter)
         point, change = moved(problem, at.point, step)
         increments.append(change)
         about = integrated(problem, point, at.about)
         if (negligible(problem, step) and about is at.about) or len(increments) == min(most, MAX_ITERATIONS):
             return Solved(point=point, last=at, step=step, increments=tuple(increments))
         at = At.of(problem, point, about, at.out)
+        step = at.solved(problem, scatter)
 
 
 def negligible(problem: Problem, step: Step) -> bool:
@@ -130,7 +131,7 @@ def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
 
 def _heading_information(problem: Problem, step: Step) -> Array:
     """What the gyros of each rest (N,) say of its heading, rad⁻²."""
-    rest, merged = step.whitened
+    rest, merged = step.told.whitened
     n, r = problem.observations.accel_block.size, rest.shape[1]
     own = (rest[:, n:, 2] ** 2).sum(axis=1)
     linked = problem.link >= 0

@@ -13,26 +13,26 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.estimation.elimination import fold
-from tumble.estimation.likelihood import Problem, Scatter
+from tumble.estimation.likelihood import Problem
 from tumble.estimation.linearisation import priors, with_priors
 from tumble.estimation.methods.joint.iteration import At
-from tumble.estimation.step import joined, tell
+from tumble.estimation.step import Told, joined
 from tumble.units import Array
 
 WIDENING_STEPS = 50
 WIDENED = 1.01  # λ of a step that counts as settled
 
 
-def with_wider_priors(problem: Problem, at: At, scatter: Scatter) -> Problem:
-    """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where
-    none is."""
+def with_wider_priors(problem: Problem, at: At, told: Told) -> Problem:
+    """The problem with the priors of groups widened that the data exceed (A4), at one linearisation, of what its
+    rows have told; the same where none is."""
     members, own_members = problem.instrument.members, _own_members(problem)
     if not members and not own_members:
         return problem
     expected, u = problem.measured
     now, own = u.copy(), problem.own_known.copy()
     further = np.arange(len(u)) > problem.instrument.linear_count
-    told, q = tell(problem, at.rows, at.noise.weights(scatter)), len(own)
+    told, q = replace(told, sessions=told.sessions.copy()), len(own)
     fixed = replace(problem, measured=(expected, np.where(further, np.inf, u)))
     fold(priors(fixed, at.point, at.about), told.sessions[0, q:, q:])
     for _ in range(WIDENING_STEPS):
