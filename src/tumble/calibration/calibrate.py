@@ -20,7 +20,8 @@ from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.results import Parameter, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.common_errors import by_time_base
-from tumble.estimation.diagnosis import verdict
+from tumble.estimation.diagnosis.misfit import lost_by_velocities
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
 from tumble.estimation.methods.joint.method import joint
@@ -29,7 +30,6 @@ from tumble.estimation.methods.magnetometer import magnetometer
 from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.estimation.methods.staged.method import staged
-from tumble.estimation.misfit import lost_by_velocities
 from tumble.files import FilePath
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.gaps import Gap
