@@ -309,3 +309,15 @@ def test_a_log_of_the_world_gives_the_result_of_the_clean_one(
     if case.gyro:
         assert spec.gyro is not None
         assert off(found.gyro, spec.gyro, clean, case, "gyro") < case.within
+
+
+def test_rows_of_two_sensors_read_as_those_of_one_are_refused(log: pl.DataFrame, tmp_path: Path) -> None:
+    d.row_for_each_sensor(",", True)(log, tmp_path)
+    (tmp_path / "session.toml").write_text(
+        'format = 1\n[device]\nserial = "a"\n[site]\nlatitude_deg = 56.84\n'
+        f'[log]\nfile = "stream.txt"\ndelimiter = ","\nrate_hz = {2 * d.RATE}\n'
+        '[log.accel]\ncolumns = ["x", "y", "z"]\nunit = "count"\nscale = 4.9\nscale_per = "g"\n'
+    )
+    result = CliRunner().invoke(main, ["calibrate", str(tmp_path)])
+    assert result.exit_code == 1
+    assert "have rows of several sensors" in result.stderr
