@@ -192,7 +192,7 @@ class Instrument:
     @cached_property
     def _constant(self) -> dict[str, Array]:
         """∂K/∂θ of each block for the parameters that K is linear in, others 0."""
-        out = {block.kind: np.zeros((block.size, FUNCTIONS, len(self.names))) for block in self.blocks}
+        out: dict[str, Array] = {b.kind: np.zeros((b.size, FUNCTIONS, len(self.names))) for b in self.blocks}
         for group in self.further:
             if group.regressors is not None:
                 out[group.kind][:, :, self.members[group.name]] = group.regressors(self.block(group))
