@@ -44,6 +44,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.estimation.elimination import whitening
+from tumble.estimation.row_loops import turned
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
@@ -114,13 +115,10 @@ class Point:
         """The point after steps of gravity and the parameters (1 + m,), of the angles (N, 3) of the attitudes, and of
         what each session has of its own (S, q). The heading turns everything about the vertical, exactly: it may be off
         by much."""
-        basis = bases(self.attitudes)
-        tilt = np.einsum("iab,ib->ia", basis[:, :, :2], angles[:, :2])
-        turned = rotation_matrix(angles[:, 2:] * _UP) @ self.attitudes @ rotation_matrix(tilt)
         return Point(
             values=self.values + parameters[1:],
             gravity=self.gravity + parameters[0],
-            attitudes=turned,
+            attitudes=turned(self.attitudes, angles),
             own=self.own if own is None else self.own + own,
         )
 
@@ -346,6 +344,28 @@ class Problem:
         every = np.concatenate([np.broadcast_to(point.values, (len(point.own), len(point.values))), point.own], axis=1)
         return np.asarray(every[:, own][of])
 
+    @cached_property
+    def noise(self) -> Noise:
+        """What the noise of the rows has that does not change with the parameters."""
+        return _noise_of_session(self)
+
+    @property
+    def rows_of_turn(self) -> int:
+        """How many rows a turn has: rotation, velocity where it is predicted, and what gyros say of each other."""
+        gyro, velocity = self.instrument.gyro, 3 if self.instrument.in_velocities else 0
+        return 3 + velocity + (0 if gyro is None or self.observations.turn_readings is None else gyro.size - 3)
+
+    @cached_property
+    def noise_of_turns(self) -> tuple[Array, Array]:
+        """Standard deviations (K,) of the rotations of the turns, rad, and of their velocities, m/s, infinite where
+        they are not predicted: root mean square over the axes."""
+        turns = self.observations.turns
+        assert turns is not None
+        rotation = np.sqrt(np.trace(turns.covariance, axis1=1, axis2=2) / 3.0)
+        if not self.instrument.in_velocities:
+            return rotation, np.full_like(rotation, np.inf)
+        return rotation, np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
+
     @property
     def width(self) -> int:
         """How many parameters there are, with what a session has of its own."""
@@ -431,6 +451,16 @@ def _changing_with(observations: Observations, variables: tuple[Variable, ...]) 
 
 def noise_of(problem: Problem, rows: Rows) -> Noise:
     """Covariance of the rows without scatter, and the directions of the components of variance."""
+    noise, r, stop = problem.noise, problem.noise.rest.shape[1], problem.noise.rest_directions[0].shape[2]
+    Z, component = noise.merged_directions
+    if len(Z):
+        Z = Z.copy()
+        Z[:, r:, :stop] = rows.bias
+    return replace(noise, merged_directions=(Z, component))
+
+
+def _noise_of_session(problem: Problem) -> Noise:
+    """All of it that does not change with the parameters: without what a bias does in the turn after a rest."""
     observations, rests = problem.observations, problem.observations.rests
     gyro, n = observations.gyro_block, rests.accel.shape[1]
     unseen = EARTH_RATE**2 / 3.0 if observations.site.latitude is None else 0.0
@@ -440,22 +470,16 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     if problem.prior.attitude is not None:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
     rest = _diagonal(blocks)
-    r, stop = rest.shape[1], n + rests.gyro.shape[1]
-    t = rows.turn.shape[1]
+    r, stop, t = rest.shape[1], n + rests.gyro.shape[1], problem.rows_of_turn
     v = 3 if problem.instrument.in_velocities else 0
     component = np.repeat(np.arange(len(COMPONENTS)), [n, stop - n, t - v, v, v])
     at_rest = np.broadcast_to(np.eye(r, stop), (len(rests), r, stop)), component[:stop]
     turns = observations.turns
     if turns is None or not len(turns):
-        empty = np.zeros((0, r + t, len(component)))
-        return Noise(
-            rest=rest,
-            merged=np.zeros((0, r + t, r + t)),
-            rest_directions=at_rest,
-            merged_directions=(empty, component),
-        )
+        nothing, empty = np.zeros((0, r + t, r + t)), np.zeros((0, r + t, len(component)))
+        return Noise(rest=rest, merged=nothing, rest_directions=at_rest, merged_directions=(empty, component))
     Z = np.zeros((len(turns), r + t, len(component)))
-    Z[:, :stop, :stop], Z[:, r:, :stop] = np.eye(stop), rows.bias
+    Z[:, :stop, :stop] = np.eye(stop)
     Z[:, r:, stop : stop + t] = np.eye(t)[:, np.r_[:3, 3 + v : t, 3 : 3 + v]]  # rotations, spare readings, velocities
     turned = turns.duration > 0.0  # between the parts of a rest nothing is
     Z[~turned, r : r + 3 + v, stop:] = 0.0

@@ -22,7 +22,7 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
     """Residuals and Jacobians at a point; `about` is None where there are no turns."""
     problem = problem.warmed(point)
     model = problem.instrument.linearised(point.values)
-    turn, bias = np.zeros((0, 6, 8 + problem.width)), np.zeros((0, 6, 0))
+    turn, bias = np.zeros((0, problem.rows_of_turn, 8 + problem.width)), np.zeros((0, problem.rows_of_turn, 0))
     if about is not None:
         turn, bias = _turn_rows(problem, point, about, model)
     return Rows(
@@ -96,8 +96,8 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
     by = about.rows(instrument, point.values, model, problem.width)
     _add_changes(problem, point, by, 0, 1, about.growing_columns(model[1]))
     (spare, free), t = _spare_rows(problem, point, model[1]), 6 if instrument.in_velocities else 3
-    rows = np.zeros((len(turns), t + len(free), 8 + problem.width))
-    bias = np.zeros((len(turns), t + len(free), about.paths.shape[2]))
+    rows = np.zeros((len(turns), problem.rows_of_turn, 8 + problem.width))
+    bias = np.zeros((len(turns), problem.rows_of_turn, about.paths.shape[2]))
     ends, turned = (point.attitudes, turns.first, turns.last), (about.C, turns.duration, problem.earth_turned)
     place = problem.earth, point.gravity, instrument.in_velocities
     add_turns(ends, turned, place, (by, about.paths[..., CONSTANT]), rows, bias)

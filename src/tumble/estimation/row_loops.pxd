@@ -1,6 +1,6 @@
 # What of row_loops.py is compiled as functions of C, and the types of their arguments and sums.
 cimport cython
-from libc.math cimport atan2, cos, fabs, sin, sqrt, tan
+from libc.math cimport atan2, fabs, sin, sqrt, tan
 from libc.stdint cimport int64_t
 
 @cython.locals(
@@ -42,6 +42,10 @@ cdef void _add_velocity(
     double[:, ::1] rows, double[:, ::1] work,
 ) noexcept nogil
 
+@cython.locals(i=Py_ssize_t, a=Py_ssize_t)
+cdef void _turn(
+    const double[:, :, :] attitudes, const double[:, :] angles, double[:, :, ::1] out, double[:, :, ::1] work
+)
 cdef void _exponential(const double[:] r, double[:, ::1] C) noexcept nogil
 @cython.locals(second=double)
 cdef void _left_jacobian(const double[:] r, double[:, ::1] J) noexcept nogil

@@ -236,6 +236,29 @@ def _add_velocity(start: Array, earth: Array, gravity: float, T: float, by: Arra
 # Rotations -----------------------------------------------------------------------------------------------------
 
 
+def turned(attitudes: Array, angles: Array) -> Array:
+    """Attitudes (N, 3, 3) after turns in the body by the first two angles (N, 3) about north and west, and about the
+    vertical by the third, exactly."""
+    out = np.zeros(attitudes.shape)
+    _turn(attitudes, angles, out, np.zeros((4, 3, 3)))
+    return out
+
+
+def _turn(attitudes: Array, angles: Array, out: Array, work: Array) -> None:
+    """One attitude after the other."""
+    with cython.nogil:
+        r, E, F = work[0, 0], work[1], work[2]
+        for i in range(attitudes.shape[0]):
+            L = attitudes[i]
+            for a in range(3):
+                r[a] = L[0, a] * angles[i, 0] - L[2, a] * angles[i, 1]
+            _exponential(r, E)
+            _product(L, E, F)
+            r[0], r[1], r[2] = 0.0, angles[i, 2], 0.0
+            _exponential(r, E)
+            _product(E, F, out[i])
+
+
 def left_jacobian(r: Array) -> Array:
     """J_l(r) (…, 3, 3) of rotation vectors: exp([(r + dr)×]) = exp([J_l dr×]) exp([r×]) to first order in dr."""
     out = np.zeros((*r.shape, 3))

@@ -84,11 +84,13 @@ class TurnsAbout:
         lefts = about.gyro.left_inverse, about.accel.left_inverse
         turns = observations.turns
         assert turns is not None
-        resting = specific_force(instrument, values, observations.rests.accel)
-        ends = resting[turns.first], resting[turns.last]
+        ends = None
+        if instrument.in_velocities:
+            resting = specific_force(instrument, values, observations.rests.accel)
+            ends = resting[turns.first], resting[turns.last]
         growing = observations.growing_moments_about(about) if warms(instrument) else None
         about_turns = TurnsAbout.from_moments(moments, accel, (K, late), lefts, ends, growing)
-        if instrument.in_motion("lever") is None:
+        if ends is None:
             return about_turns
         arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)
         return replace(about_turns, arrays=arrays)
@@ -99,12 +101,12 @@ class TurnsAbout:
         accel: Block,
         about: tuple[Array, float],
         lefts: tuple[Array, Array],
-        ends: tuple[Array, Array],
+        ends: tuple[Array, Array] | None,
         growing: tuple[Array, Array] | None = None,
     ) -> TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
-        accelerometers, and the specific forces (K, 3) at rest at their `ends`; `growing` are the moments of what grows
-        within the turns."""
+        accelerometers, and the specific forces (K, 3) at rest at their `ends`, None where velocities are not predicted;
+        `growing` are the moments of what grows within the turns."""
         to_rate, to_force = lefts
         paths, a = _paths((moments.Phi, moments.Psi), lefts), to_force.shape[1]
         for by, own, to_body in (
@@ -119,11 +121,7 @@ class TurnsAbout:
             lateness=about[1],
             moments=moments,
             paths=paths,
-            in_motion={
-                "lever": -lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
-                "delay": -delay_column(moments)[:, :, None],
-                "single delay": -single_delay_columns(moments, to_force, accel.axes, ends)[:, :, accel.channels[:-1]],
-            },
+            in_motion={} if ends is None else _in_motion(moments, accel, to_force, ends),
             to_rate=to_rate,
             growing=None if growing is None else _paths(growing, lefts),
         )
@@ -201,6 +199,15 @@ class TurnsAbout:
         """Whether first order does for changes (K, n, 15) of the coefficients of the gyros from turn to turn."""
         rotation, velocity = self.second_order(changes)
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
+
+
+def _in_motion(moments: Moments, accel: Block, to_force: Array, ends: tuple[Array, Array]) -> dict[Motion, Array]:
+    """−∂V (K, 3, m) of what a turn alone sees of accelerometers."""
+    return {
+        "lever": -lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
+        "delay": -delay_column(moments)[:, :, None],
+        "single delay": -single_delay_columns(moments, to_force, accel.axes, ends)[:, :, accel.channels[:-1]],
+    }
 
 
 def _times(paths: Array, D: Array) -> Array:

@@ -39,10 +39,15 @@ class Out:
             rest=np.zeros(len(problem.link), dtype=bool), turn=np.zeros(0 if turns is None else len(turns), dtype=bool)
         )
 
+    @property
+    def any(self) -> bool:
+        """Whether something is left out."""
+        return bool(self.rest.any() or self.turn.any())
+
     def noise(self, problem: Problem, rows: Rows) -> Noise:
         """The noise of the rows, large where they are left out."""
         noise = noise_of(problem, rows)
-        if not (self.rest.any() or self.turn.any()):
+        if not self.any:
             return noise
         rest, merged, r = noise.rest.copy(), noise.merged.copy(), noise.rest.shape[1]
         rest[self.rest] += LEFT_OUT * _diagonals(rest[self.rest])
@@ -141,18 +146,13 @@ def _heading_information(problem: Problem, step: Step) -> Array:
 
 def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
     """The turns, integrated again if the parameters have moved too far since."""
-    turns = problem.observations.turns
-    if about is None or turns is None:
+    if about is None:
         return None
-    noise = np.sqrt(np.trace(turns.covariance, axis1=1, axis2=2) / 3.0)
-    velocity = np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
-    if not problem.instrument.in_velocities:
-        velocity = np.full_like(velocity, np.inf)
     changes = problem.changed_in_turns(point)
     of_gyros = slice(problem.instrument.accel.size, None)
-    if changes is not None and about.small(changes[:, of_gyros], (noise, velocity)):
+    if changes is not None and about.small(changes[:, of_gyros], problem.noise_of_turns):
         changes = None
     gyro_changes = 0.0 if changes is None else changes[:, of_gyros]
-    if about.good_for(problem.instrument, point.values, (noise, velocity), gyro_changes):
+    if about.good_for(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
         return about
     return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)
