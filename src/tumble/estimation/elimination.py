@@ -229,45 +229,49 @@ def put_back(
     covariance (p, p) of the parameters: with themselves and those of the next rest (2, N, d, d), and with the
     parameters (N, d, p). An unknown that nothing shows is zero, and without variance."""
     N, d, p = len(factor), factor.shape[1], len(parameters)
-    own, shared = np.zeros((2, N, d, d)), np.zeros((N, d, p))
-    inverse, by_next, by = np.zeros((d, d)), np.zeros((d, d)), np.zeros((d, p))
-    _put_back(factor, link, parameters, covariance, unknowns, own, shared, inverse, by_next, by)
+    inverse, by_next, by = np.zeros((N, d, d)), np.zeros((N, d, d)), np.zeros((N, d, p))
+    _solve_all(factor, inverse, by_next, by, unknowns)
+    own, shared = np.zeros((2, N, d, d)), np.reshape(by.reshape(N * d, p) @ covariance, by.shape)
+    _put_back(link, parameters, inverse, by_next, by, unknowns, own, shared)
     return own, shared
 
 
+def _solve_all(factor: Array, inverse: Array, by_next: Array, by: Array, unknowns: Array) -> None:
+    """The rows of all rests, solved for their unknowns."""
+    with cython.nogil:
+        for i in range(factor.shape[0]):
+            _inverse(factor[i], inverse[i])
+            _solve_for(inverse[i], factor[i], by_next[i], by[i], unknowns[i])
+
+
 def _put_back(
-    factor: Array,
     link: IntArray,
     parameters: Array,
-    covariance: Array,
-    unknowns: Array,
-    own: Array,
-    shared: Array,
     inverse: Array,
     by_next: Array,
     by: Array,
+    unknowns: Array,
+    own: Array,
+    shared: Array,
 ) -> None:
-    """One rest after the other, from the last."""
-    N, d, p = factor.shape[0], factor.shape[1], parameters.shape[0]
+    """One rest after the other, from the last; `shared` begins as the part that goes with the parameters."""
+    N, d, p = by.shape[0], by.shape[1], by.shape[2]
     with cython.nogil:
         for i in range(N - 1, -1, -1):
-            _inverse(factor[i], inverse)
-            _solve_for(inverse, factor[i], by_next, by, unknowns[i])
             for a in range(d):
                 for b in range(p):
-                    unknowns[i, a] += by[a, b] * parameters[b]
-            _add_symmetric(by, covariance, shared[i])
-            _add_product(inverse, inverse, own[0, i])
+                    unknowns[i, a] += by[i, a, b] * parameters[b]
+            _add_product(inverse[i], inverse[i], own[0, i])
             if link[i] >= 0:
                 for a in range(d):
                     for b in range(d):
-                        unknowns[i, a] += by_next[a, b] * unknowns[i + 1, b]
+                        unknowns[i, a] += by_next[i, a, b] * unknowns[i + 1, b]
                         for q in range(p):
-                            shared[i, a, q] += by_next[a, b] * shared[i + 1, b, q]
-                _add_product(by, shared[i + 1], own[1, i])
-                _add_product(by_next, own[0, i + 1], own[1, i])
-                _add_product(own[1, i], by_next, own[0, i])
-            _add_product(shared[i], by, own[0, i])
+                            shared[i, a, q] += by_next[i, a, b] * shared[i + 1, b, q]
+                _add_product(by[i], shared[i + 1], own[1, i])
+                _add_product(by_next[i], own[0, i + 1], own[1, i])
+                _add_product(own[1, i], by_next[i], own[0, i])
+            _add_product(shared[i], by[i], own[0, i])
 
 
 def whitening(noise: Array, directions: Array, component: IntArray, variance: Array) -> Array:
@@ -372,15 +376,6 @@ def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: 
             for column in range(p):
                 by[a, column] -= inverse[a, b] * factor[b, 2 * d + column]
             value[a] += inverse[a, b] * factor[b, 2 * d + p]
-
-
-def _add_symmetric(a: Array, b: Array, out: Array) -> None:
-    """Add a b, b symmetric."""
-    for i in range(a.shape[0]):
-        for c in range(a.shape[1]):
-            part = a[i, c]
-            for j in range(b.shape[1]):
-                out[i, j] += part * b[c, j]
 
 
 def _add_product(a: Array, b: Array, out: Array) -> None:
