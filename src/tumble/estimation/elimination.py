@@ -79,9 +79,9 @@ def _fold_many(rows: Array, triangle: Array) -> None:
     """The same by LAPACK, from the first column on that is not zero; rows that are a triangle there cost a third."""
     for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
         upper = triangle[first:, first:]
-        below, n = rows[:, first:], min(len(rows), len(upper))
-        both = dtpqrt(0 if np.any(np.tril(below, -1)) else n, min(WIDE, len(upper)), upper, below)
-        upper[:] = np.triu(both[0])
+        below = rows[:, first:]
+        triangular = len(below) <= len(upper) and not np.any(np.tril(below, -1))
+        upper[:] = np.triu(dtpqrt(len(below) if triangular else 0, min(WIDE, len(upper)), upper, below)[0])
 
 
 def _eliminate(

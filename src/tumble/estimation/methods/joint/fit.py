@@ -55,7 +55,7 @@ def fit_of(problem: Problem, start: At, most: int = ALL_STEPS) -> Fitted:
     seen = seen_components(problem, solved.last.noise, *without)
     for _ in range(ROUNDS):
         at = solved.last
-        found, components, told = scatter_of(wide, at, solved.step, scatter, seen)
+        found, components, told = scatter_of(wide, at, (solved.step, after[0]), scatter, seen)
         wider = with_wider_priors(wide, at, told)
         if (found == scatter and wider is wide) or steps >= most:
             break

@@ -41,14 +41,17 @@ def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights
     return np.asarray(degrees > LEAST_DEGREES)
 
 
-def scatter_of(problem: Problem, at: At, step: Step, start: Scatter, seen: BoolArray) -> tuple[Scatter, Array, Told]:
+def scatter_of(
+    problem: Problem, at: At, begun: tuple[Step, Left], start: Scatter, seen: BoolArray
+) -> tuple[Scatter, Array, Told]:
     """The components of scatter that are `seen` (5,) by restricted maximum likelihood at one linearisation, from a
-    start, of which the step is known; the covariance (5, 5) of their variances, and what the rows tell with them. Steps
-    of Fisher scoring, halved while the likelihood falls. The information lacks what rests and turns tell of each other:
-    `share` is the part that it was of how the score fell in the step before."""
+    start, of which the step and what it leaves are known; the covariance (5, 5) of their variances, and what the rows
+    tell with them. Steps of Fisher scoring, halved while the likelihood falls. The information lacks what rests and
+    turns tell of each other: `share` is the part that it was of how the score fell in the step before."""
+    step, after = begun
     variance, share = start.variances, 1.0
     active = variance > 0.0
-    deviance, slope, information = step.deviance, *_scored(problem, at, step)
+    deviance, slope, information = step.deviance, *_scored(problem, at, step, after)
     if not active.any():
         size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
         active = seen & (slope / size > -special.ndtri(SCATTER_PROBABILITY))
@@ -68,7 +71,7 @@ def scatter_of(problem: Problem, at: At, step: Step, start: Scatter, seen: BoolA
             if step.deviance <= deviance + 1e-6:
                 break
             wanted = 0.5 * (wanted + before)
-        deviance, slope, information = step.deviance, *_scored(problem, at, step)
+        deviance, slope, information = step.deviance, *_scored(problem, at, step, left(problem, step))
         change = np.where(active, variance - before, 0.0)
         if np.all(np.abs(change) <= SCATTER_CONVERGED * deviation):
             break
@@ -81,10 +84,10 @@ def scatter_of(problem: Problem, at: At, step: Step, start: Scatter, seen: BoolA
     return Scatter.of_variances(variance), components, step.told
 
 
-def _scored(problem: Problem, at: At, step: Step) -> tuple[Array, Array]:
+def _scored(problem: Problem, at: At, step: Step, after: Left) -> tuple[Array, Array]:
     """The score (5,) of the restricted likelihood and its information (5, 5) with respect to the variances, at a step
-    with them."""
-    after, weight, last = left(problem, step), step.told.weights, problem.link < 0
+    with them and what it leaves."""
+    weight, last = step.told.weights, problem.link < 0
     slope, information = np.zeros(len(COMPONENTS)), np.zeros((len(COMPONENTS),) * 2)
     (at_rest, of_rest), (Z, of_merged) = at.noise.rest_directions, at.noise.merged_directions
     score(weight.rest[last] @ at_rest[last], of_rest, (after.rest[0][last], after.rest[1][last]), slope, information)
