@@ -22,8 +22,9 @@ from tumble.reduction import motion_samples as reduction
 from tumble.reduction import observations as observing
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.matching import Match
-from tumble.reduction.observations import Observations, TurnSamples, observe
+from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import find_rests, stated_rest
+from tumble.reduction.turn_samples import TurnSamples
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record

@@ -26,7 +26,10 @@ from tumble.programme.positions import attitude, programme
 from tumble.recording.session import Site
 from tumble.reduction import observations as observing
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.observations import Observations, Rests, TurnReadings, Turns, TurnSamples
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import Rests
+from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.turns import TurnReadings, Turns
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
