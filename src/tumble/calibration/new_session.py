@@ -19,8 +19,10 @@ import numpy as np
 
 from tumble.calibration.draft import Draft, session_text
 from tumble.calibration.draft_trials import tried
-from tumble.calibration.found_log import FoundLog, files_of, found_log, mended, times_of
+from tumble.calibration.found_log import FoundLog, times_of
+from tumble.calibration.log_detection import files_of, found_log
 from tumble.calibration.log_times import Times
+from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
 from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
