@@ -30,7 +30,8 @@ from tumble.estimation.methods.paper.scalar import scalar
 from tumble.estimation.methods.paper.sequential import sequential
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
-from tumble.recording.session import Site, read_session
+from tumble.recording.session import Site
+from tumble.recording.session_file import read_session
 from tumble.reduction.blocks import reduce_log
 from tumble.reduction.matching import match_rests
 from tumble.reduction.motion_samples import MotionSamples

@@ -37,7 +37,8 @@ from tumble.recording.description import description_of
 from tumble.recording.formats.columns import unit_of_name
 from tumble.recording.log import open_log
 from tumble.recording.readers import LogSource, rows_of_numbers, source_of, times_of
-from tumble.recording.session import Channels, LogSpec, Magnetometer, Session, session_from
+from tumble.recording.session import Channels, LogSpec, Magnetometer, Session
+from tumble.recording.session_file import session_from
 from tumble.recording.writer import write_tables
 from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import Compensator

@@ -33,8 +33,8 @@ from tumble.recording.formats import Sensors
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, temperature_unit
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
-from tumble.recording.session import SESSION_FILE, session_of
-from tumble.recording.session_keys import TemperatureTable
+from tumble.recording.session_file import SESSION_FILE, session_of
+from tumble.recording.session_keys.temperature import TemperatureTable
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS
 
 _HEAD = 20_000
