@@ -12,11 +12,12 @@ import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers
 from tumble.calibration.respelled import respelled
+from tumble.calibration.sensor_rows import files_by_sensor
 from tumble.calibration.sensors_apart import of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
-from tumble.recording.formats.columns import ACCEL, columns_by_name
-from tumble.recording.formats.columns_by_data import columns_by_data
+from tumble.recording.formats.columns import ACCEL, columns_by_name, time_unit
+from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
 from tumble.recording.readers import ENDINGS, opened, readable, source_of
 
 _SEEN_BYTES = 1 << 18
@@ -51,11 +52,12 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
-    logs, left = _those_with_rows(files, folder)
+    parts = [part for file in files for part in files_by_sensor(file, folder) or [file]]
+    logs, left = _those_with_rows(parts, folder)
     if len(logs) > 1 and not any(log.columns.triads for log in logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
-    logs = [_by_data(log) if ACCEL not in log.columns.triads else log for log in logs]
+    logs = [_by_data(log) if ACCEL not in log.columns.triads else _with_time(log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
         if (
@@ -177,3 +179,18 @@ def _by_data(log: FoundLog) -> FoundLog:
         return log
     said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in found.triads.items()]
     return replace(log, columns=columns, said=(*log.said, *said))
+
+
+def _with_time(log: FoundLog) -> FoundLog:
+    """A log whose time, if no name says which column it is, is one that grows as times do."""
+    if log.columns.time is not None:
+        return log
+    known = {log.columns.counter, *(c for triad in log.columns.triads.values() for c in triad.columns)}
+    names = [name for name in _numeric(log) if name not in known]
+    if not names:
+        return log
+    time = time_by_data(names, log.read(names, rows=LONGEST // 10))
+    if time is None:
+        return log
+    said = f"time: column {time!r}, by its numbers (a guess)"
+    return replace(log, columns=replace(log.columns, time=time, time_unit=time_unit(time)), said=(*log.said, said))

@@ -92,8 +92,8 @@ def new_session(
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
         draft = _of_files(files, folder, given)
-        draft, faults = tried(draft, progress)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
+        draft, faults = tried(draft, progress)
         folder.mkdir(parents=True, exist_ok=True)
         text = session_text(draft, folder, given.programme, named=bool(given.serial))
         with whole_file(path) as temporary:
@@ -105,7 +105,7 @@ def new_session(
 
 
 def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
-    recordings = [f for f in files if f.suffix.lower() in formats.ENDINGS or f.is_dir()]
+    recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
     if not recordings:
         log = mended(found_log(files, folder), folder, given.rate)
         return _of_log(log, times_of(log, given.rate), given.rate)

@@ -13,14 +13,10 @@ from tumble.calibration.found_log import SHOWN, FoundLog, check_has_acceleromete
 from tumble.calibration.log_times import times_of_column
 from tumble.errors import InputError
 from tumble.recording import formats
-from tumble.recording.formats.columns import ACCEL, GYRO, Columns, columns_by_name
+from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name
 from tumble.recording.formats.message import TIME, Message, Sensors
 from tumble.units import TIME_UNITS
 
-_KINDS = {
-    ACCEL: re.compile(r"acc|beschl|ускор|加速度", re.IGNORECASE),
-    GYRO: re.compile(r"gyr|angular|dreh|гиро|角速度|陀螺", re.IGNORECASE),
-}
 _UNCALIBRATED = re.compile(r"acc.*uncal", re.IGNORECASE)
 _NOT_ACCEL = re.compile(r"linear|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
@@ -30,7 +26,7 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
     by_kind: dict[str, FoundLog] = {}
     for log in logs:
         name = log.files[0].stem
-        kind = next((k for k, pattern in _KINDS.items() if pattern.search(name)), None)
+        kind = next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
         if kind is not None and not (kind == ACCEL and _NOT_ACCEL.search(name)):
             by_kind.setdefault(kind, log)
     uncalibrated = next((log for log in logs if _UNCALIBRATED.search(log.files[0].stem)), None)
