@@ -370,22 +370,23 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         programme=content.get("programme"),
         readings={kind: readings_from(each) for kind, each in content.get("readings", {}).items()},
         notes=tuple(content.get("notes", ())),
-        launches=tuple(
-            Launch(
-                session=launch["session"],
-                parameters=with_degrees(map(parameter_from, launch["parameters"]), fits_from(launch)),
-                covariance=covariance_from(launch["covariance"], len(launch["parameters"])),
-                log_sha256=launch.get("log_sha256", ""),
-                site=site_from(launch),
-                circumstances=circumstances_from(launch.get("circumstances", {})),
-                rests=tuple(map(rest_from, launch.get("rests", ()))),
-                turns=tuple(map(turn_from, launch.get("turns", ()))),
-                fits=fits_from(launch),
-            )
-            for launch in content.get("launches", ())
-        ),
+        launches=tuple(map(_launch_from, content.get("launches", ()))),
         together=tuple(map(member_from, content.get("together", ()))),
         provenance=dict(content["provenance"]),
+    )
+
+
+def _launch_from(content: Mapping[str, Any]) -> Launch:
+    return Launch(
+        session=content["session"],
+        parameters=with_degrees(map(parameter_from, content["parameters"]), fits_from(content)),
+        covariance=covariance_from(content["covariance"], len(content["parameters"])),
+        log_sha256=content.get("log_sha256", ""),
+        site=site_from(content),
+        circumstances=circumstances_from(content.get("circumstances", {})),
+        rests=tuple(map(rest_from, content.get("rests", ()))),
+        turns=tuple(map(turn_from, content.get("turns", ()))),
+        fits=fits_from(content),
     )
 
 
