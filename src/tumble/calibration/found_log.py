@@ -14,7 +14,8 @@ from tumble.errors import InputError
 from tumble.recording.dialect import Dialect, is_clock
 from tumble.recording.formats.columns import ACCEL, Columns
 from tumble.recording.gaps import is_likely
-from tumble.recording.readers import LogSource, source_of
+from tumble.recording.log_source import LogSource
+from tumble.recording.readers import source_of
 from tumble.units import Array
 
 LONGEST = 2_000_000

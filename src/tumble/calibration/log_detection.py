@@ -18,7 +18,9 @@ from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
 from tumble.recording.formats.columns import ACCEL, columns_by_name, time_unit
 from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
-from tumble.recording.readers import ENDINGS, opened, readable, source_of
+from tumble.recording.log_source import readable
+from tumble.recording.readers import ENDINGS, source_of
+from tumble.recording.text_pieces import opened
 
 _SEEN_BYTES = 1 << 18
 

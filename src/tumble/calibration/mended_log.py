@@ -21,7 +21,7 @@ from tumble.calibration.raw_scale import unwrapped, wrapped
 from tumble.errors import InputError
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER
 from tumble.recording.formats.message import TIME
-from tumble.recording.readers import LogSource
+from tumble.recording.log_source import LogSource
 from tumble.recording.writer import write_tables
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine

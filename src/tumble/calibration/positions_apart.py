@@ -12,7 +12,6 @@ from tumble.calibration.found_log import LONGEST, FoundLog
 from tumble.calibration.raw_scale import unwrapped
 from tumble.errors import InputError
 from tumble.recording.formats.columns import ACCEL
-from tumble.recording.readers import text_tables
 from tumble.units import Array
 
 FEWEST_ROWS = 50
@@ -50,7 +49,7 @@ def positions_apart(log: FoundLog, *, unsigned: bool) -> list[tuple[int, int]] |
 def _label_changes(log: FoundLog, label: str) -> list[int] | None:
     """Rows where a column that names positions changes."""
     source = next(iter(log.sources()))
-    labels = pl.concat([table.select(pl.col(label).cast(pl.String))[label] for table in text_tables(source, ())])
+    labels = pl.concat([table[label].cast(pl.String) for table in source.whole(())])
     return (np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy())).tolist()
 
 
