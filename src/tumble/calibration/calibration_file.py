@@ -336,7 +336,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
             return None
         return SensorModel(matrix=np.array(part["matrix"], float), bias=np.array(part["bias"], float))
 
-    outcome = content["outcome"]
+    temperature = content.get("temperature", {})
     parameters = with_degrees(map(parameter_from, content["parameters"]), fits_from(content))
     return Calibration(
         serial=content["device"]["serial"],
@@ -348,16 +348,14 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         accel=model(content["accel"]),
         gyro=model(content["gyro"]),
         mag=model(content.get("mag")),
-        outcome=_outcome_from(outcome),
+        outcome=_outcome_from(content["outcome"]),
         groups=tuple(_group_from(group) for group in content.get("groups", ())),
         prediction=optional(_prediction_from, content.get("prediction")),
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
-        reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
-        thermometers={kind: tuple(of) for kind, of in content.get("temperature", {}).get("thermometers", {}).items()},
-        references={
-            kind: tuple(map(float, of)) for kind, of in content.get("temperature", {}).get("references", {}).items()
-        },
-        measured_between=optional(_pair, content.get("temperature", {}).get("range")),
+        reference_temperature=optional(float, temperature.get("reference")),
+        thermometers={kind: tuple(of) for kind, of in temperature.get("thermometers", {}).items()},
+        references={kind: tuple(map(float, of)) for kind, of in temperature.get("references", {}).items()},
+        measured_between=optional(_pair, temperature.get("range")),
         imu=sensors_from(content["device"].get("imu", {})),
         sample_rate=optional(float, content.get("sample_rate")),
         clock_u=float(content.get("clock_u", 0.0)),
