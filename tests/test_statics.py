@@ -11,7 +11,8 @@ from tumble.estimation.likelihood import Point, Problem, Scatter, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.step import solve
 from tumble.recording.session import Site
-from tumble.reduction.observations import Observations, Rests
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import Rests
 from tumble.sensors.model import Block
 from tumble.units import Array
 
