@@ -389,7 +389,7 @@ def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tup
         weights[:, which] += kernel[:, which]
     columns = -_contracted(moments.W, weights.reshape(3, len(_PAIRS), -1))
     first, last = (np.einsum("pja,kab->kjpb", along, _skews(rate)).reshape(len(rate), 3, -1) for rate in rates)
-    return columns - (moments.C @ last - first) * np.sign(moments.T)[:, None, None]
+    return np.asarray(columns - (moments.C @ last - first) * np.sign(moments.T)[:, None, None])
 
 
 def delay_column(moments: Moments) -> Array:
