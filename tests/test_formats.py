@@ -374,3 +374,13 @@ def test_of_several_topics_with_temperatures_that_beside_the_imu_is_taken(at_res
     np.testing.assert_allclose(temperatures, 30.0)
     draft, _ = new_session(tmp_path / "again", tmp_path / "two")
     assert "other thermometers, not used: /baro/temperature" in draft.said
+
+
+def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_rest: Array, tmp_path: Path) -> None:
+    names = ("/imu/gyro/temperature", "/imu/temperature", "/imu/accel_temp")
+    write_bag2(tmp_path / "each", at_rest, warmth=np.full(300, 40.0), thermometers=names)
+    draft, _ = new_session(tmp_path / "session", tmp_path / "each")
+    assert draft.content["log"]["temperature"]["columns"] == ["accel_temperature", "gyro_temperature"]
+    log = pl.read_parquet(tmp_path / "session" / "log.parquet")
+    np.testing.assert_allclose(log.select("accel_temperature", "gyro_temperature").to_numpy(), [[20.0, 40.0]] * 3000)
+    assert "other thermometers, not used: /imu/temperature" in draft.said
