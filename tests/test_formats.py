@@ -243,12 +243,12 @@ def test_sensors_of_two_topics_become_one_log_at_the_times_of_the_gyros(record: 
     force[:, :3] = np.arange(len(record))[:, None] * [1.0, 2.0, 3.0]  # linear in time: interpolation is exact
     force[:, 3:], rate[:, :3] = 0.0, 0.0
     write_bag2(tmp_path / "two", record, {"/accel/sample": force, "/gyro/sample": rate[5:-5]})
-    found = messages(tmp_path / "two")
-    assert [(m.name, bool(m.accel), bool(m.gyro)) for m in found] == [
+    accel, gyro = messages(tmp_path / "two")
+    assert [(m.name, bool(m.accel), bool(m.gyro)) for m in (accel, gyro)] == [
         ("/accel/sample", True, False),
         ("/gyro/sample", False, True),
     ]
-    as_log(tmp_path / "log.parquet", *found)
+    as_log(tmp_path / "log.parquet", accel, gyro)
     table = pl.read_parquet(tmp_path / "log.parquet")
     assert table.height == len(record) - 10
     np.testing.assert_allclose(table["accel_z"].to_numpy(), 3.0 * RATE * table["t"].to_numpy(), rtol=1e-12, atol=1e-9)

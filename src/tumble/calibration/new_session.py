@@ -90,7 +90,7 @@ def new_session(
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
         draft = _of_files(files, folder, given)
-        draft, faults = tried(draft, progress)
+        draft, faults = tried(draft, given.latitude, progress)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         folder.mkdir(parents=True, exist_ok=True)
         text = session_text(draft, folder, given.programme, named=bool(given.serial))
