@@ -16,7 +16,7 @@ import pytest
 from formula_setup import device_setup
 
 from tumble.calibration.calibrate import calibrate
-from tumble.estimation.diagnosis import verdict
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Prior, Problem, Scatter, linearise, weights
 from tumble.estimation.methods.joint.fit import TOTAL
@@ -28,7 +28,8 @@ from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.observations import Observations, TurnSamples
+from tumble.reduction.observations import Observations
+from tumble.reduction.turn_samples import TurnSamples
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block
 from tumble.simulation.observations import simulate_observations

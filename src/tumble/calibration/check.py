@@ -25,9 +25,10 @@ from datetime import UTC, datetime
 import numpy as np
 
 from tumble import __version__
-from tumble.calibration.calibrate import grade_of, readings_of_session, reference_of, references_of
+from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
+from tumble.calibration.from_estimate import readings_of_session, reference_of, references_of
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers
@@ -38,7 +39,8 @@ from tumble.estimation.likelihood import Scatter
 from tumble.estimation.prediction import prediction
 from tumble.estimation.variables import variables_of
 from tumble.files import FilePath
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument

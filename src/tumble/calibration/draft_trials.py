@@ -15,10 +15,10 @@ import numpy as np
 from tumble.calibration.draft import Draft
 from tumble.calibration.gyro_unit_by_earth import RATES, reads_the_earth
 from tumble.calibration.observed import Progress, inspect_session
-from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor
+from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor, known_unit
 from tumble.errors import TumbleError
-from tumble.estimation.diagnosis import fitting_gyro_unit
-from tumble.recording.session import session_of
+from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
+from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE
 
@@ -30,10 +30,9 @@ _SLOW_RATE = 25.0  # Hz
 _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
 
 
-def tried(draft: Draft, latitude_deg: float | None, progress: Progress) -> tuple[Draft, list[str]]:
-    """A draft with what rests and turns at a latitude, None where it is not known, say of its guesses, and the faults
-    that are left."""
-    draft, faults = _checked(_scaled(draft, progress), latitude_deg, progress)
+def tried(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft with what rests and turns say of its guesses, and the faults that are left."""
+    draft, faults = _checked(_scaled(draft, progress), progress)
     return _with_rate(draft, faults, progress)
 
 
@@ -106,6 +105,10 @@ def _gyro_scaled(
         )
         return {**log, "gyro": centred}, [said]
     scale = counts_per_deg_s(factor / DEGREE)
+    unit = known_unit(scale)
+    if unit is not None:
+        said = f"gyros: {named} in {unit}: so they carry the vertical from rest to rest"
+        return {**log, "gyro": {"columns": gyro["columns"], "unit": unit}}, [said]
     high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
     made = {**(centred if high else gyro), "scale": scale.value}
     return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)"]
@@ -136,12 +139,12 @@ def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
 # -------------------- what the recording says of the guesses --------------------
 
 
-def _checked(draft: Draft, latitude_deg: float | None, progress: Progress) -> tuple[Draft, list[str]]:
+def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
     """A draft with the gyros' unit in which they carry the vertical from rest to rest, or, where nothing turned, read
     the rate of the Earth; and the faults left."""
     unit, faults, turned = _looked_at(draft.content, progress)
     if draft.gyro_unknown and not turned and unit is None:
-        still = _by_the_earth(draft, latitude_deg, progress)
+        still = _by_the_earth(draft, progress)
         if still is not draft:
             return still, _looked_at(still.content, progress)[1]
     if faults and draft.gyro_unknown and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
@@ -156,10 +159,11 @@ def _checked(draft: Draft, latitude_deg: float | None, progress: Progress) -> tu
     return replace(draft, content=trial, said=(*draft.said, said)), []
 
 
-def _by_the_earth(draft: Draft, latitude_deg: float | None, progress: Progress) -> Draft:
+def _by_the_earth(draft: Draft, progress: Progress) -> Draft:
     """A draft with the unit in which gyros that nothing has turned read the rate of the Earth."""
     if draft.content["log"]["gyro"]["unit"] not in RATES:
         return draft
+    latitude_deg = draft.content.get("site", {}).get("latitude_deg")
     for unit in RATES:
         trial = _with_gyro_unit(draft.content, unit)
         observations = _observed(trial, progress)

@@ -14,7 +14,7 @@ import numpy as np
 
 from tumble.errors import LogError
 from tumble.recording.gaps import Grid, is_likely, is_reading
-from tumble.recording.readers import Kind, LogSource
+from tumble.recording.log_source import Kind, LogSource
 from tumble.recording.session import LogSpec
 from tumble.units import Array
 

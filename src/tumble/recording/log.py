@@ -20,7 +20,8 @@ from tumble.recording.circumstances import date_of_unix
 from tumble.recording.dialect import LINE_BYTES
 from tumble.recording.even_times import regular_grid, rounded_grid
 from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
-from tumble.recording.readers import LogSource, readable, source_of
+from tumble.recording.log_source import LogSource, readable
+from tumble.recording.readers import source_of
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
