@@ -30,7 +30,7 @@ _ROUNDING = 4.0 * np.finfo(float).eps
 def regular_grid(source: LogSource, spec: LogSpec) -> Grid:
     """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution
     and their delays."""
-    count, line = 0, _Line()
+    count, line = 0, _StampLine()
     for time in _stamps(source, spec):
         sound = is_reading(time)
         line.add(np.arange(count, count + len(time), dtype=float)[sound], time[sound])
@@ -45,7 +45,7 @@ def regular_grid(source: LogSource, spec: LogSpec) -> Grid:
 
 def rounded_grid(source: LogSource, spec: LogSpec, interval: float) -> Grid | None:
     """The grid whose times, rounded, are the time stamps of rows about `interval` s apart; None where they are none."""
-    resolution, line, number, last = _Resolution(), _Line(), 0.0, None
+    resolution, line, number, last = _Resolution(), _StampLine(), 0.0, None
     for time in _stamps(source, spec):
         step = resolution.of(time / spec.time_factor) * spec.time_factor
         if not 0.0 < step <= _COARSEST * interval:
@@ -61,7 +61,7 @@ def rounded_grid(source: LogSource, spec: LogSpec, interval: float) -> Grid | No
     return grid if max(off) <= _OFF * step else None
 
 
-class _Line:
+class _StampLine:
     """The straight line of least squares through times over numbers."""
 
     def __init__(self) -> None:
