@@ -388,7 +388,9 @@ def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tup
         kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)
         weights[:, which] += kernel[:, which]
     columns = -_contracted(moments.W, weights.reshape(3, len(_PAIRS), -1))
-    first, last = (np.einsum("pja,kab->kjpb", along, _skews(rate)).reshape(len(rate), 3, -1) for rate in rates)
+    first, last = (
+        np.einsum("pja,kab->kjpb", along, _skews(rate)).reshape(len(rate), *columns.shape[1:]) for rate in rates
+    )
     return np.asarray(columns - (moments.C @ last - first) * np.sign(moments.T)[:, None, None])
 
 
