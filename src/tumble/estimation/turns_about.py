@@ -30,7 +30,7 @@ from tumble.reduction.moments import (
 )
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_vector
-from tumble.sensors.compensation import specific_force
+from tumble.sensors.compensation import angular_rate, specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE, Motion
@@ -40,6 +40,9 @@ SECOND_ORDER = 1e-7  # rad
 SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
 VELOCITY_SHARE = 0.1  # of the noise of its velocity
 CHANGES_SHARE = 0.1  # of the noise: second order of changes from turn to turn that are not integrated about
+
+Ends = tuple[tuple[Array, Array], tuple[Array, Array]]
+"""Specific forces, then rates (K, 3), at rest at the start and at the end of the turns."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +90,8 @@ class TurnsAbout:
         ends = None
         if instrument.in_velocities:
             resting = specific_force(instrument, values, observations.rests.accel)
-            ends = resting[turns.first], resting[turns.last]
+            turning = angular_rate(instrument, values, observations.rests.gyro, resting)
+            ends = (resting[turns.first], resting[turns.last]), (turning[turns.first], turning[turns.last])
         growing = observations.growing_moments_about(about) if warms(instrument) else None
         about_turns = TurnsAbout.from_moments(moments, accel, (K, late), lefts, ends, growing)
         if ends is None:
@@ -101,12 +105,12 @@ class TurnsAbout:
         accel: Block,
         about: tuple[Array, float],
         lefts: tuple[Array, Array],
-        ends: tuple[Array, Array] | None,
+        ends: Ends | None,
         growing: tuple[Array, Array] | None = None,
     ) -> TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
-        accelerometers, and the specific forces (K, 3) at rest at their `ends`, None where velocities are not predicted;
-        `growing` are the moments of what grows within the turns."""
+        accelerometers, and what is at rest at their `ends`, None where velocities are not predicted; `growing` are the
+        moments of what grows within the turns."""
         to_rate, to_force = lefts
         paths, a = _paths((moments.Phi, moments.Psi), lefts), to_force.shape[1]
         for by, own, to_body in (
@@ -201,12 +205,13 @@ class TurnsAbout:
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
 
 
-def _in_motion(moments: Moments, accel: Block, to_force: Array, ends: tuple[Array, Array]) -> dict[Motion, Array]:
+def _in_motion(moments: Moments, accel: Block, to_force: Array, ends: Ends) -> dict[Motion, Array]:
     """−∂V (K, 3, m) of what a turn alone sees of accelerometers."""
+    forces, rates = ends
     return {
-        "lever": -lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
+        "lever": -lever_columns(moments, to_force, accel.axes, rates)[:, :, _lever_order(accel)],
         "delay": -delay_column(moments)[:, :, None],
-        "single delay": -single_delay_columns(moments, to_force, accel.axes, ends)[:, :, accel.channels[:-1]],
+        "single delay": -single_delay_columns(moments, to_force, accel.axes, forces)[:, :, accel.channels[:-1]],
     }
 
 

@@ -297,7 +297,8 @@ def _turns_about(course: Course, setup: Setup, instrument: Instrument, still: Ar
     start, end = course.attitudes[course.first], course.attitudes[course.first + 1]
     vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
     moments, grown = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), still)
-    ends = setup.gravity * start[:, 1], setup.gravity * end[:, 1]
+    earth = np.array(earth_rate(setup.latitude))
+    ends = (setup.gravity * start[:, 1], setup.gravity * end[:, 1]), (earth @ start, earth @ end)
     lefts, about = (np.eye(3), np.eye(3)), (instrument.all_coefficients(np.zeros(len(instrument.names))), 0.0)
     growing = grown if warms(instrument) else None
     return TurnsAbout.from_moments(moments, instrument.accel, about, lefts, ends, growing)
