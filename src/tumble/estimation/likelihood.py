@@ -1,4 +1,4 @@
-"""The joint likelihood of everything a session contains: residuals, analytic Jacobians and noise.
+"""The joint likelihood of everything a session contains: what is unknown, its residuals and their noise.
 
 Unknowns: the parameters θ of the instrument, local gravity g, and the attitude L (body → geographic) of every rest.
 Minimised is the sum of squares, each over its covariance (turntable method §8; dynamics method §3), of
@@ -45,6 +45,7 @@ import numpy as np
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.estimation.elimination import whitening
 from tumble.estimation.row_loops import turned
+from tumble.estimation.session_spans import SessionSpan, session_spans
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
@@ -52,9 +53,7 @@ from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of
-from tumble.units import Array, BoolArray, IntArray
-
-_UP = np.array([0.0, 1.0, 0.0])
+from tumble.units import Array, IntArray
 
 COMPONENTS = ("accel", "gyro", "turn", "velocity", "jumps")
 """The components of variance, in the order of `Scatter`."""
@@ -181,26 +180,6 @@ class Weights:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SessionSpan:
-    """One of several sessions: its rests and turns, and the turn among these after each of its rests, or −1."""
-
-    rests: slice
-    turns: slice
-    link: IntArray
-
-    @cached_property
-    def last(self) -> BoolArray:
-        """The rests that no turn follows, whose own rows count."""
-        return self.link < 0
-
-    @cached_property
-    def first(self) -> IntArray:
-        """The rest before each turn."""
-        linked = np.flatnonzero(self.link >= 0)
-        return linked[np.argsort(self.link[linked])]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
     """A session as the likelihood sees it: `link` (N,), the turn after each rest or −1, `chain` (N,), the number of
     each rest's chain, the Earth's rate (3,), zero where the latitude is not known, and `measured`, gravity and the
@@ -261,7 +240,7 @@ class Problem:
                 np.full(len(group.names(own.block(group))), (usual or {}).get(group.name, group.limit))
                 for group in own.further
             ]
-        parts, of_session = _parts(observations, link)
+        parts, of_session = session_spans(observations, link)
         return Problem(
             observations=observations,
             instrument=instrument,
@@ -412,19 +391,6 @@ class Linearised:
     rows: Rows
     noise: Noise
     scatter: Scatter
-
-
-def _parts(observations: Observations, link: IntArray) -> tuple[tuple[SessionSpan, ...], tuple[IntArray, IntArray]]:
-    """The sessions, and that of every rest and turn."""
-    session, turns = observations.session, observations.turns
-    of_rest = np.zeros(len(link), dtype=np.int64) if session is None else session
-    of_turn = np.zeros(0, dtype=np.int64) if turns is None else of_rest[turns.first]
-    edges, turn_edges = (np.searchsorted(of, np.arange(of_rest[-1] + 2)) for of in (of_rest, of_turn))
-    parts = []
-    for s in range(len(edges) - 1):
-        rests, own = slice(edges[s], edges[s + 1]), slice(turn_edges[s], turn_edges[s + 1])
-        parts.append(SessionSpan(rests=rests, turns=own, link=np.where(link[rests] < 0, -1, link[rests] - own.start)))
-    return tuple(parts), (of_rest, of_turn)
 
 
 def instruments_of(observations: Observations) -> tuple[Instrument, Instrument | None]:

@@ -14,7 +14,8 @@ from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dtrtri
 
 from tumble.estimation.elimination import eliminate, fold, put_back
-from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, SessionSpan, Weights
+from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, Weights
+from tumble.estimation.session_spans import SessionSpan
 from tumble.units import Array
 
 

@@ -227,11 +227,6 @@ def functions(block: Block, force: Array, rate: Array) -> Array:
     return out
 
 
-def by_sensor(beta: Array, D: Array) -> Array:
-    """Σ_b β_npb D_pbm (N, n, m)."""
-    return np.swapaxes(np.swapaxes(beta, 0, 1) @ D, 0, 1)
-
-
 def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
     others, and rates (N, 3) of the body."""
@@ -255,18 +250,3 @@ def _along(vectors: Array, axes: Array) -> Array:
 def is_linear(block: Block, K: Array) -> bool:
     """Whether the readings of a block are linear in what it measures, and of nothing else."""
     return not np.any(np.delete(K, np.r_[CONSTANT, measured_by(block)], axis=1))
-
-
-def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Array]:
-    """Derivatives (N, n, 3) of the readings Σ_b K_pb β_pb with respect to specific force and rate."""
-    by_force = np.broadcast_to(K[:, FORCE], (len(force), block.size, 3)).copy()
-    by_rate = np.broadcast_to(K[:, RATE], (len(force), block.size, 3)).copy()
-    for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start):
-        if np.any(K[:, b]):
-            by_force[:, :, k] += K[:, b] * force[:, [other]]
-            by_force[:, :, other] += K[:, b] * force[:, [k]]
-    if np.any(K[:, OWN_SIZE:]):
-        by, true = (by_force, force) if block.kind == "accel" else (by_rate, rate)
-        own = true @ block.axes.T
-        by += (K[:, OWN_SIZE] * np.sign(own) + 3.0 * K[:, OWN_CUBE] * own**2)[:, :, None] * block.axes
-    return by_force, by_rate
