@@ -17,6 +17,9 @@ from tumble.units import DEGREE
 _GAPS_SHOWN = 5
 ONE_RATE = 1.2
 """The largest mean rate of the turns, in parts of the smallest, where they count as one rate."""
+SHORT_TURN = 0.6
+"""Of the largest angle: shorter turns, such as moves by hand between the series of a table, have a third of its weight
+in the scale factors at most, and say nothing of other rates."""
 
 
 def bridged_in(found: Sequence[Gap]) -> tuple[str, ...]:
@@ -64,16 +67,18 @@ def unchecked(estimate: Estimate) -> tuple[str, ...]:
 
 
 def one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
-    """Where all turns have about one rate, what the scale factors of the gyros are, as a note."""
+    """Where all turns that determine the scale factors of the gyros have about one rate, what these are, as a note."""
     turns = observations.turns
     if estimate.method != "joint" or turns is None or any(group_name(name) == "gyro.cubic" for name in estimate.names):
         return ()
     made = turns.duration > 0.0  # between the parts of a rest nothing is turned
-    rates = np.linalg.norm(rotation_vector(turns.C[made]), axis=1) / turns.duration[made]
+    angles = np.linalg.norm(rotation_vector(turns.C[made]), axis=1)
+    long = angles > SHORT_TURN * angles.max(initial=0.0)
+    rates = angles[long] / turns.duration[made][long]
     if not len(rates) or not rates.max() < ONE_RATE * rates.min():
         return ()
     return (
-        f"all turns have about {rates.mean() / DEGREE:.2g} °/s: scale factors of the gyros are those at this rate; "
+        f"{'all' if long.all() else 'the long'} turns have about {rates.mean() / DEGREE:.2g} °/s: scale factors of the gyros are those at this rate; "
         "what they are at others, turns at two rates show, or gyro_cubic in [device.prior] puts into u",
     )
 
