@@ -128,12 +128,13 @@ def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
 
 
 def _heading_information(problem: Problem, step: Step) -> Array:
-    """What the gyros of each rest (N,) say of its heading, rad⁻²."""
+    """What the gyros of each rest (N,) and of the turn after it say of the heading of both, rad⁻²."""
     rest, merged = step.whitened
-    n, r = problem.observations.accel_block.size, rest.shape[1]
+    n = problem.observations.accel_block.size
     own = (rest[:, n:, 2] ** 2).sum(axis=1)
     linked = problem.link >= 0
-    own[linked] = (merged[problem.link[linked], n:r, 2] ** 2).sum(axis=1)
+    of_both = merged[problem.link[linked], n:, 2] + merged[problem.link[linked], n:, 5]
+    own[linked] = (of_both**2).sum(axis=1)
     return np.asarray(own)
 
 
