@@ -374,6 +374,7 @@ def observed(setting: Setting, samples: Samples) -> Observations:
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=white[0] * T[:, None, None] * np.eye(3),
+        velocity=moments.V,
         velocity_covariance=white[1] * T[:, None, None] * np.eye(3),
         jumps=moments.jumps,
     )

@@ -109,6 +109,7 @@ class Launches:
             M=M.reshape(n, k, 3, 3, 3),
             B=B.reshape(n, k, 3, 3),
             covariance=np.zeros((k, 3, 3)),
+            velocity=np.zeros((k, 3)),
             velocity_covariance=np.zeros((k, 3, 3)),
             jumps=np.zeros(k),
         )

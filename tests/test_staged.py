@@ -194,6 +194,7 @@ def observations(
         M=np.zeros((N - 1, 3, 3, 3)),
         B=np.zeros((N - 1, 3, 3)),
         covariance=noise.gyro**2 * way.durations[:, None, None] * (to_body @ to_body.T) + floor,
+        velocity=np.zeros((N - 1, 3)),
         velocity_covariance=np.broadcast_to(np.eye(3), (N - 1, 3, 3)),
         jumps=np.zeros(N - 1),
     )
@@ -540,6 +541,7 @@ def missing_from(codes: Sequence[str], *, turns: int | None = None, noise: Noise
                 M=kept.M[:turns],
                 B=kept.B[:turns],
                 covariance=kept.covariance[:turns],
+                velocity=kept.velocity[:turns],
                 velocity_covariance=kept.velocity_covariance[:turns],
                 jumps=kept.jumps[:turns],
             ),

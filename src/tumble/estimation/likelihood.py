@@ -136,14 +136,12 @@ class Rows:
     `tumble.estimation.elimination` has them with three unknowns a rest, the parameters being gravity and those of the
     instrument, and then what a session has of its own. `prior` (1 + p, 1 + p) is whitened, and a triangle; `own` (S, q)
     the whitened residuals of the priors of what each session has of its own. `bias` are the coefficients (K, t, n) of
-    the turns for a bias of the accelerometers, then of the gyros, in the turn; `velocity` (K, 3), m/s, is what gravity
-    lets the turns gain, in the body at their start."""
+    the turns for a bias of the accelerometers, then of the gyros, in the turn."""
 
     rest: Array
     turn: Array
     prior: Array
     bias: Array
-    velocity: Array
     own: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
     def with_priors(self, problem: Problem, point: Point, about: TurnsAbout | None = None) -> Rows:
@@ -411,11 +409,11 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
     observations = problem.observations
     rest = [_rest_rows(problem, point, observations.accel_block, observations.rests.accel)]
     p = 2 + len(point.values) + len(problem.own_known)
-    turn, bias, velocity = np.zeros((0, 6, 6 + p)), np.zeros((0, 6, 0)), np.zeros((0, 3))
+    turn, bias = np.zeros((0, 6, 6 + p)), np.zeros((0, 6, 0))
     if observations.gyro_block is not None:
         rest.append(_rest_rows(problem, point, observations.gyro_block, observations.rests.gyro))
         if about is not None:
-            turn, bias, velocity = _turn_rows(problem, point, about)
+            turn, bias = _turn_rows(problem, point, about)
     if problem.prior.attitude is not None:
         rest.append(_attitude_rows(problem, point))
     return Rows(
@@ -423,7 +421,6 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
         turn=turn,
         prior=priors(problem, point, about),
         bias=bias,
-        velocity=velocity,
         own=-point.own / problem.own_known,
     )
 
@@ -484,9 +481,9 @@ def _rest_rows(problem: Problem, point: Point, block: Block, observed: Array) ->
     return rows
 
 
-def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array, Array, Array]:
-    """Rotation and velocity of the turns, what more than three gyros say of themselves, the coefficients of all for a
-    bias of the accelerometers and gyros, and the velocities that are predicted."""
+def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array, Array]:
+    """Rotation and velocity of the turns, what more than three gyros say of themselves, and the coefficients of all for
+    a bias of the accelerometers and gyros."""
     observations, instrument = problem.observations, problem.instrument
     turns, gyro = observations.turns, observations.gyro_block
     assert turns is not None
@@ -514,8 +511,8 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     rows[:, :3, -1] = r
     bias = np.zeros((len(turns), 6, phi_bias.shape[2]))
     bias[:, :3], bias[:, 3:] = by_turned @ phi_bias, V_bias
-    predicted, by_turning = _velocity(problem, point, turns.duration)
     if instrument.in_velocities:
+        predicted, by_turning = _velocity(problem, point, turns.duration)
         rows[:, 3:, :3] = by_turning
         if observations.site.gravity_u > 0.0:
             rows[:, 3:, 6] = predicted / point.gravity
@@ -523,9 +520,9 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array
     else:
         rows, bias = rows[:, :3], bias[:, :3]
     if observations.turn_readings is None:
-        return rows, bias, predicted
+        return rows, bias
     spare, spare_bias = _spare_rows(problem, point)
-    return np.concatenate([rows, spare], axis=1), np.concatenate([bias, spare_bias], axis=1), predicted
+    return np.concatenate([rows, spare], axis=1), np.concatenate([bias, spare_bias], axis=1)
 
 
 def _velocity(problem: Problem, point: Point, T: Array) -> tuple[Array, Array]:
@@ -670,20 +667,20 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     Z[:, r + 3 : r + 3 + v, stop + t :] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
     return Noise(
         rest=rest,
-        merged=_diagonal([rest[turns.first], _turn_noise(problem, rows.velocity, unseen)]),
+        merged=_diagonal([rest[turns.first], _turn_noise(problem, unseen)]),
         rest_directions=at_rest,
         merged_directions=(Z, component),
     )
 
 
-def _turn_noise(problem: Problem, velocity: Array, unseen: float) -> Array:
-    """Covariance (K, t, t) of the rows of the turns that gain a velocity (K, 3): Eq. (8) with the variance of a mean
-    over the turn in place of that of white noise (A3)."""
+def _turn_noise(problem: Problem, unseen: float) -> Array:
+    """Covariance (K, t, t) of the rows of the turns: Eq. (8) with the variance of a mean over the turn in place of that
+    of white noise (A3)."""
     turns, readings = problem.observations.turns, problem.observations.turn_readings
     assert turns is not None
     T = turns.duration[:, None, None]
     rotation = turns.covariance + T**2 * unseen * np.eye(3)
-    across = skew(-0.5 * velocity)
+    across = skew(-0.5 * turns.velocity)
     by_rotation = across @ rotation @ np.swapaxes(across, 1, 2)
     out = np.zeros((len(turns), 6, 6))
     out[:, :3, :3] = rotation

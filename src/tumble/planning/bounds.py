@@ -353,6 +353,7 @@ def _turns(course: Course, setup: Setup, moments: Moments, still: Array | None) 
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=rotation[:, None, None] * np.eye(3),
+        velocity=moments.V,
         velocity_covariance=velocity[:, None, None] * np.eye(3),
         jumps=moments.jumps,
     )

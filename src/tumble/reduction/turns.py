@@ -35,9 +35,9 @@ _BODY = Block(kind="gyro", axes=np.eye(3))
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Turns:
     """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
-    M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²;
-    the covariance (K, 3, 3) of the velocity increment from accelerometer noise, and `jumps` (K,), m²/s², the sum of the
-    squares of what the force jumps by from sample to sample times the interval (A3). All are resolved in the
+    M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
+    velocity increment (K, 3), m/s, its covariance (K, 3, 3) from accelerometer noise, and `jumps` (K,), m²/s², the sum
+    of the squares of what the force jumps by from sample to sample times the interval (A3). All are resolved in the
     non-rotating frame that is the body at the start of the turn."""
 
     first: IntArray
@@ -47,6 +47,7 @@ class Turns:
     M: Array
     B: Array
     covariance: Array
+    velocity: Array
     velocity_covariance: Array
     jumps: Array
 
@@ -100,6 +101,7 @@ def reduced_turns(
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=_carried(samples, density) + TURN_FLOOR**2 * np.eye(3),
+        velocity=moments.V,
         velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
     )

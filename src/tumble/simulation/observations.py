@@ -219,6 +219,7 @@ def _turns(
         M=np.zeros((K, 3, 3, 3)),
         B=np.zeros((K, 3, 3)),
         covariance=gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3),
+        velocity=np.zeros((K, 3)),
         velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
         jumps=np.zeros(K),
     )
