@@ -21,7 +21,8 @@ import numpy as np
 from formulas_against_simulation import DEVICE
 
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, weights
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.fit import TOTAL
 from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.methods.paper.scalar import scalar

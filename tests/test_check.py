@@ -22,7 +22,8 @@ from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.field_check import CHANCE, CheckResult, _student, field_check
-from tumble.estimation.likelihood import Point, Prior, Problem, linearise
+from tumble.estimation.likelihood import Point, Prior, Problem
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

@@ -9,7 +9,8 @@ import pytest
 
 import tumble
 from tumble.estimation.common_errors import by_time_base, common_rounding
-from tumble.estimation.likelihood import Problem, linearise, noise_of
+from tumble.estimation.likelihood import Problem, noise_of
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.methods.joint.start import start_of
 from tumble.planning.setup import Setup

@@ -14,12 +14,12 @@ from click.testing import CliRunner
 
 from tumble import cli, compiled, uncompiled
 from tumble.campaigns import triads
-from tumble.estimation import elimination
+from tumble.estimation import elimination, row_loops
 from tumble.reduction import kernels, moment_kernels, moments
 from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
 from tumble.units import Array
 
-MODULES = dict(zip(compiled.LOOPS, (kernels, moment_kernels, elimination, triads), strict=True))
+MODULES = dict(zip(compiled.LOOPS, (kernels, moment_kernels, elimination, row_loops, triads), strict=True))
 pytestmark = pytest.mark.skipif(not compiled.record(), reason="the loops are not compiled here")
 
 
@@ -64,6 +64,35 @@ def chain(module: ModuleType) -> list[Array]:
 def test_elimination_is_that_of_python_to_the_bit() -> None:
     for found, expected in zip(chain(elimination), chain(as_python("estimation/elimination")), strict=True):
         np.testing.assert_array_equal(found, expected)
+
+
+def likelihood_rows(module: ModuleType) -> list[Array]:
+    """All rows of four sensors at three attitudes and of the turns between them, one of nearly π."""
+    rng = np.random.default_rng(4)
+    attitudes, axes = np.linalg.qr(rng.standard_normal((3, 3, 3)))[0], rng.standard_normal((4, 3))
+    attitudes *= np.linalg.det(attitudes)[:, None, None]
+    rests, D = np.zeros((3, 9, 12)), rng.standard_normal((4, 15, 7))
+    about = attitudes, np.array([0.0, 9.8, 0.0]), np.array([1e-5, 2e-5, 0.0])
+    for kind in (0, 1):
+        model = rng.standard_normal((4, 15)), D, np.array([0, 1, 4, 7, 11, 14])
+        module.add_rests(about, (axes, kind), model, rng.standard_normal((3, 4)), rests, 4 * kind)
+    C = attitudes[:2] @ np.swapaxes(attitudes[1:], 1, 2) @ np.diag([1.0, -1.0, -1.0])
+    at, turned = (
+        (attitudes, np.array([0, 1]), np.array([1, 2])),
+        (C, np.array([3.0, 4.0]), np.tile(np.eye(3), (2, 1, 1))),
+    )
+    by, by_bias = rng.standard_normal((2, 6, 8)), rng.standard_normal((2, 6, 8))
+    turns, bias = np.zeros((2, 7, 15)), np.zeros((2, 7, 8))
+    module.add_turns(at, turned, (np.array([1e-5, 2e-5, 0.0]), 9.8, True), (by, by_bias), turns, bias)
+    r = np.array([[0.1, -0.2, 3.0], [1e-9, 0.0, 1e-3]])
+    moved = module.turned(attitudes, rng.standard_normal((3, 3)))
+    return [rests, turns, bias, moved, module.left_jacobian(r), module.inverse_left_jacobian(r)]
+
+
+def test_rows_of_the_likelihood_are_those_of_python() -> None:
+    expected = likelihood_rows(as_python("estimation/row_loops"))
+    for found, each in zip(likelihood_rows(row_loops), expected, strict=True):
+        np.testing.assert_allclose(found, each, rtol=1e-12, atol=1e-12)
 
 
 def test_moments_are_those_of_python(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,8 @@ from formula_setup import device_setup
 from tumble.calibration.calibrate import calibrate
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Prior, Problem, Scatter, linearise, weights
+from tumble.estimation.likelihood import Prior, Problem, Scatter, weights
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.fit import TOTAL
 from tumble.estimation.methods.joint.method import QUICK_STEPS, joint
 from tumble.estimation.methods.joint.start import start_of

@@ -9,21 +9,10 @@ import numpy as np
 import pytest
 from formula_setup import device_setup
 
-from tumble.estimation.likelihood import (
-    NO_PRIOR,
-    Point,
-    Prior,
-    Problem,
-    Rows,
-    Scatter,
-    bases,
-    inverse_left_jacobian,
-    left_jacobian,
-    linearise,
-    noise_of,
-    weights,
-)
+from tumble.estimation.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, Scatter, bases, noise_of, weights
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.iteration import heading_information
+from tumble.estimation.row_loops import inverse_left_jacobian, left_jacobian
 from tumble.estimation.step import left, solve, variance_slopes
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tumble.campaigns.triads import LANES, STEPS, fit_statics
-from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, weights
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.step import solve
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations

@@ -20,7 +20,8 @@ from tumble.errors import InputError
 from tumble.estimation.by_session import each_session
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.diagnosis.misfit import misfit
-from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, linearise, noise_of
+from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, noise_of
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout

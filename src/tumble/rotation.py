@@ -6,6 +6,7 @@ Frames: b body X, Y, Z; n geographic N (north), U (up), E (east), right-handed i
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -22,7 +23,16 @@ def unit_vector(vectors: Array) -> Array:
 
 def onto_body(axes: Array) -> Array:
     """The matrix (3, n) that takes readings along n sensing axes (n, 3) to the vector in the body, by least squares."""
-    return np.asarray(np.linalg.pinv(axes), dtype=float)
+    rows = np.ascontiguousarray(axes, dtype=float)
+    return _onto_body(rows.tobytes())
+
+
+@lru_cache(maxsize=64)
+def _onto_body(axes: bytes) -> Array:
+    """The same of axes (n, 3), float64: every integration of turns asks for those of the same sensors."""
+    out = np.asarray(np.linalg.pinv(np.frombuffer(axes).reshape(-1, 3)), dtype=float)
+    out.flags.writeable = False
+    return out
 
 
 def skew(vector: Array) -> Array:

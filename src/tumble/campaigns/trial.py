@@ -24,7 +24,8 @@ from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
-from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
+from tumble.estimation.likelihood import Point, Problem, Scatter, weights
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout

@@ -12,7 +12,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows, SessionSpan
+from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows
+from tumble.estimation.session_spans import SessionSpan
 from tumble.estimation.step import tell, with_own
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.moments import Moments
@@ -83,12 +84,16 @@ def _turns(about: TurnsAbout | None, some: slice) -> TurnsAbout | None:
     """Some of the turns."""
     if about is None:
         return None
-    each = {name: getattr(about, name)[some] for name in ("by_phi", "by_velocity", "by_force")}
     in_motion = {motion: by[some] for motion, by in about.in_motion.items()}
-    rate, force = (of if of.ndim == 2 else of[some] for of in (about.rate, about.force))
     moments = Moments(**{field.name: getattr(about.moments, field.name)[some] for field in fields(Moments)})
-    growing = about.growing and (about.growing[0][some], about.growing[1][some], about.growing[2][some])
-    return replace(about, rate=rate, force=force, moments=moments, in_motion=in_motion, growing=growing, **each)
+    return replace(
+        about,
+        coefficients=about.coefficients if about.coefficients.ndim == 2 else about.coefficients[some],
+        moments=moments,
+        paths=about.paths[some],
+        in_motion=in_motion,
+        growing=None if about.growing is None else about.growing[some],
+    )
 
 
 def _noise(noise: Noise, part: SessionSpan) -> Noise:

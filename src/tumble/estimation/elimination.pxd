@@ -21,10 +21,14 @@ cdef void _fold(
     double[:, ::1] kept, double[::1] product, Py_ssize_t count, double[:, ::1] triangle
 ) noexcept nogil
 
+cdef void _solve_all(
+    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
+    double[:, :] unknowns,
+)
 cdef void _put_back(
-    const double[:, :, ::1] factor, const int64_t[:] link, const double[::1] parameters,
-    const double[:, ::1] covariance, double[:, :] unknowns, double[:, :, :, ::1] own, double[:, :, ::1] shared,
-    double[:, ::1] inverse, double[:, ::1] by_next, double[:, ::1] by,
+    const int64_t[:] link, const double[::1] parameters, const double[:, :, ::1] inverse,
+    const double[:, :, ::1] by_next, const double[:, :, ::1] by, double[:, :] unknowns, double[:, :, :, ::1] own,
+    double[:, :, ::1] shared,
 )
 @cython.locals(part=double, along=double, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t, d=Py_ssize_t, k=Py_ssize_t)
 cdef void _score(
@@ -40,7 +44,6 @@ cdef bint _whiten(
 cdef void _solve_for(
     double[:, ::1] inverse, const double[:, ::1] factor, double[:, ::1] by_next, double[:, ::1] by, double[:] value
 ) noexcept nogil
-cdef void _add_symmetric(const double[:, ::1] a, const double[:, ::1] b, double[:, ::1] out) noexcept nogil
 @cython.locals(total=double)
 cdef void _add_product(const double[:, ::1] a, const double[:, ::1] b, double[:, ::1] out) noexcept nogil
 @cython.locals(total=double)

@@ -25,6 +25,7 @@ compilation to the next, and rows of a campaign would differ in the last digit f
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg.lapack import dtpqrt
 
 from tumble.units import Array, BoolArray, IntArray
 
@@ -45,6 +46,9 @@ BUFFER = 96
 MANY = 200
 """Parameters from which on that is a factorisation by LAPACK, in blocks: the loops wait for memory there."""
 
+WIDE = 32
+"""Columns of such a block."""
+
 
 def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, factor: Array, triangle: Array) -> None:
     """Eliminate the unknowns of all rests: `factor` (N, d, 2d + p + 1) gets the rows that give them, and the rows on
@@ -63,15 +67,21 @@ def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, facto
 def fold(rows: Array, triangle: Array) -> None:
     """Fold rows (n, p + 1) into an upper triangle (p + 1, p + 1)."""
     if len(triangle) > MANY:
-        rows = rows[np.any(rows, axis=1)]
-        for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
-            lower = triangle[first:, first:]
-            lower[:] = np.linalg.qr(np.concatenate([lower, rows[:, first:]]), mode="r")
+        _fold_many(rows[np.any(rows, axis=1)], triangle)
         return
     whole = np.ascontiguousarray(triangle)
     _fold(rows.copy(), np.zeros(len(whole)), len(rows), whole)
     if whole is not triangle:
         triangle[:] = whole
+
+
+def _fold_many(rows: Array, triangle: Array) -> None:
+    """The same by LAPACK, from the first column on that is not zero; rows that are a triangle there cost a third."""
+    for first in np.flatnonzero(np.any(rows, axis=0))[:1]:
+        upper = triangle[first:, first:]
+        below = rows[:, first:]
+        triangular = len(below) <= len(upper) and not np.any(np.tril(below, -1))
+        upper[:] = np.triu(dtpqrt(len(below) if triangular else 0, min(WIDE, len(upper)), upper, below)[0])
 
 
 def _eliminate(
@@ -162,14 +172,16 @@ def _reflect(work: Array, product: Array, top: int, column: int, rows: int, leas
         product[other] = 0.0
     for row in range(top, rows):
         part = work[row, column]
-        for other in range(column + 1, columns):
-            product[other] += part * work[row, other]
+        if part != 0.0:
+            for other in range(column + 1, columns):
+                product[other] += part * work[row, other]
     for other in range(column + 1, columns):
         product[other] *= scale
     for row in range(top, rows):
         part = work[row, column]
-        for other in range(column + 1, columns):
-            work[row, other] -= product[other] * part
+        if part != 0.0:
+            for other in range(column + 1, columns):
+                work[row, other] -= product[other] * part
     work[top, column] = diagonal
     for row in range(top + 1, rows):
         work[row, column] = 0.0
@@ -178,7 +190,8 @@ def _reflect(work: Array, product: Array, top: int, column: int, rows: int, leas
 
 def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
     """Fold rows (count, p + 1), which are overwritten, into an upper triangle (p + 1, p + 1): Householder reflections
-    of the rows together with one row of the triangle at a time."""
+    of the rows together with one row of the triangle at a time. Rows that are 0 in a column have no part in that of its
+    row, so that those of a triangle cost a third."""
     size = triangle.shape[0]
     for c in range(size):
         square = 0.0
@@ -196,15 +209,17 @@ def _fold(kept: Array, product: Array, count: int, triangle: Array) -> None:
             product[other] = top * triangle[c, other]
         for row in range(count):
             part = kept[row, c]
-            for other in range(c + 1, size):
-                product[other] += part * kept[row, other]
+            if part != 0.0:
+                for other in range(c + 1, size):
+                    product[other] += part * kept[row, other]
         for other in range(c + 1, size):
             product[other] *= scale
             triangle[c, other] -= product[other] * top
         for row in range(count):
             part = kept[row, c]
-            for other in range(c + 1, size):
-                kept[row, other] -= product[other] * part
+            if part != 0.0:
+                for other in range(c + 1, size):
+                    kept[row, other] -= product[other] * part
 
 
 def put_back(
@@ -214,45 +229,49 @@ def put_back(
     covariance (p, p) of the parameters: with themselves and those of the next rest (2, N, d, d), and with the
     parameters (N, d, p). An unknown that nothing shows is zero, and without variance."""
     N, d, p = len(factor), factor.shape[1], len(parameters)
-    own, shared = np.zeros((2, N, d, d)), np.zeros((N, d, p))
-    inverse, by_next, by = np.zeros((d, d)), np.zeros((d, d)), np.zeros((d, p))
-    _put_back(factor, link, parameters, covariance, unknowns, own, shared, inverse, by_next, by)
+    inverse, by_next, by = np.zeros((N, d, d)), np.zeros((N, d, d)), np.zeros((N, d, p))
+    _solve_all(factor, inverse, by_next, by, unknowns)
+    own, shared = np.zeros((2, N, d, d)), np.reshape(by.reshape(N * d, p) @ covariance, by.shape)
+    _put_back(link, parameters, inverse, by_next, by, unknowns, own, shared)
     return own, shared
 
 
+def _solve_all(factor: Array, inverse: Array, by_next: Array, by: Array, unknowns: Array) -> None:
+    """The rows of all rests, solved for their unknowns."""
+    with cython.nogil:
+        for i in range(factor.shape[0]):
+            _inverse(factor[i], inverse[i])
+            _solve_for(inverse[i], factor[i], by_next[i], by[i], unknowns[i])
+
+
 def _put_back(
-    factor: Array,
     link: IntArray,
     parameters: Array,
-    covariance: Array,
-    unknowns: Array,
-    own: Array,
-    shared: Array,
     inverse: Array,
     by_next: Array,
     by: Array,
+    unknowns: Array,
+    own: Array,
+    shared: Array,
 ) -> None:
-    """One rest after the other, from the last."""
-    N, d, p = factor.shape[0], factor.shape[1], parameters.shape[0]
+    """One rest after the other, from the last; `shared` begins as the part that goes with the parameters."""
+    N, d, p = by.shape[0], by.shape[1], by.shape[2]
     with cython.nogil:
         for i in range(N - 1, -1, -1):
-            _inverse(factor[i], inverse)
-            _solve_for(inverse, factor[i], by_next, by, unknowns[i])
             for a in range(d):
                 for b in range(p):
-                    unknowns[i, a] += by[a, b] * parameters[b]
-            _add_symmetric(by, covariance, shared[i])
-            _add_product(inverse, inverse, own[0, i])
+                    unknowns[i, a] += by[i, a, b] * parameters[b]
+            _add_product(inverse[i], inverse[i], own[0, i])
             if link[i] >= 0:
                 for a in range(d):
                     for b in range(d):
-                        unknowns[i, a] += by_next[a, b] * unknowns[i + 1, b]
+                        unknowns[i, a] += by_next[i, a, b] * unknowns[i + 1, b]
                         for q in range(p):
-                            shared[i, a, q] += by_next[a, b] * shared[i + 1, b, q]
-                _add_product(by, shared[i + 1], own[1, i])
-                _add_product(by_next, own[0, i + 1], own[1, i])
-                _add_product(own[1, i], by_next, own[0, i])
-            _add_product(shared[i], by, own[0, i])
+                            shared[i, a, q] += by_next[i, a, b] * shared[i + 1, b, q]
+                _add_product(by[i], shared[i + 1], own[1, i])
+                _add_product(by_next[i], own[0, i + 1], own[1, i])
+                _add_product(own[1, i], by_next[i], own[0, i])
+            _add_product(shared[i], by[i], own[0, i])
 
 
 def whitening(noise: Array, directions: Array, component: IntArray, variance: Array) -> Array:
@@ -357,15 +376,6 @@ def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: 
             for column in range(p):
                 by[a, column] -= inverse[a, b] * factor[b, 2 * d + column]
             value[a] += inverse[a, b] * factor[b, 2 * d + p]
-
-
-def _add_symmetric(a: Array, b: Array, out: Array) -> None:
-    """Add a b, b symmetric."""
-    for i in range(a.shape[0]):
-        for c in range(a.shape[1]):
-            part = a[i, c]
-            for j in range(b.shape[1]):
-                out[i, j] += part * b[c, j]
 
 
 def _add_product(a: Array, b: Array, out: Array) -> None:

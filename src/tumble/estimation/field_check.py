@@ -34,7 +34,8 @@ from scipy import special
 
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED, Fit
-from tumble.estimation.likelihood import Point, Prior, Problem, Scatter, Weights, linearise, weights
+from tumble.estimation.likelihood import Point, Prior, Problem, Scatter, Weights, weights
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.iteration import integrated, moved
 from tumble.estimation.methods.joint.start import headings
 from tumble.estimation.step import solve

@@ -1,4 +1,4 @@
-"""The joint likelihood of everything a session contains: residuals, analytic Jacobians and noise.
+"""The joint likelihood of everything a session contains: what is unknown, its residuals and their noise.
 
 Unknowns: the parameters θ of the instrument, local gravity g, and the attitude L (body → geographic) of every rest.
 Minimised is the sum of squares, each over its covariance (turntable method §8; dynamics method §3), of
@@ -43,17 +43,17 @@ from functools import cached_property
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.elimination import fold, whitening
+from tumble.estimation.elimination import whitening
+from tumble.estimation.row_loops import turned
+from tumble.estimation.session_spans import SessionSpan, session_spans
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_matrix, rotation_vector, skew
-from tumble.sensors.instrument import Instrument, by_sensor, functions, slopes
-from tumble.sensors.model import Block, SensorModel, beyond_body
-from tumble.sensors.parameters import CONSTANT, FUNCTIONS, Variable, limits_of
-from tumble.units import Array, BoolArray, IntArray
-
-_UP = np.array([0.0, 1.0, 0.0])
+from tumble.rotation import rotation_matrix, skew
+from tumble.sensors.instrument import Instrument
+from tumble.sensors.model import SensorModel, beyond_body
+from tumble.sensors.parameters import Variable, limits_of
+from tumble.units import Array, IntArray
 
 COMPONENTS = ("accel", "gyro", "turn", "velocity", "jumps")
 """The components of variance, in the order of `Scatter`."""
@@ -114,13 +114,10 @@ class Point:
         """The point after steps of gravity and the parameters (1 + m,), of the angles (N, 3) of the attitudes, and of
         what each session has of its own (S, q). The heading turns everything about the vertical, exactly: it may be off
         by much."""
-        basis = bases(self.attitudes)
-        tilt = np.einsum("iab,ib->ia", basis[:, :, :2], angles[:, :2])
-        turned = rotation_matrix(angles[:, 2:] * _UP) @ self.attitudes @ rotation_matrix(tilt)
         return Point(
             values=self.values + parameters[1:],
             gravity=self.gravity + parameters[0],
-            attitudes=turned,
+            attitudes=turned(self.attitudes, angles),
             own=self.own if own is None else self.own + own,
         )
 
@@ -143,10 +140,6 @@ class Rows:
     prior: Array
     bias: Array
     own: Array = field(default_factory=lambda: np.zeros((1, 0)))
-
-    def with_priors(self, problem: Problem, point: Point, about: TurnsAbout | None = None) -> Rows:
-        """The same rows with the priors of a problem."""
-        return replace(self, prior=priors(problem, point, about), own=-point.own / problem.own_known)
 
     def merged(self, first: IntArray) -> Array:
         """Rows (K, r + t, ·) of every turn together with those of the rest before it."""
@@ -184,26 +177,6 @@ class Weights:
 
     rest: Array
     merged: Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SessionSpan:
-    """One of several sessions: its rests and turns, and the turn among these after each of its rests, or −1."""
-
-    rests: slice
-    turns: slice
-    link: IntArray
-
-    @cached_property
-    def last(self) -> BoolArray:
-        """The rests that no turn follows, whose own rows count."""
-        return self.link < 0
-
-    @cached_property
-    def first(self) -> IntArray:
-        """The rest before each turn."""
-        linked = np.flatnonzero(self.link >= 0)
-        return linked[np.argsort(self.link[linked])]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -267,7 +240,7 @@ class Problem:
                 np.full(len(group.names(own.block(group))), (usual or {}).get(group.name, group.limit))
                 for group in own.further
             ]
-        parts, of_session = _parts(observations, link)
+        parts, of_session = session_spans(observations, link)
         return Problem(
             observations=observations,
             instrument=instrument,
@@ -317,28 +290,80 @@ class Problem:
         every = of[variable][place]
         return every if every.shape[1] == 1 else every[:, self.instrument.thermometers[own]]
 
-    def values_in(self, point: Point, place: int) -> Array:
-        """Parameters (·, m + q) of every rest (`place` 0) or turn (1), those of its session after the common ones."""
-        of = self.of_session[place]
-        common = np.broadcast_to(point.values, (len(of), len(point.values)))
-        return np.concatenate([common, point.own[of]], axis=1)
+    @cached_property
+    def changed(self) -> tuple[IntArray, IntArray]:
+        """Where the parameters (c,) stand that are changes of others, and where these stand."""
+        every = [np.arange(0)], [np.arange(0)]
+        for own, base, _ in self.changes:
+            every[0].append(np.arange(own.start, own.stop))
+            every[1].append(np.arange(base.start, base.stop))
+        return np.concatenate(every[0]), np.concatenate(every[1])
 
-    def changed_in_turns(self, point: Point) -> tuple[Array, Array] | None:
-        """By how much the coefficients (K, n, 15) of gyros and accelerometers differ in the turns from those of the
+    def going(self, of: Variables, place: int) -> Array:
+        """What the changes (·, c) go with at rest (`place` 0), in the turns (1), or by how much a second that grows in
+        them (2); nothing where the variables `of` have none of theirs."""
+        out, first = np.zeros((len(self.of_session[min(place, 1)]), len(self.changed[0]))), 0
+        for own, _, variable in self.changes:
+            last = first + own.stop - own.start
+            if variable in of:
+                out[:, first:last] = self.goes_with(of, variable, own, place)
+            first = last
+        return out
+
+    @cached_property
+    def goes(self) -> tuple[Array, Array, Array]:
+        """What the changes go with, (N, c), (K, c) and (K, c)."""
+        return self.going(self.variables, 0), self.going(self.variables, 1), self.going(self.variables, GROWING)
+
+    def changes_in(self, point: Point, place: int) -> Array:
+        """The values (·, c) of the changes at every rest (`place` 0) or turn (1), those of its session."""
+        of, own = self.of_session[place], self.changed[0]
+        if not len(self.own_known):
+            return np.broadcast_to(point.values[own], (len(of), len(own)))
+        every = np.concatenate([np.broadcast_to(point.values, (len(point.own), len(point.values))), point.own], axis=1)
+        return np.asarray(every[:, own][of])
+
+    @cached_property
+    def noise(self) -> Noise:
+        """What the noise of the rows has that does not change with the parameters."""
+        return _noise_of_session(self)
+
+    @property
+    def rows_of_turn(self) -> int:
+        """How many rows a turn has: rotation, velocity where it is predicted, and what gyros say of each other."""
+        gyro, velocity = self.instrument.gyro, 3 if self.instrument.in_velocities else 0
+        return 3 + velocity + (0 if gyro is None or self.observations.turn_readings is None else gyro.size - 3)
+
+    @cached_property
+    def noise_of_turns(self) -> tuple[Array, Array]:
+        """Standard deviations (K,) of the rotations of the turns, rad, and of their velocities, m/s, infinite where
+        they are not predicted: root mean square over the axes."""
+        turns = self.observations.turns
+        assert turns is not None
+        rotation = np.sqrt(np.trace(turns.covariance, axis1=1, axis2=2) / 3.0)
+        if not self.instrument.in_velocities:
+            return rotation, np.full_like(rotation, np.inf)
+        return rotation, np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
+
+    @property
+    def width(self) -> int:
+        """How many parameters there are, with what a session has of its own."""
+        return len(self.instrument.names) + len(self.own_known)
+
+    @cached_property
+    def earth_turned(self) -> Array:
+        """How the Earth turns back (K, 3, 3) over the turns."""
+        turns = self.observations.turns
+        return np.zeros((0, 3, 3)) if turns is None else rotation_matrix(-turns.duration[:, None] * self.earth)
+
+    def changed_in_turns(self, point: Point) -> Array | None:
+        """By how much the coefficients (K, n, 15) of accelerometers and gyros differ in the turns from those of the
         parameters, being changed by time, temperature or launch; None where nothing changes."""
         if not self.changes:
             return None
-        values, variables, out = self.values_in(point, 1), self.warmed(point).variables, []
-        for block in (self.instrument.gyro, self.instrument.accel):
-            assert block is not None
-            D = self.instrument.derivative(block, point.values)
-            change = np.zeros((len(values), block.size, FUNCTIONS))
-            for own, base, variable in self.changes:
-                change += np.einsum(
-                    "pbm,km->kpb", D[:, :, base], self.goes_with(variables, variable, own, 1) * values[:, own]
-                )
-            out.append(change)
-        return out[0], out[1]
+        D = self.instrument.linearised(point.values)[1][:, :, self.changed[1]]
+        change = self.warmed(point).goes[1] * self.changes_in(point, 1)
+        return np.asarray(change @ D.reshape(-1, D.shape[2]).T).reshape(len(change), *D.shape[:2])
 
     @property
     def spread(self) -> Array:
@@ -368,19 +393,6 @@ class Linearised:
     scatter: Scatter
 
 
-def _parts(observations: Observations, link: IntArray) -> tuple[tuple[SessionSpan, ...], tuple[IntArray, IntArray]]:
-    """The sessions, and that of every rest and turn."""
-    session, turns = observations.session, observations.turns
-    of_rest = np.zeros(len(link), dtype=np.int64) if session is None else session
-    of_turn = np.zeros(0, dtype=np.int64) if turns is None else of_rest[turns.first]
-    edges, turn_edges = (np.searchsorted(of, np.arange(of_rest[-1] + 2)) for of in (of_rest, of_turn))
-    parts = []
-    for s in range(len(edges) - 1):
-        rests, own = slice(edges[s], edges[s + 1]), slice(turn_edges[s], turn_edges[s + 1])
-        parts.append(SessionSpan(rests=rests, turns=own, link=np.where(link[rests] < 0, -1, link[rests] - own.start)))
-    return tuple(parts), (of_rest, of_turn)
-
-
 def instruments_of(observations: Observations) -> tuple[Instrument, Instrument | None]:
     """The instrument with all groups whose usual size observations know and which they may show; and, of several
     sessions, that with what each has of its own."""
@@ -400,242 +412,21 @@ def _changing_with(observations: Observations, variables: tuple[Variable, ...]) 
     return replace(every, further=tuple(group for group in every.further if group.variable in variables))
 
 
-# Residuals and Jacobians
-
-
-def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
-    """Residuals and Jacobians at a point; `about` is None where there are no turns."""
-    problem = problem.warmed(point)
-    observations = problem.observations
-    rest = [_rest_rows(problem, point, observations.accel_block, observations.rests.accel)]
-    p = 2 + len(point.values) + len(problem.own_known)
-    turn, bias = np.zeros((0, 6, 6 + p)), np.zeros((0, 6, 0))
-    if observations.gyro_block is not None:
-        rest.append(_rest_rows(problem, point, observations.gyro_block, observations.rests.gyro))
-        if about is not None:
-            turn, bias = _turn_rows(problem, point, about)
-    if problem.prior.attitude is not None:
-        rest.append(_attitude_rows(problem, point))
-    return Rows(
-        rest=np.concatenate(rest, axis=1),
-        turn=turn,
-        prior=priors(problem, point, about),
-        bias=bias,
-        own=-point.own / problem.own_known,
-    )
-
-
-def _with_changes(problem: Problem, point: Point, by: Array, place: int, growing: Array | None = None) -> None:
-    """Fill in the columns (·, r, m + q) of what changes with time, temperature or launch: those of its base times what
-    it goes with, at rest (`place` 0) or in the turns (1); and that of the lag, which moves the temperatures. `growing`
-    are the columns (K, r, m) of what grows by 1 a second about the middle of the turns."""
-    if not problem.changes:
-        return
-    values = problem.values_in(point, place)
-    every = [(place, by)] if growing is None else [(place, by), (GROWING, growing)]
-    for own, base, variable in problem.changes:
-        by[:, :, own] = 0.0
-        for what, columns in every:
-            by[:, :, own] += problem.goes_with(problem.variables, variable, own, what)[:, None] * columns[:, :, base]
-            if variable in problem.by_lag:
-                moved = problem.goes_with(problem.by_lag, variable, own, what) * values[:, own]
-                by[:, :, problem.lag] += np.einsum("krm,km->kr", columns[:, :, base], moved)
-
-
-def _changed(problem: Problem, point: Point, by: Array, place: int) -> Array:
-    """What these changes add (·, r)."""
-    out = np.zeros(by.shape[:2])
-    if not problem.changes:
-        return out
-    values = problem.values_in(point, place)
-    for own, _, _ in problem.changes:
-        out += np.einsum("krm,km->kr", by[:, :, own], values[:, own])
-    return out
-
-
-def at_reference(problem: Problem, point: Point, rows: Rows) -> Array:
-    """Readings (N, n) of the accelerometers at rest as they would be at the reference temperature, in the middle of a
-    session and without what differs from launch to launch."""
-    accel = problem.observations.rests.accel
-    by = rows.rest[:, : accel.shape[1], 4:-1]
-    return np.asarray(accel - _changed(problem, point, by, 0))
-
-
-def _rest_rows(problem: Problem, point: Point, block: Block, observed: Array) -> Array:
-    """ŷ − Σ K β of one block."""
-    g, L, instrument = point.gravity, point.attitudes, problem.instrument
-    force, rate, basis = g * L[:, 1], problem.earth @ L, bases(L)
-    K, beta = instrument.coefficients(block, point.values), functions(block, force, rate)
-    by_force, by_rate = slopes(block, K, force, rate)
-    used = instrument.used[block.kind]
-    rows = np.zeros((len(L), block.size, 5 + len(point.values) + len(problem.own_known)))
-    rows[:, :, :2] = by_force @ (skew(force) @ basis)[:, :, :2]
-    rows[:, :, :3] += by_rate @ skew(rate) @ basis
-    if problem.observations.site.gravity_u > 0.0:
-        rows[:, :, 3] = np.einsum("npk,nk->np", by_force, L[:, 1])
-    D = instrument.derivative(block, point.values)
-    by = rows[:, :, 4:-1]
-    by[:, :, : len(point.values)] = by_sensor(beta[:, :, used], D[:, used])
-    _with_changes(problem, point, by, 0)
-    rows[:, :, -1] = observed - np.einsum("npb,pb->np", beta, K) - _changed(problem, point, by, 0)
-    return rows
-
-
-def _turn_rows(problem: Problem, point: Point, about: TurnsAbout) -> tuple[Array, Array]:
-    """Rotation and velocity of the turns, what more than three gyros say of themselves, and the coefficients of all for
-    a bias of the accelerometers and gyros."""
-    observations, instrument = problem.observations, problem.instrument
-    turns, gyro = observations.turns, observations.gyro_block
-    assert turns is not None
-    assert gyro is not None
-    basis, start, end = bases(point.attitudes), point.attitudes[turns.first], point.attitudes[turns.last]
-    phi, V = about.moved(instrument, point.values)
-    by_phi, by_V = about.columns(instrument, point.values)
-    if len(problem.own_known):
-        none = np.zeros((*by_phi.shape[:2], len(problem.own_known)))
-        by_phi, by_V = np.concatenate([by_phi, none], axis=2), np.concatenate([by_V, none], axis=2)
-    growing = about.growing_columns(instrument, point.values)
-    for by, grows, changed in ((by_phi, growing[0], phi), (by_V, growing[1], V)):
-        _with_changes(problem, point, by, 1, grows)
-        changed -= _changed(problem, point, by, 1)
-    C = rotation_matrix(phi) @ about.C
-    earth = rotation_matrix(-turns.duration[:, None] * problem.earth)
-    r = rotation_vector(C @ np.swapaxes(end, 1, 2) @ earth @ start)
-    left = inverse_left_jacobian(r)
-    phi_bias, V_bias = about.bias_columns()
-    by_turned = left @ left_jacobian(phi)
-    rows = np.zeros((len(turns), 6, 8 + by_phi.shape[2]))
-    rows[:, :3, :3] = -np.swapaxes(left, 1, 2) @ basis[turns.first]
-    rows[:, :3, 3:6] = left @ C @ basis[turns.last]
-    rows[:, :3, 7:-1] = by_turned @ by_phi
-    rows[:, :3, -1] = r
-    bias = np.zeros((len(turns), 6, phi_bias.shape[2]))
-    bias[:, :3], bias[:, 3:] = by_turned @ phi_bias, V_bias
-    if instrument.in_velocities:
-        predicted, by_turning = _velocity(problem, point, turns.duration)
-        rows[:, 3:, :3] = by_turning
-        if observations.site.gravity_u > 0.0:
-            rows[:, 3:, 6] = predicted / point.gravity
-        rows[:, 3:, 7:-1], rows[:, 3:, -1] = by_V, V - predicted
-    else:
-        rows, bias = rows[:, :3], bias[:, :3]
-    if observations.turn_readings is None:
-        return rows, bias
-    spare, spare_bias = _spare_rows(problem, point)
-    return np.concatenate([rows, spare], axis=1), np.concatenate([bias, spare_bias], axis=1)
-
-
-def _velocity(problem: Problem, point: Point, T: Array) -> tuple[Array, Array]:
-    """L_iᵀ ∫ e^{[Ω×]s} g e_U ds (K, 3) over the turns, and its derivative (K, 3, 3) with the attitude of the rest
-    before: ∫ = T (I + [x×]/2 + [x×]²/6) with x = Ω T. The heading has a part in it through the Earth's rate alone."""
-    turns = problem.observations.turns
-    assert turns is not None
-    L, basis = point.attitudes[turns.first], bases(point.attitudes)[turns.first]
-    X = skew(T[:, None] * problem.earth)
-    by_earth = (point.gravity * T)[:, None] * np.einsum("kia,ki->ka", L, (X / 2.0 + X @ X / 6.0) @ _UP)
-    straight = (point.gravity * T)[:, None] * L[:, 1]
-    by_turning = skew(by_earth) @ basis
-    by_turning[:, :, :2] += (skew(straight) @ basis)[:, :, :2]
-    return straight + by_earth, by_turning
-
-
-def _spare_rows(problem: Problem, point: Point) -> tuple[Array, Array]:
-    """What n gyros say of themselves: ∫ ŷ dt − b T has nothing in the directions that no rate explains."""
-    observations, instrument = problem.observations, problem.instrument
-    readings, gyro, turns = observations.turn_readings, observations.gyro_block, observations.turns
-    assert readings is not None
-    assert gyro is not None
-    assert turns is not None
-    model = problem.gyro_model(point.values)
-    free = beyond_body(model.matrix)
-    y = readings.integral - np.outer(turns.duration, model.bias)
-    by_rate = np.zeros((len(y), 1, 15))
-    by_rate[:, 0, 1:4] = y @ model.inverse().T
-    by_rate[:, 0, CONSTANT] = turns.duration
-    by = np.zeros((len(y), gyro.size, len(point.values) + len(problem.own_known)))
-    D = instrument.derivative(gyro, point.values)
-    by[:, :, : len(point.values)] = np.einsum("kb,pbm->kpm", by_rate[:, 0, :4], D[:, :4])
-    _with_changes(problem, point, by, 1)
-    rows = np.zeros((len(y), len(free), 8 + by.shape[2]))
-    rows[:, :, 7:-1] = free @ by
-    rows[:, :, -1] = (y - _changed(problem, point, by, 1)) @ free.T
-    none = np.zeros((len(y), len(free), observations.accel_block.size))
-    bias = turns.duration[:, None, None] * np.broadcast_to(free, (len(y), *free.shape))
-    return rows, np.concatenate([none, bias], axis=2)
-
-
-def _attitude_rows(problem: Problem, point: Point) -> Array:
-    """log(Lᵀ L_nominal); of a programme in any order, where only the vertical is known, its tilt."""
-    programme, position = problem.observations.programme, problem.observations.position
-    assert programme is not None
-    assert position is not None
-    nominal = np.array([programme.positions[i].matrix for i in position])
-    basis = bases(point.attitudes)
-    rows = np.zeros((len(nominal), 3, 3 + 1 + len(point.values) + len(problem.own_known) + 1))
-    if programme.ordered:
-        e = rotation_vector(np.swapaxes(point.attitudes, 1, 2) @ nominal)
-        rows[:, :, :3] = inverse_left_jacobian(e) @ basis
-        rows[:, :, -1] = e
-    else:
-        across = -point.attitudes[:, [2, 0]]
-        rows[:, :2, :3] = -np.cross(nominal[:, None, 1], across) @ basis
-        rows[:, :2, -1] = np.einsum("iab,ib->ia", across, nominal[:, 1])
-    return rows
-
-
-def priors(problem: Problem, point: Point, about: TurnsAbout | None = None) -> Array:
-    """Measured gravity and the prior of the parameters, whitened: a triangle, of a diagonal and a right-hand side; with
-    what arrays say of themselves in motion."""
-    expected, u = problem.measured
-    known = u > 0.0
-    rows = np.zeros((len(u) + 1, len(u) + 1))
-    if problem.prior.covariance is None:
-        rows[np.arange(len(u)), np.arange(len(u))] = np.where(known, 1.0 / np.where(known, u, 1.0), 0.0)
-    else:
-        rows[:-1, :-1] = _root_of_inverse(problem.prior.covariance)
-    rows[:-1, -1] = rows[:-1, :-1] @ (expected - np.append(point.gravity, point.values))
-    for array in () if about is None else about.arrays:
-        fold(np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1), rows)
-    return rows
-
-
-def _root_of_inverse(covariance: Array) -> Array:
-    """The triangle W with WᵀW = C⁻¹; zero where a quantity is exact."""
-    known = np.flatnonzero(np.diag(covariance) > 0.0)
-    index = np.ix_(known, known)
-    size = np.sqrt(np.diag(covariance)[known])
-    lower = np.linalg.cholesky(covariance[index] / np.outer(size, size))
-    out = np.zeros_like(covariance)
-    out[index] = np.linalg.qr(np.linalg.inv(lower), mode="r") / size
-    return out
-
-
-def left_jacobian(r: Array) -> Array:
-    """J_l(r) (..., 3, 3): exp([(r + dr)×]) = exp([J_l dr×]) exp([r×]) to first order in dr."""
-    angle = np.linalg.norm(r, axis=-1)[..., None, None]
-    K = skew(r)
-    small = angle < 1e-2
-    safe = np.where(small, 1.0, angle)
-    second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
-    return np.asarray(np.eye(3) + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * K + second * (K @ K))
-
-
-def inverse_left_jacobian(r: Array) -> Array:
-    """J_l⁻¹(r) (..., 3, 3); its transpose is J_r⁻¹(r)."""
-    angle = np.linalg.norm(r, axis=-1)[..., None, None]
-    K = skew(r)
-    small = angle < 1e-2
-    safe = np.where(small, 1.0, angle)
-    series = 1.0 / 12.0 + angle**2 / 720.0
-    second = np.where(small, series, 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe)))
-    return np.asarray(np.eye(3) - 0.5 * K + second * (K @ K))
-
-
 # Noise
 
 
 def noise_of(problem: Problem, rows: Rows) -> Noise:
     """Covariance of the rows without scatter, and the directions of the components of variance."""
+    noise, r, stop = problem.noise, problem.noise.rest.shape[1], problem.noise.rest_directions[0].shape[2]
+    Z, component = noise.merged_directions
+    if len(Z):
+        Z = Z.copy()
+        Z[:, r:, :stop] = rows.bias
+    return replace(noise, merged_directions=(Z, component))
+
+
+def _noise_of_session(problem: Problem) -> Noise:
+    """All of it that does not change with the parameters: without what a bias does in the turn after a rest."""
     observations, rests = problem.observations, problem.observations.rests
     gyro, n = observations.gyro_block, rests.accel.shape[1]
     unseen = EARTH_RATE**2 / 3.0 if observations.site.latitude is None else 0.0
@@ -645,22 +436,16 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
     if problem.prior.attitude is not None:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
     rest = _diagonal(blocks)
-    r, stop = rest.shape[1], n + rests.gyro.shape[1]
-    t = rows.turn.shape[1]
+    r, stop, t = rest.shape[1], n + rests.gyro.shape[1], problem.rows_of_turn
     v = 3 if problem.instrument.in_velocities else 0
     component = np.repeat(np.arange(len(COMPONENTS)), [n, stop - n, t - v, v, v])
     at_rest = np.broadcast_to(np.eye(r, stop), (len(rests), r, stop)), component[:stop]
     turns = observations.turns
     if turns is None or not len(turns):
-        empty = np.zeros((0, r + t, len(component)))
-        return Noise(
-            rest=rest,
-            merged=np.zeros((0, r + t, r + t)),
-            rest_directions=at_rest,
-            merged_directions=(empty, component),
-        )
+        nothing, empty = np.zeros((0, r + t, r + t)), np.zeros((0, r + t, len(component)))
+        return Noise(rest=rest, merged=nothing, rest_directions=at_rest, merged_directions=(empty, component))
     Z = np.zeros((len(turns), r + t, len(component)))
-    Z[:, :stop, :stop], Z[:, r:, :stop] = np.eye(stop), rows.bias
+    Z[:, :stop, :stop] = np.eye(stop)
     Z[:, r:, stop : stop + t] = np.eye(t)[:, np.r_[:3, 3 + v : t, 3 : 3 + v]]  # rotations, spare readings, velocities
     turned = turns.duration > 0.0  # between the parts of a rest nothing is
     Z[~turned, r : r + 3 + v, stop:] = 0.0

@@ -12,11 +12,13 @@ session's turns about any axis, in any attitude.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from tumble.sensors.instrument import Instrument, functions
-from tumble.sensors.model import Block
+from tumble.sensors.model import Block, SensorKind
+from tumble.sensors.parameters import FORCE, FUNCTIONS, OWN_CUBE, OWN_SIZE, PRODUCTS, RATE
 from tumble.units import Array
 
 DIRECTIONS = 200
@@ -36,20 +38,31 @@ def prediction(
     instrument: Instrument, values: Array, covariance: Array, *, gravity: float, rate: float | None
 ) -> Prediction:
     """What corrected readings are known to by an estimate (m,), (m, m), at specific force `gravity` and a `rate`."""
-    up = directions()
-    about = up[:, [1, 2, 0]]
-    force = _rms(instrument, instrument.accel, values, covariance, (gravity * up, np.zeros_like(up)))
+    force = _rms(instrument, instrument.accel, values, covariance, (gravity, 0.0))
     if instrument.gyro is None or rate is None:
         return Prediction(force_u=force, rate_u=None, at_rate=None)
-    turned = _rms(instrument, instrument.gyro, values, covariance, (gravity * up, rate * about))
+    turned = _rms(instrument, instrument.gyro, values, covariance, (gravity, rate))
     return Prediction(force_u=force, rate_u=turned, at_rate=rate)
 
 
-def _rms(instrument: Instrument, block: Block, values: Array, covariance: Array, true: tuple[Array, Array]) -> float:
-    """The mean of J Σ Jᵀ is the trace of Σ and the mean of JᵀJ, of which only the functions differ by direction."""
-    beta, D = functions(block, *true), instrument.derivative(block, values)
-    mean = np.swapaxes(beta, 0, 1).swapaxes(1, 2) @ np.swapaxes(beta, 0, 1) / len(beta)  # (n, 15, 15)
+def _rms(instrument: Instrument, block: Block, values: Array, covariance: Array, at: tuple[float, float]) -> float:
+    """The mean of J Σ Jᵀ, at a specific force and a rate, is the trace of Σ and the mean of JᵀJ, of which only the
+    functions differ by direction."""
+    (force, rate), size = at, np.ones(FUNCTIONS)
+    measured = force if block.kind == "accel" else rate
+    size[RATE], size[FORCE], size[PRODUCTS] = rate, force, force**2
+    size[OWN_SIZE], size[OWN_CUBE] = measured, measured**3
+    D = instrument.derivative(block, values) * size[:, None]
+    mean = _mean_square(block.kind, np.ascontiguousarray(block.axes, dtype=float).tobytes())
     return float(np.sqrt(np.mean(np.sum((D @ covariance) * (mean @ D), axis=(1, 2)))))
+
+
+@lru_cache(maxsize=16)
+def _mean_square(kind: SensorKind, axes: bytes) -> Array:
+    """The mean of β βᵀ (n, 15, 15) over the directions of a specific force of 1 and a rate of 1 across it."""
+    up, block = directions(), Block(kind=kind, axes=np.frombuffer(axes).reshape(-1, 3))
+    beta = np.swapaxes(functions(block, up, up[:, [1, 2, 0]]), 0, 1)
+    return np.asarray(np.swapaxes(beta, 1, 2) @ beta / len(up))
 
 
 def directions() -> Array:

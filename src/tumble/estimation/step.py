@@ -10,37 +10,57 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dtrtri
 
 from tumble.estimation.elimination import eliminate, fold, put_back
-from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, SessionSpan, Weights
+from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, Weights
+from tumble.estimation.session_spans import SessionSpan
 from tumble.units import Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Known:
-    """What is known once the attitudes are eliminated: the least-squares step of gravity and the parameters (1 + m,)
-    with their covariance, and of what each session has of its `own` (S, q), with its covariance, gravity and parameters
-    after it (S, q + 1 + m, q + 1 + m); the sum of squares that is left, priors included; and the diagonal of the
-    triangle it is from."""
+    """What is known once the attitudes are eliminated: the least-squares step of gravity and the parameters (1 + m,),
+    and of what each session has of its `own` (S, q); `roots` U (S, q + 1 + m, q + 1 + m), triangles, of the covariances
+    U Uᵀ of what each has of its own, then gravity and the parameters; the sum of squares that is left, priors included;
+    and the diagonal of the triangle it is from."""
 
     parameters: Array
-    covariance: Array
     own: Array
-    own_covariance: Array
+    roots: Array
     square: float
     pivots: Array
+
+    @property
+    def variances(self) -> Array:
+        """Of what each session has of its own, gravity and the parameters (S, q + 1 + m)."""
+        return np.asarray((self.roots**2).sum(axis=2))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Told:
+    """What rows say without any prior: their weights, the whitened rows, those that give the attitudes (N, 3, ·), and
+    of each session, its attitudes eliminated, a triangle (q + 1 + p, q + 1 + p) of what it has of its own, gravity and
+    the common parameters."""
+
+    weights: Weights
+    whitened: tuple[Array, Array]
+    factor: Array
+    sessions: Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Step(Known):
-    """The least-squares step, with that of the angles (N, 3); twice the negative logarithm of the restricted
-    likelihood, less its constant; the weights of the rows, and what `left` needs."""
+    """The least-squares step, with that of the angles (N, 3); the covariance of gravity and the parameters, and that of
+    each session, of what it has of its own, gravity and the parameters; twice the negative logarithm of the restricted
+    likelihood, less its constant; what the rows told, and what `left` needs."""
 
+    covariance: Array
+    own_covariance: Array
     angles: Array
     deviance: float
-    weights: Weights
-    whitened: tuple[Array, Array]
+    told: Told
     shared: tuple[Array, Array]
 
 
@@ -55,36 +75,30 @@ class Left:
 
 def solve(problem: Problem, rows: Rows, weight: Weights) -> Step:
     """The least-squares step with the attitudes eliminated, and with what each session has of its own."""
-    told = tell(problem, rows, weight)
+    return completed(problem, rows, tell(problem, rows, weight))
+
+
+def completed(problem: Problem, rows: Rows, told: Told) -> Step:
+    """The least-squares step of what rows have told and of their priors."""
     known, N = joined(problem, rows, told), len(problem.link)
     angles, shared = np.empty((N, 3)), []
-    for part, own, covariance in zip(problem.parts, known.own, known.own_covariance, strict=True):
+    own_covariance = known.roots @ np.swapaxes(known.roots, 1, 2)
+    for part, own, covariance in zip(problem.parts, known.own, own_covariance, strict=True):
         both = np.concatenate([own, known.parameters])
         shared.append(put_back(told.factor[part.rests], part.link, both, covariance, angles[part.rests]))
     return Step(
         parameters=known.parameters,
-        covariance=known.covariance,
         own=known.own,
-        own_covariance=known.own_covariance,
+        roots=known.roots,
+        covariance=own_covariance[0, len(problem.own_known) :, len(problem.own_known) :],
+        own_covariance=own_covariance,
         square=known.square,
         pivots=known.pivots,
         angles=angles,
-        deviance=_deviance(problem, weight, told.factor, known),
-        weights=weight,
-        whitened=told.whitened,
+        deviance=_deviance(problem, told, known),
+        told=told,
         shared=(np.concatenate([each[0] for each in shared], axis=1), np.concatenate([each[1] for each in shared])),
     )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Told:
-    """What the rows say without any prior: the whitened rows, those that give the attitudes (N, 3, ·), and of each
-    session, its attitudes eliminated, a triangle (q + 1 + p, q + 1 + p) of what it has of its own, gravity and the
-    common parameters."""
-
-    whitened: tuple[Array, Array]
-    factor: Array
-    sessions: Array
 
 
 def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
@@ -94,7 +108,7 @@ def tell(problem: Problem, rows: Rows, weight: Weights) -> Told:
     factor, sessions = np.empty((len(rest), 3, 6 + size)), np.zeros((len(problem.parts), size, size))
     for part, triangle in zip(problem.parts, sessions, strict=True):
         eliminate(rest[part.rests], merged[part.turns], part.link, part.last, factor[part.rests], triangle)
-    return Told(whitened=(rest, merged), factor=factor, sessions=sessions)
+    return Told(weights=weight, whitened=(rest, merged), factor=factor, sessions=sessions)
 
 
 def joined(problem: Problem, rows: Rows, told: Told) -> Known:
@@ -105,13 +119,12 @@ def joined(problem: Problem, rows: Rows, told: Told) -> Known:
         heads.append(wide[:q])
         fold(triangle, wide[q:, q:])
         triangle = wide[q:, q:]
-    parameters, covariance = _solved(triangle)
-    own = [_put_back_own(head, parameters, covariance) for head in heads]
+    parameters, root = _solved(triangle)
+    own = [_put_back_own(head, parameters, root) for head in heads]
     return Known(
         parameters=parameters,
-        covariance=covariance,
         own=np.array([each[0] for each in own]),
-        own_covariance=np.array([each[1] for each in own]),
+        roots=np.array([each[1] for each in own]),
         square=float(triangle[-1, -1] ** 2),
         pivots=np.concatenate([*map(np.diag, heads), np.diag(triangle)[:-1]]),
     )
@@ -146,36 +159,35 @@ def _own_first(problem: Problem, rows: Array, angles: int) -> Array:
     return np.take(rows, order, axis=2)
 
 
-def _put_back_own(head: Array, parameters: Array, covariance: Array) -> tuple[Array, Array]:
+def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, Array]:
     """What a session has of its own (q,), from the rows (q, q + p + 1) that give it once the parameters are known, and
-    its covariance with them (q + p, q + p)."""
+    a root (q + p, q + p) of its covariance with them."""
     q = len(head)
     if q == 0:
-        return np.zeros(0), covariance
-    inverse = np.linalg.inv(head[:, :q])
+        return np.zeros(0), root
+    inverse, whole = inverse_of(head[:, :q]), np.zeros((q + len(root), q + len(root)))
     by_parameter = -inverse @ head[:, q:-1]
-    shared = by_parameter @ covariance
-    whole = np.block([[inverse @ inverse.T + shared @ by_parameter.T, shared], [shared.T, covariance]])
+    whole[:q, :q], whole[:q, q:], whole[q:, q:] = inverse, by_parameter @ root, root
     return inverse @ head[:, -1] + by_parameter @ parameters, whole
 
 
-def _deviance(problem: Problem, weight: Weights, factor: Array, known: Known) -> float:
+def _deviance(problem: Problem, told: Told, known: Known) -> float:
     """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
-    last = weight.rest[problem.link < 0]
-    own = sum(-2.0 * np.log(np.diagonal(w, axis1=1, axis2=2)).sum() for w in (last, weight.merged))
-    pivots = np.abs(np.concatenate([np.diagonal(factor, axis1=1, axis2=2).ravel(), known.pivots]))
-    return float(own + 2.0 * np.log(pivots[pivots > 0.0]).sum() + known.square)
+    own = told.weights.rest[problem.link < 0], told.weights.merged
+    whitened = np.concatenate([np.diagonal(each, axis1=1, axis2=2).ravel() for each in own])
+    pivots = np.abs(np.concatenate([np.diagonal(told.factor, axis1=1, axis2=2).ravel(), known.pivots]))
+    return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum()) + known.square)
 
 
 def _solved(triangle: Array) -> tuple[Array, Array]:
-    """Step (1 + m,) and covariance of gravity and the parameters; of gravity zero where it is taken as exact."""
+    """Step (1 + m,) of gravity and the parameters, and a root of their covariance; of gravity zero where it is taken as
+    exact."""
     first = int(triangle[0, 0] == 0.0)
     p = len(triangle) - 1
-    step, covariance = np.zeros(p), np.zeros((p, p))
-    inverse = inverse_of(triangle[first:p, first:p])
-    step[first:] = inverse @ triangle[first:p, p]
-    covariance[first:, first:] = inverse @ inverse.T
-    return step, covariance
+    step, root = np.zeros(p), np.zeros((p, p))
+    root[first:, first:] = inverse_of(triangle[first:p, first:p])
+    step[first:] = root[first:, first:] @ triangle[first:p, p]
+    return step, root
 
 
 def inverse_of(triangle: Array) -> Array:
@@ -188,11 +200,11 @@ def inverse_of(triangle: Array) -> Array:
 
 def left(problem: Problem, step: Step) -> Left:
     """What a step leaves of the residuals: nothing of rests that do not count."""
-    r = step.whitened[0].shape[1]
+    r = step.told.whitened[0].shape[1]
     rest, covariance = np.zeros((len(problem.link), r)), np.zeros((len(problem.link), r, r))
     found = [
         [_leave(seen, np.concatenate([own, step.parameters]), known) for seen in _seen(step, part)]
-        for part, own, known in zip(problem.parts, step.own, step.own_covariance, strict=True)
+        for part, own, known in zip(problem.parts, step.own, step.roots, strict=True)
     ]
     at_rest, merged = ([np.concatenate(each) for each in zip(*of, strict=True)] for of in zip(*found, strict=True))
     rest[problem.link < 0], covariance[problem.link < 0] = at_rest
@@ -218,7 +230,7 @@ class _Seen:
 
 def _seen(step: Step, part: SessionSpan) -> tuple[_Seen, _Seen]:
     """The rests of a session that count, and its merged rows."""
-    (rest, merged), first, last = step.whitened, part.first, part.last
+    (rest, merged), first, last = step.told.whitened, part.first, part.last
     (own, by_next), shared, angles = step.shared[0][:, part.rests], step.shared[1][part.rests], step.angles[part.rests]
     both = np.empty((len(first), 6, 6))
     both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:] = own[first], by_next[first], own[first + 1]
@@ -230,14 +242,16 @@ def _seen(step: Step, part: SessionSpan) -> tuple[_Seen, _Seen]:
     )
 
 
-def _leave(seen: _Seen, parameters: Array, covariance: Array) -> tuple[Array, Array]:
-    """Residuals (M, r) of rows for these parameters, and 1 − A C Aᵀ (M, r, r), C being that of the unknowns."""
-    a = seen.angles.shape[1]
+def _leave(seen: _Seen, parameters: Array, root: Array) -> tuple[Array, Array]:
+    """Residuals (M, r) of rows for these parameters, and 1 − A C Aᵀ (M, r, r), C being the covariance of the unknowns,
+    of which that of the parameters has this `root`."""
+    a, (M, r, _) = seen.angles.shape[1], seen.rows.shape
     by_angle, by = seen.rows[:, :, :a], seen.rows[:, :, a:-1]
     residual = seen.rows[:, :, -1] - (by_angle @ seen.angles[:, :, None])[:, :, 0] - by @ parameters
-    with_angles = by_angle @ seen.own + by @ np.swapaxes(seen.shared, 1, 2)
-    known = with_angles @ np.swapaxes(by_angle, 1, 2) + seen.with_parameters(covariance) @ np.swapaxes(by, 1, 2)
-    return residual, np.eye(seen.rows.shape[1]) - known
+    with_angles = 0.5 * by_angle @ seen.own + by @ np.swapaxes(seen.shared, 1, 2)
+    half = with_angles @ np.swapaxes(by_angle, 1, 2)
+    along = dtrmm(1.0, root.T, by.reshape(M * r, len(root)).T, lower=1).T.reshape(M, r, len(root))
+    return residual, np.eye(r) - half - np.swapaxes(half, 1, 2) - along @ np.swapaxes(along, 1, 2)
 
 
 def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
@@ -245,7 +259,7 @@ def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
     the covariances S of what rows predict with the parameters, Σ (Zᵀ Wᵀ S)² over the directions of a component."""
     q, slopes = len(problem.own_known), np.zeros((len(COMPONENTS), len(step.parameters)))
     (at_rest, of_rest), (of_merged, component) = noise.rest_directions, noise.merged_directions
-    Z = step.weights.rest @ at_rest, step.weights.merged @ of_merged
+    Z = step.told.weights.rest @ at_rest, step.told.weights.merged @ of_merged
     for covariance, part in zip(step.own_covariance, problem.parts, strict=True):
         rests, turns = _seen(step, part)
         for seen, of, along in ((rests, of_rest, Z[0][part.rests][part.last]), (turns, component, Z[1][part.turns])):

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -40,60 +41,60 @@ SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
 VELOCITY_SHARE = 0.1  # of the noise of its velocity
 CHANGES_SHARE = 0.1  # of the noise: second order of changes from turn to turn that are not integrated about
 
+Ends = tuple[tuple[Array, Array], tuple[Array, Array]]
+"""Specific forces, then rates (K, 3), at rest at the start and at the end of the turns."""
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TurnsAbout:
-    """Turns and what they were integrated about: coefficients `rate` and `force` (n, 15) of the gyros and
-    accelerometers, or (K, n, 15) where each turn has its own, and a `lateness` of the latter, s, common to all. Their
-    moments, and by_phi (K, 3, n, 15) and by_velocity (K, 3, n, 15) of the gyros and by_force (K, 3, n, 15) of the
-    accelerometers, P and Q of the module's docstring; `in_motion` are −∂V (K, 3, m) of lever arms and of delays."""
+    """Turns and what they were integrated about: `coefficients` (n, 15) of the accelerometers and gyros, or (K, n, 15)
+    where each turn has its own, and a `lateness` of the former, s, common to all. Their moments, and `paths`
+    (K, 6, n, 15), P above Q of the module's docstring; `in_motion` are −∂V (K, 3, m) of lever arms and of delays."""
 
-    rate: Array
-    force: Array
+    coefficients: Array
     lateness: float
     moments: Moments
-    by_phi: Array
-    by_velocity: Array
-    by_force: Array
+    paths: Array
     in_motion: Mapping[Motion, Array]
     to_rate: Array
     arrays: tuple[ArrayLevers, ...] = ()
     """What the accelerometers of arrays say of each other in motion."""
-    growing: tuple[Array, Array, Array] | None = None
-    """by_phi, by_velocity and by_force of coefficients that grow by 1 a second about the middle of the turns."""
+    growing: Array | None = None
+    """Paths of coefficients that grow by 1 a second about the middle of the turns."""
 
     @staticmethod
     def of(
-        observations: Observations, instrument: Instrument, values: Array, changes: tuple[Array, Array] | None = None
+        observations: Observations, instrument: Instrument, values: Array, changes: Array | None = None
     ) -> TurnsAbout:
         """The turns of a session, integrated about these values, and about `changes` (K, n, 15) of the coefficients of
-        the gyros and accelerometers in each turn."""
-        accel, gyro = instrument.accel, instrument.gyro
+        the accelerometers and gyros in each turn."""
+        accel, gyro, K = instrument.accel, instrument.gyro, instrument.all_coefficients(values)
         assert gyro is not None
-        rate, force = instrument.coefficients(gyro, values), _compensable(accel, instrument.coefficients(accel, values))
-        rate[:, PRODUCTS] = 0.0
-        late = instrument.delay(values)
+        K[: accel.size], K[accel.size :, PRODUCTS] = _compensable(accel, K[: accel.size]), 0.0
+        late, own = instrument.delay(values), own_axes(instrument)
 
-        def compensation(rate: Array, force: Array) -> Compensation:
-            of_gyro, of_accel = _compensation(gyro, rate), _compensation(accel, force)
-            g_sensitivity = of_gyro.to_body @ rate[:, FORCE]
+        def compensation(K: Array) -> Compensation:
+            of_accel, of_gyro = _compensation(accel, K[: accel.size]), _compensation(gyro, K[accel.size :])
+            g_sensitivity = of_gyro.to_body @ K[accel.size :, FORCE]
             return Compensation(gyro=of_gyro, accel=of_accel, g_sensitivity=g_sensitivity, delay=late)
 
-        about, own = compensation(rate, force), own_axes(instrument)
+        about = compensation(K)
         if changes is None:
             moments = observations.moments_about(about, own)
         else:
-            rate, force = rate + changes[0], force + changes[1]
-            moments = observations.moments_about_each(list(map(compensation, rate, force)), own)
+            K = K + changes
+            moments = observations.moments_about_each(list(map(compensation, K)), own)
         lefts = about.gyro.left_inverse, about.accel.left_inverse
         turns = observations.turns
         assert turns is not None
-        resting = specific_force(instrument, values, observations.rests.accel)
-        turning = angular_rate(instrument, values, observations.rests.gyro, resting)
-        ends = (resting[turns.first], resting[turns.last]), (turning[turns.first], turning[turns.last])
+        ends = None
+        if instrument.in_velocities:
+            resting = specific_force(instrument, values, observations.rests.accel)
+            turning = angular_rate(instrument, values, observations.rests.gyro, resting)
+            ends = (resting[turns.first], resting[turns.last]), (turning[turns.first], turning[turns.last])
         growing = observations.growing_moments_about(about) if warms(instrument) else None
-        about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts, ends, growing)
-        if instrument.in_motion("lever") is None:
+        about_turns = TurnsAbout.from_moments(moments, accel, (K, late), lefts, ends, growing)
+        if ends is None:
             return about_turns
         arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)
         return replace(about_turns, arrays=arrays)
@@ -102,39 +103,31 @@ class TurnsAbout:
     def from_moments(
         moments: Moments,
         accel: Block,
-        about: tuple[Array, Array, float],
+        about: tuple[Array, float],
         lefts: tuple[Array, Array],
-        ends: tuple[tuple[Array, Array], tuple[Array, Array]],
+        ends: Ends | None,
         growing: tuple[Array, Array] | None = None,
     ) -> TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
-        accelerometers, and the specific forces, then the rates (K, 3), at rest at their `ends`; `growing` are the
+        accelerometers, and what is at rest at their `ends`, None where velocities are not predicted; `growing` are the
         moments of what grows within the turns."""
-        (to_rate, to_force), (forces, rates) = lefts, ends
-        by_force = _paths(moments.Phi, to_force)
-        by_phi, by_velocity = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
+        to_rate, to_force = lefts
+        paths, a = _paths((moments.Phi, moments.Psi), lefts), to_force.shape[1]
         for by, own, to_body in (
-            (by_force, moments.Phi_accel, to_force),
-            (by_phi, moments.Phi_gyro, to_rate),
-            (by_velocity, moments.Psi_gyro, to_rate),
+            (paths[:, 3:, :a], moments.Phi_accel, to_force),
+            (paths[:, :3, a:], moments.Phi_gyro, to_rate),
+            (paths[:, 3:, a:], moments.Psi_gyro, to_rate),
         ):
             if own.shape[-1]:
                 by[..., OWN_SIZE], by[..., OWN_CUBE] = _own(own[..., 0, :], to_body), _own(own[..., 1, :], to_body)
         return TurnsAbout(
-            rate=about[0],
-            force=about[1],
-            lateness=about[2],
+            coefficients=about[0],
+            lateness=about[1],
             moments=moments,
-            by_phi=by_phi,
-            by_velocity=by_velocity,
-            by_force=by_force,
-            in_motion={
-                "lever": -lever_columns(moments, to_force, accel.axes, rates)[:, :, _lever_order(accel)],
-                "delay": -delay_column(moments)[:, :, None],
-                "single delay": -single_delay_columns(moments, to_force, accel.axes, forces)[:, :, accel.channels[:-1]],
-            },
+            paths=paths,
+            in_motion={} if ends is None else _in_motion(moments, accel, to_force, ends),
             to_rate=to_rate,
-            growing=None if growing is None else _growing(growing, lefts),
+            growing=None if growing is None else _paths(growing, lefts),
         )
 
     @property
@@ -142,82 +135,90 @@ class TurnsAbout:
         """Rotations (K, 3, 3), body at the end → body at the start."""
         return self.moments.C
 
-    def moved(self, instrument: Instrument, values: Array) -> tuple[Array, Array]:
-        """φ (K, 3) and the velocity (K, 3) for other values of the parameters, to first order in their change."""
-        gyro = instrument.gyro
-        assert gyro is not None
-        rate = instrument.coefficients(gyro, values) - self.rate
-        force = instrument.coefficients(instrument.accel, values) - self.force
-        phi = -_applied(self.by_phi, rate)
-        V = self.moments.V - _applied(self.by_velocity, rate) - _applied(self.by_force, force)
+    @property
+    def by_phi(self) -> Array:
+        """P (K, 3, n, 15) of the gyros."""
+        return self.paths[:, :3, -self.to_rate.shape[1] :]
+
+    @property
+    def by_force(self) -> Array:
+        """Q (K, 3, n, 15) of the accelerometers."""
+        return self.paths[:, 3:, : -self.to_rate.shape[1]]
+
+    @property
+    def by_velocity(self) -> Array:
+        """Q (K, 3, n, 15) of the gyros."""
+        return self.paths[:, 3:, -self.to_rate.shape[1] :]
+
+    def rows(self, instrument: Instrument, values: Array, model: tuple[Array, Array], width: int) -> Array:
+        """[−∂φ/∂θ | φ] and [−∂V/∂θ | V] (K, 6, width + 1) at values of the parameters, for which the `model` is K and
+        ∂K/∂θ: to first order in their change. The columns between the parameters and the last are 0."""
+        (K, D), m = model, len(values)
+        out = np.zeros((len(self.paths), 6, width + 1))
+        out[:, :, :m] = _times(self.paths, D)
+        change = K - self.coefficients
+        if change.ndim == 2:
+            out[:, :, -1] = -_times(self.paths, change[..., None])[:, :, 0]
+        else:
+            out[:, :, -1] = -np.einsum("kipb,kpb->ki", self.paths, change)
+        out[:, 3:, -1] += self.moments.V
         for motion, by in self.in_motion.items():
             if (own := instrument.in_motion(motion)) is not None:
-                V = V - by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
-        return phi, V
+                out[:, 3:, own] = by
+                out[:, 3:, -1] -= by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
+        return out
 
-    def columns(self, instrument: Instrument, values: Array) -> tuple[Array, Array]:
-        """−∂φ/∂θ and −∂V/∂θ (K, 3, m) at values of the parameters."""
-        gyro, accel = instrument.gyro, instrument.accel
-        assert gyro is not None
-        of_gyro, of_accel = instrument.derivative(gyro, values), instrument.derivative(accel, values)
-        phi = np.tensordot(self.by_phi, of_gyro, axes=2)
-        V = np.tensordot(self.by_velocity, of_gyro, axes=2) + np.tensordot(self.by_force, of_accel, axes=2)
-        for motion, by in self.in_motion.items():
-            if (own := instrument.in_motion(motion)) is not None:
-                V[:, :, own] = by
-        return phi, V
+    def growing_columns(self, D: Array) -> Array | None:
+        """−∂φ/∂θ and −∂V/∂θ (K, 6, m) of parameters, with ∂K/∂θ, that grow by 1 a second about the middle of the
+        turns."""
+        return None if self.growing is None else _times(self.growing, D)
 
-    def growing_columns(self, instrument: Instrument, values: Array) -> tuple[Array, Array] | tuple[None, None]:
-        """The same (K, 3, m) of parameters that grow by 1 a second about the middle of the turns."""
-        if self.growing is None or instrument.gyro is None:
-            return None, None
-        of_gyro, of_accel = (instrument.derivative(block, values) for block in (instrument.gyro, instrument.accel))
-        by_phi, by_velocity, by_force = self.growing
-        V = np.tensordot(by_velocity, of_gyro, axes=2) + np.tensordot(by_force, of_accel, axes=2)
-        return np.tensordot(by_phi, of_gyro, axes=2), V
+    @cached_property
+    def _sizes(self) -> Array:
+        """How much the coefficients (K, n, 15) of the gyros turn the rotations."""
+        return np.asarray(np.sqrt((self.by_phi**2).sum(axis=1)))
 
-    def bias_columns(self) -> tuple[Array, Array]:
-        """−∂φ/∂b and −∂V/∂b (K, 3, n) of the biases of the accelerometers, then of the gyros."""
-        accel, gyro = self.by_force[..., CONSTANT], self.by_phi[..., CONSTANT]
-        phi = np.concatenate([np.zeros_like(accel), gyro], axis=2)
-        return phi, np.concatenate([accel, self.by_velocity[..., CONSTANT]], axis=2)
-
-    def second_order(self, instrument: Instrument, values: Array, changes: Array | float = 0.0) -> tuple[Array, Array]:
-        """About how much (K,) rotation, rad, and velocity, m/s, about other values, and `changes` (K, n, 15) of the
-        coefficients of the gyros, err, being of first order."""
-        gyro = instrument.gyro
-        assert gyro is not None
-        return self._second_order(instrument.coefficients(gyro, values) + changes - self.rate)
-
-    def _second_order(self, change: Array) -> tuple[Array, Array]:
-        sizes = np.sqrt((self.by_phi**2).sum(axis=1))  # (K, n, 15)
-        phi = (sizes * np.abs(change)).sum(axis=(1, 2))
-        rotation = 0.5 * phi**2
+    def second_order(self, change: Array) -> tuple[Array, Array]:
+        """About how much (K,) rotation, rad, and velocity, m/s, err about a `change` (n, 15) or (K, n, 15) of the
+        coefficients of the gyros, being of first order."""
+        rotation = 0.5 * (self._sizes * np.abs(change)).sum(axis=(1, 2)) ** 2
         return rotation, G_STANDARD * self.moments.T * rotation
+
+    def since(self, instrument: Instrument, values: Array) -> Array:
+        """By how much the coefficients of the gyros at these values differ from those of the turns."""
+        gyro = instrument.gyro
+        assert gyro is not None
+        return np.asarray(instrument.coefficients(gyro, values) - self.coefficients[..., -gyro.size :, :])
 
     def good_for(
         self, instrument: Instrument, values: Array, noise: tuple[Array, Array], changes: Array | float = 0.0
     ) -> bool:
-        """Whether first order does for other values, beside the noise (K,), rad and m/s, of the turns."""
-        rotation, velocity = self.second_order(instrument, values, changes)
+        """Whether first order does for other values, and `changes` (K, n, 15) of the coefficients of the gyros, beside
+        the noise (K,), rad and m/s, of the turns."""
+        rotation, velocity = self.second_order(self.since(instrument, values) + changes)
         few = np.minimum(SECOND_ORDER, SECOND_ORDER_SHARE * noise[0])
         return bool(np.all(rotation <= few) and np.all(velocity <= VELOCITY_SHARE * noise[1]))
 
     def small(self, changes: Array, noise: tuple[Array, Array]) -> bool:
         """Whether first order does for changes (K, n, 15) of the coefficients of the gyros from turn to turn."""
-        rotation, velocity = self._second_order(changes)
+        rotation, velocity = self.second_order(changes)
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
 
 
-def _growing(moments: tuple[Array, Array], lefts: tuple[Array, Array]) -> tuple[Array, Array, Array]:
-    """by_phi, by_velocity and by_force of coefficients that grow within the turns, of Φ and Ψ weighted with time."""
-    Phi, Psi = moments
-    return _paths(Phi, lefts[0]), _paths(Psi, lefts[0]), _paths(Phi, lefts[1])
+def _in_motion(moments: Moments, accel: Block, to_force: Array, ends: Ends) -> dict[Motion, Array]:
+    """−∂V (K, 3, m) of what a turn alone sees of accelerometers."""
+    forces, rates = ends
+    return {
+        "lever": -lever_columns(moments, to_force, accel.axes, rates)[:, :, _lever_order(accel)],
+        "delay": -delay_column(moments)[:, :, None],
+        "single delay": -single_delay_columns(moments, to_force, accel.axes, forces)[:, :, accel.channels[:-1]],
+    }
 
 
-def _applied(by: Array, change: Array) -> Array:
-    """Σ by · ΔK (K, 3) of coefficients (n, 15), or (K, n, 15)."""
-    return np.asarray(np.einsum("kipb,kpb->ki", by, np.broadcast_to(change, (len(by), *change.shape[-2:]))))
+def _times(paths: Array, D: Array) -> Array:
+    """Σ paths · D (K, 6, m) over sensors and functions, of D (n, 15, m)."""
+    K, both = len(paths), D.shape[0] * D.shape[1]
+    return np.asarray(paths.reshape(6 * K, both) @ D.reshape(both, D.shape[2])).reshape(K, 6, D.shape[2])
 
 
 def warms(instrument: Instrument) -> bool:
@@ -263,10 +264,18 @@ def _compensable(block: Block, K: Array) -> Array:
     return out
 
 
-def _paths(moments: Array, left_inverse: Array) -> Array:
-    """Σ_j M_ijb s_jp (K, 3, n, 15) of moments (K, 3, 3, ·) of the first functions."""
-    out = np.zeros((len(moments), 3, left_inverse.shape[1], FUNCTIONS))
-    out[..., : moments.shape[-1]] = np.swapaxes(moments.swapaxes(2, 3) @ left_inverse, 2, 3)
+def _paths(moments: tuple[Array, Array], lefts: tuple[Array, Array]) -> Array:
+    """P above Q (K, 6, n, 15) of accelerometers and gyros: Σ_j M_ijb s_jp of Φ and Ψ (K, 3, 3, ·) of the first
+    functions, and the left inverses of gyros and accelerometers."""
+    (Phi, Psi), (to_rate, to_force) = moments, lefts
+    a = to_force.shape[1]
+    out = np.zeros((len(Phi), 6, a + to_rate.shape[1], FUNCTIONS))
+    for by, M, left in (
+        (out[:, 3:, :a], Phi, to_force),
+        (out[:, :3, a:], Phi, to_rate),
+        (out[:, 3:, a:], Psi, to_rate),
+    ):
+        by[..., : M.shape[-1]] = left.T @ M
     return out
 
 

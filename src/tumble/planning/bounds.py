@@ -28,7 +28,8 @@ from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import GroupFinding, Solution, least_squares
-from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, noise_of
+from tumble.estimation.likelihood import Point, Problem, Scatter, noise_of
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout, own_axes, warms
 from tumble.planning.inertial_turns import inertial_turns
 from tumble.planning.setup import Setup, check_setup
@@ -296,11 +297,9 @@ def _turns_about(course: Course, setup: Setup, instrument: Instrument, still: Ar
     start, end = course.attitudes[course.first], course.attitudes[course.first + 1]
     vector = inertial_turns(start, end, course.moves, course.seconds, setup.latitude)
     moments, grown = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), still)
-    values = np.zeros(len(instrument.names))
-    rate, force = (instrument.coefficients(block, values) for block in (instrument.gyro, instrument.accel))
     earth = np.array(earth_rate(setup.latitude))
     ends = (setup.gravity * start[:, 1], setup.gravity * end[:, 1]), (earth @ start, earth @ end)
-    lefts, about = (np.eye(3), np.eye(3)), (rate, force, 0.0)
+    lefts, about = (np.eye(3), np.eye(3)), (instrument.all_coefficients(np.zeros(len(instrument.names))), 0.0)
     growing = grown if warms(instrument) else None
     return TurnsAbout.from_moments(moments, instrument.accel, about, lefts, ends, growing)
 

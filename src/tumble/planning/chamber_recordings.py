@@ -21,7 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Point, Problem, Rows, instruments_of, linearise
+from tumble.estimation.likelihood import Point, Problem, Rows, instruments_of
+from tumble.estimation.linearisation import linearise
 from tumble.planning.bounds import Course, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme

@@ -181,6 +181,11 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
     """Moments of every piece, by the step about the middle attitude (A1).
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
+    return _integrated(pieces, [(slice(None), compensation)], own)
+
+
+def _integrated(pieces: Pieces, parts: list[tuple[slice, Compensation]], own: OwnAxes) -> Moments:
+    """Moments of every piece, parts of them with compensations of their own."""
     starts, stops = (np.ascontiguousarray(x, dtype=np.int64) for x in (pieces.start, pieces.stop))
     count, n, m = len(starts), len(own.gyro), len(own.accel)
     rows, linear = _kernels.COMMON + 2 * n + 2 * m, _kernels.LINEAR + 2 * n
@@ -188,20 +193,19 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
     products, moved, sweep = (np.zeros((count, size, 9)) for size in (rows, linear, 3))
     body = np.zeros((count, rows))
     sums = attitude, V, products, moved, sweep, body, jumps
-    intervals = np.ascontiguousarray(pieces.intervals, dtype=float)
-    _kernels.integrate_stretches(
-        (np.ascontiguousarray(pieces.rates, dtype=float), np.ascontiguousarray(pieces.forces, dtype=float), intervals),
-        _kernels.stretches_of(starts, stops),
-        compensation._kernel_model(),
-        (np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)),
-        sums,
-        _kernels.new_work(rows, linear),
-        _kernels.LANES,
+    rates, forces, intervals, gyros, accels = (
+        np.ascontiguousarray(each, dtype=float)
+        for each in (pieces.rates, pieces.forces, pieces.intervals, own.gyro, own.accel)
     )
+    samples, axes, work = (rates, forces, intervals), (gyros, accels), _kernels.new_work(rows, linear)
+    for part, compensation in parts:
+        piece, first, stop = _kernels.stretches_of(starts[part], stops[part])
+        stretches = piece + (part.start or 0), first, stop
+        _kernels.integrate_stretches(samples, stretches, compensation._kernel_model(), axes, sums, work, _kernels.LANES)
     C = np.empty((count, 3, 3))
     _kernels.finish(sums, C)
     Phi, Psi = _matrices(products), _matrices(moved)
-    gyros, accels = slice(_kernels.COMMON, _kernels.COMMON + 2 * n), slice(_kernels.COMMON + 2 * n, None)
+    of_gyros, of_accels = slice(_kernels.COMMON, _kernels.COMMON + 2 * n), slice(_kernels.COMMON + 2 * n, None)
     return Moments(
         C=C,
         V=V,
@@ -209,13 +213,13 @@ def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN
         Psi=Psi[..., : _kernels.LINEAR],
         W=Phi[..., REGRESSORS : _kernels.COMMON],
         sweep=_matrices(sweep),
-        Phi_gyro=Phi[..., gyros].reshape(count, 3, 3, 2, n),
+        Phi_gyro=Phi[..., of_gyros].reshape(count, 3, 3, 2, n),
         Psi_gyro=Psi[..., _kernels.LINEAR :].reshape(count, 3, 3, 2, n),
-        Phi_accel=Phi[..., accels].reshape(count, 3, 3, 2, m),
+        Phi_accel=Phi[..., of_accels].reshape(count, 3, 3, 2, m),
         body=body[:, :REGRESSORS],
         body_rates=body[:, REGRESSORS : _kernels.COMMON],
-        body_gyro=body[:, gyros].reshape(count, 2, n),
-        body_accel=body[:, accels].reshape(count, 2, m),
+        body_gyro=body[:, of_gyros].reshape(count, 2, n),
+        body_accel=body[:, of_accels].reshape(count, 2, m),
         jumps=jumps,
     )
 
@@ -289,11 +293,8 @@ def integrate_each(
     """The same with a compensation for each turn."""
     whole = _nothing(len(compensations), compensations[0], own)
     for pieces in batches:
-        for i, turn in enumerate(pieces.turn):
-            one = replace(
-                pieces, turn=pieces.turn[i : i + 1], start=pieces.start[i : i + 1], stop=pieces.stop[i : i + 1]
-            )
-            _add(whole, one, moments_of(one, compensations[turn], own))
+        parts = [(slice(i, i + 1), compensations[turn]) for i, turn in enumerate(pieces.turn)]
+        _add(whole, pieces, _integrated(pieces, parts, own))
     return whole
 
 

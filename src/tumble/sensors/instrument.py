@@ -158,6 +158,11 @@ class Instrument:
             out[self.accel.channels[:-1]] += values[where]
         return out
 
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """Accelerometers, and gyros where there are some."""
+        return (self.accel,) if self.gyro is None else (self.accel, self.gyro)
+
     def model(self, block: Block, values: Array) -> SensorModel:
         """Sensitivity matrix and bias of a block."""
         return block.model(values[self.own(block)])
@@ -165,11 +170,13 @@ class Instrument:
     def coefficients(self, block: Block, values: Array) -> Array:
         """K (n, 15) of a block."""
         model = self.model(block, values)
-        out = np.zeros((block.size, FUNCTIONS))
+        out = np.asarray(self._constant[block.kind] @ values)
         out[:, CONSTANT], out[:, measured_by(block)] = model.bias, model.matrix
-        for _, columns, regressors in self._regressors[block.kind]:
-            out += regressors @ values[columns]
         return out
+
+    def all_coefficients(self, values: Array) -> Array:
+        """K (n, 15) of accelerometers and gyros."""
+        return np.concatenate([self.coefficients(block, values) for block in self.blocks])
 
     def derivative(self, block: Block, values: Array) -> Array:
         """∂K/∂θ (n, 15, m) of a block with respect to all parameters."""
@@ -178,24 +185,17 @@ class Instrument:
         out[:, measured_by(block), own], out[:, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
         return out
 
-    @cached_property
-    def _regressors(self) -> dict[str, list[tuple[ParameterGroup, slice, Array]]]:
-        out: dict[str, list[tuple[ParameterGroup, slice, Array]]] = {"accel": [], "gyro": []}
-        for group in self.further:
-            if group.regressors is not None:
-                out[group.kind].append((group, self.members[group.name], group.regressors(self.block(group))))
-        return out
+    def linearised(self, values: Array) -> tuple[Array, Array]:
+        """K (n, 15) and ∂K/∂θ (n, 15, m) of accelerometers and gyros."""
+        return self.all_coefficients(values), np.concatenate([self.derivative(block, values) for block in self.blocks])
 
     @cached_property
     def _constant(self) -> dict[str, Array]:
-        """∂K/∂θ of each block for the parameters that K is linear in."""
-        out: dict[str, Array] = {}
-        for block in (self.accel, self.gyro):
-            if block is None:
-                continue
-            out[block.kind] = np.zeros((block.size, FUNCTIONS, len(self.names)))
-            for _, columns, regressors in self._regressors[block.kind]:
-                out[block.kind][:, :, columns] = regressors
+        """∂K/∂θ of each block for the parameters that K is linear in, others 0."""
+        out: dict[str, Array] = {b.kind: np.zeros((b.size, FUNCTIONS, len(self.names))) for b in self.blocks}
+        for group in self.further:
+            if group.regressors is not None:
+                out[group.kind][:, :, self.members[group.name]] = group.regressors(self.block(group))
         return out
 
     @cached_property
@@ -227,11 +227,6 @@ def functions(block: Block, force: Array, rate: Array) -> Array:
     return out
 
 
-def by_sensor(beta: Array, D: Array) -> Array:
-    """Σ_b β_npb D_pbm (N, n, m)."""
-    return np.swapaxes(np.swapaxes(beta, 0, 1) @ D, 0, 1)
-
-
 def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
     others, and rates (N, 3) of the body."""
@@ -255,18 +250,3 @@ def _along(vectors: Array, axes: Array) -> Array:
 def is_linear(block: Block, K: Array) -> bool:
     """Whether the readings of a block are linear in what it measures, and of nothing else."""
     return not np.any(np.delete(K, np.r_[CONSTANT, measured_by(block)], axis=1))
-
-
-def slopes(block: Block, K: Array, force: Array, rate: Array) -> tuple[Array, Array]:
-    """Derivatives (N, n, 3) of the readings Σ_b K_pb β_pb with respect to specific force and rate."""
-    by_force = np.broadcast_to(K[:, FORCE], (len(force), block.size, 3)).copy()
-    by_rate = np.broadcast_to(K[:, RATE], (len(force), block.size, 3)).copy()
-    for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start):
-        if np.any(K[:, b]):
-            by_force[:, :, k] += K[:, b] * force[:, [other]]
-            by_force[:, :, other] += K[:, b] * force[:, [k]]
-    if np.any(K[:, OWN_SIZE:]):
-        by, true = (by_force, force) if block.kind == "accel" else (by_rate, rate)
-        own = true @ block.axes.T
-        by += (K[:, OWN_SIZE] * np.sign(own) + 3.0 * K[:, OWN_CUBE] * own**2)[:, :, None] * block.axes
-    return by_force, by_rate

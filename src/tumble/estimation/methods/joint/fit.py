@@ -51,18 +51,18 @@ def fit_of(problem: Problem, start: At, most: int = ALL_STEPS) -> Fitted:
     scatter, components, wide = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem
     solved = iterate(problem, start, scatter, most)
     increments, steps = solved.increments, len(solved.increments)
-    after = without = left(problem, solved.step), solved.step.weights
+    after = without = left(problem, solved.step), solved.step.told.weights
     seen = seen_components(problem, solved.last.noise, *without)
     for _ in range(ROUNDS):
         at = solved.last
-        found, components = scatter_of(wide, at, scatter, seen)
-        wider = with_wider_priors(wide, at, found)
+        found, components, told = scatter_of(wide, at, (solved.step, after[0]), scatter, seen)
+        wider = with_wider_priors(wide, at, told)
         if (found == scatter and wider is wide) or steps >= most:
             break
         settled, wide, scatter = wider is wide, wider, found
-        solved = iterate(wide, at.with_priors(wide), scatter, most - steps)  # the last step again, with scatter
+        solved = iterate(wide, at.with_priors(wide), scatter, most - steps, told)  # the last step again, with scatter
         increments, steps = increments[:-1] + solved.increments, steps + len(solved.increments)
-        after = left(wide, solved.step), solved.step.weights
+        after = left(wide, solved.step), solved.step.told.weights
         if settled and len(solved.increments) == 1:
             break
     return Fitted(

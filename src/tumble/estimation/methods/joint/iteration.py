@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Noise, Point, Problem, Rows, Scatter, linearise, noise_of
-from tumble.estimation.step import Step, solve
+from tumble.estimation.likelihood import Noise, Point, Problem, Rows, Scatter, noise_of
+from tumble.estimation.linearisation import linearise, with_priors
+from tumble.estimation.step import Step, Told, completed, solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
@@ -38,10 +39,15 @@ class Out:
             rest=np.zeros(len(problem.link), dtype=bool), turn=np.zeros(0 if turns is None else len(turns), dtype=bool)
         )
 
+    @property
+    def any(self) -> bool:
+        """Whether something is left out."""
+        return bool(self.rest.any() or self.turn.any())
+
     def noise(self, problem: Problem, rows: Rows) -> Noise:
         """The noise of the rows, large where they are left out."""
         noise = noise_of(problem, rows)
-        if not (self.rest.any() or self.turn.any()):
+        if not self.any:
             return noise
         rest, merged, r = noise.rest.copy(), noise.merged.copy(), noise.rest.shape[1]
         rest[self.rest] += LEFT_OUT * _diagonals(rest[self.rest])
@@ -83,7 +89,7 @@ class At:
 
     def with_priors(self, problem: Problem) -> At:
         """The same with the priors of a problem."""
-        return replace(self, rows=self.rows.with_priors(problem, self.point, self.about))
+        return replace(self, rows=with_priors(self.rows, problem, self.point, self.about))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -96,17 +102,18 @@ class Solved:
     increments: tuple[Array, ...]
 
 
-def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS) -> Solved:
-    """Gauss–Newton with this scatter, by so many steps at most."""
+def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS, told: Told | None = None) -> Solved:
+    """Gauss–Newton with this scatter, by so many steps at most, and with what the first rows have `told` already."""
     increments: list[Array] = []
+    step = at.solved(problem, scatter) if told is None else completed(problem, at.rows, told)
     while True:
-        step = at.solved(problem, scatter)
         point, change = moved(problem, at.point, step)
         increments.append(change)
         about = integrated(problem, point, at.about)
         if (negligible(problem, step) and about is at.about) or len(increments) == min(most, MAX_ITERATIONS):
             return Solved(point=point, last=at, step=step, increments=tuple(increments))
         at = At.of(problem, point, about, at.out)
+        step = at.solved(problem, scatter)
 
 
 def negligible(problem: Problem, step: Step) -> bool:
@@ -129,7 +136,7 @@ def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
 
 def heading_information(problem: Problem, step: Step) -> Array:
     """What the gyros of each rest (N,) and of the turn after it say of the heading of both, rad⁻²."""
-    rest, merged = step.whitened
+    rest, merged = step.told.whitened
     n = problem.observations.accel_block.size
     own = (rest[:, n:, 2] ** 2).sum(axis=1)
     linked = problem.link >= 0
@@ -140,17 +147,13 @@ def heading_information(problem: Problem, step: Step) -> Array:
 
 def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
     """The turns, integrated again if the parameters have moved too far since."""
-    turns = problem.observations.turns
-    if about is None or turns is None:
+    if about is None:
         return None
-    noise = np.sqrt(np.trace(turns.covariance, axis1=1, axis2=2) / 3.0)
-    velocity = np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
-    if not problem.instrument.in_velocities:
-        velocity = np.full_like(velocity, np.inf)
     changes = problem.changed_in_turns(point)
-    if changes is not None and about.small(changes[0], (noise, velocity)):
+    of_gyros = slice(problem.instrument.accel.size, None)
+    if changes is not None and about.small(changes[:, of_gyros], problem.noise_of_turns):
         changes = None
-    gyro_changes = 0.0 if changes is None else changes[0]
-    if about.good_for(problem.instrument, point.values, (noise, velocity), gyro_changes):
+    gyro_changes = 0.0 if changes is None else changes[:, of_gyros]
+    if about.good_for(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
         return about
     return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)

@@ -114,7 +114,7 @@ def with_posterior(fitted: Fitted, free: Problem) -> Fitted:
     start = At.of(held, _point_of(solved.point, free.lag, mean), solved.last.about, fitted.out)
     there = iterate(held, start, fitted.scatter)
     step = replace(there.step, covariance=there.step.covariance + (moved_by.T * weight) @ moved_by)
-    after = left(held, there.step), there.step.weights
+    after = left(held, there.step), there.step.told.weights
     problem = replace(fitted.problem, measured=_lag_freed(fitted.problem, free), lag_known=False)
     return replace(fitted, problem=problem, solved=replace(there, step=step), left=after)
 

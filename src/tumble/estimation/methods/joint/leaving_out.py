@@ -34,7 +34,8 @@ def _judged(fitted: Fitted, left_of: tuple[Left, Weights]) -> Iterator[tuple[Arr
     n = problem.observations.accel_block.size
     stop = n + problem.observations.rests.gyro.shape[1]
     r, linked = after.rest[0].shape[1], problem.link >= 0
-    noise = noise_of(problem, fitted.solved.last.rows)
+    last = fitted.solved.last
+    noise = noise_of(problem, last.rows) if out.any else last.noise
     at_rest, merged = (
         _pulls(*found) for found in ((weight.rest, after.rest, noise.rest), (weight.merged, after.merged, noise.merged))
     )

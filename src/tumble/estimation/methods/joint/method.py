@@ -20,7 +20,8 @@ import numpy as np
 
 from tumble.estimation.common_errors import common_covariance
 from tumble.estimation.estimate import DETERMINED, Estimate, GroupFinding, OwnEstimate
-from tumble.estimation.likelihood import NO_PRIOR, Linearised, Prior, Problem, at_reference, instruments_of
+from tumble.estimation.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
+from tumble.estimation.linearisation import at_reference
 from tumble.estimation.methods.joint.fit import ALL_STEPS, Fitted
 from tumble.estimation.methods.joint.iteration import negligible
 from tumble.estimation.methods.joint.lag import KEPT, fit_with_lag, with_lag, with_posterior

@@ -13,7 +13,7 @@ from scipy import special
 from tumble.estimation.elimination import score
 from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Scatter, Weights
 from tumble.estimation.methods.joint.iteration import At
-from tumble.estimation.step import Left, left
+from tumble.estimation.step import Left, Step, Told, left
 from tumble.units import Array, BoolArray
 
 SCATTER_PROBABILITY = 0.25
@@ -41,14 +41,17 @@ def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights
     return np.asarray(degrees > LEAST_DEGREES)
 
 
-def scatter_of(problem: Problem, at: At, start: Scatter, seen: BoolArray) -> tuple[Scatter, Array]:
+def scatter_of(
+    problem: Problem, at: At, begun: tuple[Step, Left], start: Scatter, seen: BoolArray
+) -> tuple[Scatter, Array, Told]:
     """The components of scatter that are `seen` (5,) by restricted maximum likelihood at one linearisation, from a
-    start, and the covariance (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls. The
-    information lacks what rests and turns tell of each other: `share` is the part that it was of how the score fell in
-    the step before."""
+    start, of which the step and what it leaves are known; the covariance (5, 5) of their variances, and what the rows
+    tell with them. Steps of Fisher scoring, halved while the likelihood falls. The information lacks what rests and
+    turns tell of each other: `share` is the part that it was of how the score fell in the step before."""
+    step, after = begun
     variance, share = start.variances, 1.0
     active = variance > 0.0
-    deviance, slope, information = _scored(problem, at, variance)
+    deviance, slope, information = step.deviance, *_scored(problem, at, step, after)
     if not active.any():
         size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
         active = seen & (slope / size > -special.ndtri(SCATTER_PROBABILITY))
@@ -64,11 +67,11 @@ def scatter_of(problem: Problem, at: At, start: Scatter, seen: BoolArray) -> tup
         before, above = variance, slope
         for _ in range(5):
             variance = wanted
-            found = _scored(problem, at, variance)
-            if found[0] <= deviance + 1e-6:
+            step = at.solved(problem, Scatter.of_variances(variance))
+            if step.deviance <= deviance + 1e-6:
                 break
             wanted = 0.5 * (wanted + before)
-        deviance, slope, information = found
+        deviance, slope, information = step.deviance, *_scored(problem, at, step, left(problem, step))
         change = np.where(active, variance - before, 0.0)
         if np.all(np.abs(change) <= SCATTER_CONVERGED * deviation):
             break
@@ -78,15 +81,15 @@ def scatter_of(problem: Problem, at: At, start: Scatter, seen: BoolArray) -> tup
     components = np.zeros((len(COMPONENTS), len(COMPONENTS)))
     if active.any():
         components[np.ix_(active, active)] = np.linalg.inv(information[np.ix_(active, active)])
-    return Scatter.of_variances(variance), components
+    return Scatter.of_variances(variance), components, step.told
 
 
-def _scored(problem: Problem, at: At, variance: Array) -> tuple[float, Array, Array]:
-    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances."""
-    step = at.solved(problem, Scatter.of_variances(variance))
-    after, weight, last = left(problem, step), step.weights, problem.link < 0
-    slope, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
+def _scored(problem: Problem, at: At, step: Step, after: Left) -> tuple[Array, Array]:
+    """The score (5,) of the restricted likelihood and its information (5, 5) with respect to the variances, at a step
+    with them and what it leaves."""
+    weight, last = step.told.weights, problem.link < 0
+    slope, information = np.zeros(len(COMPONENTS)), np.zeros((len(COMPONENTS),) * 2)
     (at_rest, of_rest), (Z, of_merged) = at.noise.rest_directions, at.noise.merged_directions
     score(weight.rest[last] @ at_rest[last], of_rest, (after.rest[0][last], after.rest[1][last]), slope, information)
     score(weight.merged @ Z, of_merged, after.merged, slope, information)
-    return step.deviance, slope, information
+    return slope, information

@@ -53,7 +53,7 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
         return None, started[own]
     about = TurnsAbout.of(observations, instrument, started)
     derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(started[own]))
-    by_turn = about.columns(instrument, started)[0][:, :, own]
+    by_turn = about.rows(instrument, started, instrument.linearised(started), len(started))[:, :3, own]
     back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
     rate = (observations.rests.gyro - median) @ about.to_rate.T
     by_rest = np.einsum("aqm,iq->iam", derivative[:, :3], up * vertical) + derivative[:, 3]
@@ -69,7 +69,7 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
         np.zeros(count),
     ])  # fmt: skip
     started[own] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
-    near = bool(np.all(about.second_order(instrument, started)[0] < ROUGH_EFFECT))
+    near = bool(np.all(about.second_order(about.since(instrument, started))[0] < ROUGH_EFFECT))
     return (about if near else TurnsAbout.of(observations, instrument, started)), started[own]
 
 

@@ -13,38 +13,38 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.estimation.elimination import fold
-from tumble.estimation.likelihood import Problem, Scatter, priors
+from tumble.estimation.likelihood import Problem
+from tumble.estimation.linearisation import priors, with_priors
 from tumble.estimation.methods.joint.iteration import At
-from tumble.estimation.step import joined, tell
+from tumble.estimation.step import Told, joined
 from tumble.units import Array
 
 WIDENING_STEPS = 50
 WIDENED = 1.01  # λ of a step that counts as settled
 
 
-def with_wider_priors(problem: Problem, at: At, scatter: Scatter) -> Problem:
-    """The problem with the priors of groups widened that the data exceed (A4), at one linearisation; the same where
-    none is."""
+def with_wider_priors(problem: Problem, at: At, told: Told) -> Problem:
+    """The problem with the priors of groups widened that the data exceed (A4), at one linearisation, of what its
+    rows have told; the same where none is."""
     members, own_members = problem.instrument.members, _own_members(problem)
     if not members and not own_members:
         return problem
     expected, u = problem.measured
     now, own = u.copy(), problem.own_known.copy()
     further = np.arange(len(u)) > problem.instrument.linear_count
-    told, q = tell(problem, at.rows, at.noise.weights(scatter)), len(own)
+    told, q = replace(told, sessions=told.sessions.copy()), len(own)
     fixed = replace(problem, measured=(expected, np.where(further, np.inf, u)))
     fold(priors(fixed, at.point, at.about), told.sessions[0, q:, q:])
     for _ in range(WIDENING_STEPS):
         trial = replace(problem, measured=(expected, np.where(further, now, np.inf)), own_known=own)
-        found = joined(trial, at.rows.with_priors(trial, at.point), told)
-        values, variance = at.point.values + found.parameters[1:], np.diag(found.covariance)[1:]
+        found = joined(trial, with_priors(at.rows, trial, at.point), told)
+        values, variances = at.point.values + found.parameters[1:], found.variances
         most = 1.0
         for name, group in members.items():
             if name == "temperature.lag":
                 continue  # it multiplies others: a wide prior would let both grow
-            most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variance))
-        own_variance = np.diagonal(found.own_covariance, axis1=1, axis2=2)[:, : len(own)]
-        own_square = ((at.point.own + found.own) ** 2 + own_variance).mean(axis=0)
+            most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variances[0, q + 1 :]))
+        own_square = ((at.point.own + found.own) ** 2 + variances[:, :q]).mean(axis=0)
         for group in own_members:
             most = max(most, _widen(own, group, own_square))
         if most < WIDENED:
