@@ -16,7 +16,7 @@ from tumble.calibration.draft import Draft
 from tumble.calibration.observed import Progress, inspect_session
 from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor
 from tumble.errors import TumbleError
-from tumble.estimation.diagnosis import fitting_gyro_unit
+from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
 from tumble.recording.session import session_of
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE

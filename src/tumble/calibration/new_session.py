@@ -256,15 +256,13 @@ def _accel(log: FoundLog, sensors: Sensors, times: Times) -> tuple[dict[str, Any
     named = ", ".join(columns)
     if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
         said = [f"accelerometers: {named} in {sensors.unit} (from the name or the format), magnitude {magnitude:.6g}"]
-        unit = ACCEL_UNITS[sensors.unit]
-        rate = times.rate if unit.kind == "increment" else 1.0
-        if abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) > _TOLERANCE:
+        if abs(magnitude * ACCEL_UNITS[sensors.unit].per_second(times.rate) / G_STANDARD - 1.0) > _TOLERANCE:
             said.append(f"accelerometers: their magnitude is not that of gravity in {sensors.unit}: is the unit right?")
         return {"columns": columns, "unit": sensors.unit}, said
     for name, unit in ACCEL_UNITS.items():
-        rate = times.rate if unit.kind == "increment" else 1.0
         named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
-        if named_raw or unit.kind == "raw" or abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) >= _TOLERANCE:
+        fits = abs(magnitude * unit.per_second(times.rate) / G_STANDARD - 1.0) < _TOLERANCE
+        if named_raw or unit.kind == "raw" or not fits:
             continue
         also = "; 1024 counts per g are possible too" if name == "mg" and abs(magnitude / 1024.0 - 1.0) < _SOFT else ""
         found = f"accelerometers: {named} in {name} (their magnitude is {magnitude:.6g}){also}"
