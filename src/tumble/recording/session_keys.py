@@ -45,7 +45,7 @@ _LEAST_SINE = 1e-3
 class SessionTable(BaseModel):
     """A table of the file: no other keys, no other types."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class ImuTable(SessionTable):
