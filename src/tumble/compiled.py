@@ -11,7 +11,13 @@ from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).parent
-LOOPS = ("reduction/kernels", "reduction/moment_kernels", "estimation/elimination", "campaigns/triads")
+LOOPS = (
+    "reduction/kernels",
+    "reduction/moment_kernels",
+    "estimation/elimination",
+    "campaigns/triads",
+    "sensors/fixed_point",
+)
 RECORD = FOLDER / "compiled.json"
 """What was compiled: `compiler`, and under `sources` the hash of the source of each of LOOPS."""
 
