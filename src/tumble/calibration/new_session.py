@@ -19,8 +19,10 @@ import numpy as np
 
 from tumble.calibration.draft import Draft, session_text
 from tumble.calibration.draft_trials import tried
-from tumble.calibration.found_log import FoundLog, files_of, found_log, mended, times_of
+from tumble.calibration.found_log import FoundLog, times_of
+from tumble.calibration.log_detection import files_of, found_log
 from tumble.calibration.log_times import Times
+from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
 from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
@@ -31,8 +33,8 @@ from tumble.recording.formats import Sensors
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, temperature_unit
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
-from tumble.recording.session import SESSION_FILE, session_of
-from tumble.recording.session_keys import TemperatureTable
+from tumble.recording.session_file import SESSION_FILE, session_of
+from tumble.recording.session_keys.temperature import TemperatureTable
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS
 
 _HEAD = 20_000
@@ -90,8 +92,8 @@ def new_session(
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
         draft = _of_files(files, folder, given)
-        draft, faults = tried(draft, progress)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
+        draft, faults = tried(draft, progress)
         folder.mkdir(parents=True, exist_ok=True)
         text = session_text(draft, folder, given.programme, named=bool(given.serial))
         with whole_file(path) as temporary:
@@ -103,7 +105,7 @@ def new_session(
 
 
 def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
-    recordings = [f for f in files if f.suffix.lower() in formats.ENDINGS or f.is_dir()]
+    recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
     if not recordings:
         log = mended(found_log(files, folder), folder, given.rate)
         return _of_log(log, times_of(log, given.rate), given.rate)

@@ -16,14 +16,15 @@ import numpy as np
 
 from tumble.estimation.diagnosis.accelerometer_unit import accelerometer_faults
 from tumble.estimation.diagnosis.carried_vertical import sense_faults
-from tumble.estimation.diagnosis.channels import channel_faults
+from tumble.estimation.diagnosis.channels import channel_faults, mixed_rows
 from tumble.estimation.diagnosis.verdict import no_rests
 from tumble.estimation.estimate import Outcome
 from tumble.files import FilePath
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.reduction import exclusion
 from tumble.reduction.blocks import Reduction, reduce_log
 from tumble.reduction.clipping import without_clipped_turns
@@ -88,7 +89,11 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
     with ThreadPoolExecutor(max_workers=1) as beside:
         digest = beside.submit(log.sha256)
         reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
-    faults = channel_faults(reduction, session.log) or accelerometer_faults(reduction, session)
+    faults = (
+        channel_faults(reduction, session.log)
+        or accelerometer_faults(reduction, session)
+        or mixed_rows(reduction, session.log)
+    )
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
         segmentation = exclusion.without_times(reduction, segmentation, session.excluded)

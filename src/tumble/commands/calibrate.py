@@ -88,7 +88,7 @@ def calibrate(
     in the folder LOG-session beside it.
     """
     from tumble.calibration.launches import calibrate_launches
-    from tumble.recording.session import read_session
+    from tumble.recording.session_file import read_session
 
     if len(sessions) > 1 and out is None:
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")

@@ -8,18 +8,33 @@ import numpy as np
 
 from tumble.recording.session import Channels, LogSpec
 from tumble.reduction.blocks import ChannelState, Reduction
-from tumble.units import Array
+from tumble.units import G_STANDARD, Array
 
 REST_SHARE = 0.2
 """At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
 
-
 IMPOSSIBLE = 1e10
 """SI: no sensor reads as much, in whatever unit its log is taken to be."""
 
-
 CHANCE = 1e-9
 """Probability below which a row of equal samples is no accident."""
+
+LEAPING = 0.3 * G_STANDARD
+"""From one sample to the others of its 0.1 s, most of the time: no vibration that a device rests in is as large."""
+
+
+def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
+    """Accelerometers that leap from sample to sample all the time, as rows of several sensors do where they are read
+    as those of one; their unit is right."""
+    leaps = np.concatenate([each.accel_end - each.accel for each in reduction.files])
+    leap = float(np.median(np.linalg.norm(leaps, axis=1))) * np.sqrt(3 / leaps.shape[1])
+    if leap < LEAPING:
+        return []
+    return [
+        f"the accelerometers leap by {leap:.2g} m/s^2 from sample to sample, most of the time: columns "
+        f"{', '.join(map(repr, log.accel.columns))} have rows of several sensors; give each its own columns, or "
+        "let `tumble new` take them apart"
+    ]
 
 
 def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:

@@ -48,8 +48,7 @@ def undetermined(
     )
     remedy = _gravity_wanted(estimate, observations.site, combinations, known)
     if not remedy:
-        unseen = estimate.null if estimate.unobservable else combinations
-        remedy = _most_helpful(estimate, observations, unseen)
+        remedy = _most_helpful(estimate, observations, combinations)
     return [("both", _and(f"poorly observable in this session: {weak}", remedy))]
 
 
@@ -134,7 +133,7 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
         for up in range(3)
         for axis in range(3)
     }
-    return _advice(estimate, "turns", *most_telling(estimate.null[:, m:], turns))
+    return _advice(estimate, "turns", *most_telling(unseen[:, m:], turns))
 
 
 def _advice(estimate: Estimate, what: str, names: list[str], left: int) -> str:
