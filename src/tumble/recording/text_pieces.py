@@ -49,7 +49,8 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
         buffer[:held] = rest
     rest = buffer[:held]
     if rest.strip():
-        yield rest.rstrip() + (b"\n" if b"\n" in rest[len(rest.rstrip()) :] else b"")
+        empty, line_end, _ = rest[len(rest.rstrip()) :].partition(b"\n")  # tabs are empty values
+        yield rest.rstrip() + empty.rstrip(b"\r") + line_end
 
 
 def _read_into(buffer: mmap, part: slice, stream: io.BufferedIOBase) -> int:
