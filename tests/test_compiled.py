@@ -17,9 +17,10 @@ from tumble.campaigns import triads
 from tumble.estimation import elimination, row_loops
 from tumble.reduction import kernels, moment_kernels, moments
 from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
+from tumble.sensors import fixed_point
 from tumble.units import Array
 
-MODULES = dict(zip(compiled.LOOPS, (kernels, moment_kernels, elimination, row_loops, triads), strict=True))
+MODULES = dict(zip(compiled.LOOPS, (kernels, moment_kernels, elimination, row_loops, triads, fixed_point), strict=True))
 pytestmark = pytest.mark.skipif(not compiled.record(), reason="the loops are not compiled here")
 
 
@@ -147,6 +148,21 @@ def test_fits_of_triads_are_those_of_python() -> None:
     found, expected = triads.fit_statics(readings, 9.8), as_python("campaigns/triads").fit_statics(readings, 9.8)
     for ours, theirs in zip(found[:2], expected[:2], strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("of_force", [True, False])
+def test_samples_are_solved_as_by_python_to_the_bit(of_force: bool) -> None:
+    rng = np.random.default_rng(6)
+    readings, other, gain = rng.standard_normal((21, 4)), rng.standard_normal((21, 3)), 1.0 + 0.01 * np.ones((21, 4))
+    K, axes = 1e-2 * rng.standard_normal((4, 15)), rng.standard_normal((4, 3))
+    sensors = np.linalg.pinv(axes), axes, K
+    readings[5, 2] = np.nan
+    found, expected = (
+        module.fixed_point(readings, gain, other, sensors, 6, of_force=of_force)
+        for module in (fixed_point, as_python("sensors/fixed_point"))
+    )
+    np.testing.assert_array_equal(found, expected)
+    assert np.flatnonzero(np.isnan(found).any(axis=1)).tolist() == [5]
 
 
 @pytest.mark.parametrize("loops", compiled.LOOPS)

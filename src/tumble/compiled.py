@@ -17,6 +17,7 @@ LOOPS = (
     "estimation/elimination",
     "estimation/row_loops",
     "campaigns/triads",
+    "sensors/fixed_point",
 )
 RECORD = FOLDER / "compiled.json"
 """What was compiled: `compiler`, and under `sources` the hash of the source of each of LOOPS."""

@@ -32,6 +32,7 @@ from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import InputError, LogError
 from tumble.estimation.variables import sensors_at
 from tumble.files import FilePath
+from tumble.recording.ahead import one_ahead
 from tumble.recording.arrays import SI
 from tumble.recording.clock import times_of
 from tumble.recording.description import description_of
@@ -253,7 +254,7 @@ def _tables(
     for file in session.log.files:
         source = source_of(file, session.log.dialect)
         reader = _Reader(path=source.path, session=session, parts=parts, compensator=compensator, interval=interval)
-        pieces = ((table, reader.piece(table)) for table in _rows(source, parts, session.log))
+        pieces = ((table, reader.piece(table)) for table in one_ahead(_rows(source, parts, session.log)))
         for table, piece, own in _with_neighbours(pieces) if moved else _alone(pieces):
             names = table.columns if names is None else names
             if table.columns != names:

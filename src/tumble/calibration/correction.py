@@ -58,18 +58,20 @@ def _column(dt: Array | None) -> Array:
 def at_one_point(compensator: Compensator, readings: Array, rate: Array, time: Array, interval: float) -> Array:
     """Readings (N, n) of accelerometers, m/s², moved to the last one by the rate (N, 3), rad/s, at times (N,), s. Where
     the rate of a sample or of a neighbour is not known, they stay where they are."""
-    acceleration = angular_acceleration(rate, time, interval)
-    known = np.isfinite(rate).all(axis=1) & np.isfinite(acceleration).all(axis=1)
-    moved = readings.copy()
-    moved[known] = compensator.at_one_point(readings[known], rate[known], acceleration[known])
-    return moved
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = compensator.at_one_point(readings, rate, angular_acceleration(rate, time, interval))
+    return np.where(np.isfinite(moved), moved, readings)
 
 
 def angular_acceleration(rate: Array, time: Array, interval: float) -> Array:
     """ω̇ (N, 3), rad/s², by central differences of the rate (N, 3), one-sided at both ends; not a number where the
     neighbours are too far apart."""
-    at = np.arange(len(time))
-    before, after = np.maximum(at - 1, 0), np.minimum(at + 1, len(time) - 1)
-    step = time[after] - time[before]
-    step = np.where((step > 0.0) & (step <= LONGEST_STEP * interval), step, np.nan)
-    return np.asarray((rate[after] - rate[before]) / step[:, None])
+    steps, changes = (_over_two(each) for each in (time, rate))
+    steps = np.where((steps > 0.0) & (steps <= LONGEST_STEP * interval), steps, np.nan)
+    return np.asarray(changes / steps[:, None])
+
+
+def _over_two(values: Array) -> Array:
+    """Differences of the neighbours (N, ...) of values (N, ...), of the first and the last value from themselves."""
+    padded = np.concatenate([values[:1], values, values[-1:]])
+    return np.asarray(padded[2:] - padded[:-2])

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,8 +16,9 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.calibration.calibrate import Terms
-    from tumble.calibration.new_session import Given
+    from tumble.calibration.calibration_file import Calibration
     from tumble.calibration.type_spread import TypeSpread
+    from tumble.recording.session import Session
     from tumble.sensors.frames import Frame
 
 
@@ -87,14 +88,7 @@ def calibrate(
     in the folder LOG-session beside it.
     """
     from tumble.calibration.launches import calibrate_launches
-    from tumble.calibration.new_session import NOTHING_GIVEN, Given
-    from tumble.calibration.together import calibrate_together
     from tumble.recording.session_file import read_session
-    from tumble.simulation.session import read_truth
-    from tumble.simulation.temperature_profile import truth_at
-    from tumble.terminal.calibration import calibration_report
-    from tumble.terminal.data import calibration_data, print_data
-    from tumble.terminal.text import print_report
 
     if len(sessions) > 1 and out is None:
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
@@ -111,13 +105,13 @@ def calibrate(
     if without is not None and len(sessions) > 1:
         raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
     left_out = () if without is None else _numbers(without)
-    true = read_truth(truth) if truth else None
-    given = Given(latitude=latitude, serial=serial, rate=rate)
-    with _session_of(sessions, given) if given != NOTHING_GIVEN else nullcontext(sessions) as folders:
+    true = _truth(truth) if truth else None
+    given = {"latitude": latitude, "serial": serial, "rate": rate}
+    with _session_of(sessions, given) if set(given.values()) != {None} else nullcontext(sessions) as folders:
         described = [read_session(folder).without(left_out) for folder in folders]
         alike = None if place is None else _of_type(place, described[0].device.model, frame)
         result, *others = (
-            [calibrate_together(described, frame=frame, progress=with_progress)]
+            [_together(described, frame)]
             if together
             else [
                 calibrate_launches(
@@ -134,10 +128,15 @@ def calibrate(
         )
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    known = None if true is None else truth_at(true, result.reference_temperature, result.reference_of)
     if as_json:
+        from tumble.terminal.data import calibration_data, print_data
+
         print_data(calibration_data(result, *others))
     else:
+        from tumble.terminal.calibration import calibration_report
+        from tumble.terminal.text import print_report
+
+        known = None if true is None else _true_at(result, true)
         print_report(calibration_report(result, known, others, every=every))
     say(f"written to {target}")
     for other in others:
@@ -146,6 +145,27 @@ def calibrate(
     for reason in result.outcome.reasons:
         warn(f"not accepted: {reason}")
     sys.exit(0 if result.outcome.accepted else 1)
+
+
+def _truth(path: Path) -> dict[str, float]:
+    """The true parameters of a simulated session."""
+    from tumble.simulation.session import read_truth
+
+    return read_truth(path)
+
+
+def _true_at(result: Calibration, true: dict[str, float]) -> dict[str, float]:
+    """True parameters at the temperatures at which a result has them."""
+    from tumble.simulation.temperature_profile import truth_at
+
+    return truth_at(true, result.reference_temperature, result.reference_of)
+
+
+def _together(sessions: list[Session], frame: Frame) -> Calibration:
+    """Several sessions as one estimate."""
+    from tumble.calibration.together import calibrate_together
+
+    return calibrate_together(sessions, frame=frame, progress=with_progress)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -171,9 +191,9 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
 
 
 @contextmanager
-def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
-    """The folder of a session made of a log, which is there no more where the block fails."""
-    from tumble.calibration.new_session import new_session
+def _session_of(logs: Sequence[Path], said: Mapping[str, Any]) -> Iterator[list[Path]]:
+    """The folder of a session made of a log, of which this is said; it is there no more where the block fails."""
+    from tumble.calibration.new_session import Given, new_session
     from tumble.files import nothing_left
 
     if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
@@ -183,6 +203,7 @@ def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
     name = logs[0].name.partition(".")[0]
     folder = logs[0].with_name(f"{name}-session")
     with nothing_left(folder):
+        given = Given(**said)
         draft, faults = new_session(
             folder, logs[0], replace(given, serial=given.serial or name), progress=with_progress
         )

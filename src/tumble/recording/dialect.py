@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 LINE_BYTES = 1 << 20
 BLANKS = " "
@@ -27,6 +28,7 @@ COMMENTS = ("#", "//", "%", "!", ";", "*")
 _TOP_LINES = 2000
 _SEEN_BYTES = 1 << 18
 _LEAST_NUMBERS = 3
+_LONGEST_CHARACTER = 4  # bytes, in UTF-8
 _GUESSED_ENCODINGS = ("cp1251", "gb18030")
 _BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
@@ -96,6 +98,11 @@ class Recoded(io.BufferedIOBase):
 
     def read(self, size: int | None = -1, /) -> bytes:
         return self._text.read(size).encode("utf-8", errors="replace")
+
+    def readinto(self, buffer: Any, /) -> int:
+        text = self.read(len(buffer) // _LONGEST_CHARACTER)
+        buffer[: len(text)] = text
+        return len(text)
 
     def readline(self, size: int | None = -1, /) -> bytes:
         return self._text.readline(-1 if size is None else size).encode("utf-8", errors="replace")

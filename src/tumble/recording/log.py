@@ -11,13 +11,11 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from tumble.errors import LogError, did_you_mean
 from tumble.recording.circumstances import date_of_unix
-from tumble.recording.dialect import LINE_BYTES
 from tumble.recording.even_times import regular_grid, rounded_grid
 from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
 from tumble.recording.log_source import LogSource, readable
@@ -92,9 +90,12 @@ class Log:
         memory that of the names and numbers of the columns that are read."""
         digest = hashlib.sha256()
         for file in self.session.log.files:
-            pieces = file.content(self.session.log.columns) if isinstance(file, Samples) else _bytes_of(file)
-            for piece in pieces:
-                digest.update(piece)
+            if isinstance(file, Samples):
+                for piece in file.content(self.session.log.columns):
+                    digest.update(piece)
+            else:
+                with readable(file), file.open("rb", buffering=0) as stream:
+                    hashlib.file_digest(stream, lambda: digest)
         return digest.hexdigest()
 
     def _samples(self, file: int) -> Iterator[Chunk]:
@@ -113,12 +114,6 @@ class Log:
                 temperature=spec.temperature.to_celsius(values[-1]) + ZERO_CELSIUS if spec.temperature else None,
                 magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
             )
-
-
-def _bytes_of(path: Path) -> Iterator[bytes]:
-    with readable(path), path.open("rb") as stream:
-        while piece := stream.read(LINE_BYTES):
-            yield piece
 
 
 def open_log(session: Session) -> Log:

@@ -6,12 +6,12 @@ give the same blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.recording.ahead import one_ahead
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log
 from tumble.reduction import kernels as _kernels
@@ -397,15 +397,6 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
         increments=(kinds[0], kinds[1]),
         magnetometer=spec.magnetometer is not None,
     )
-    for chunk in _one_ahead(iter(log.chunks() if chunks is None else chunks)):
+    for chunk in one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
     return replace(reducer.finish(), gaps=log.gaps)
-
-
-def _one_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:
-    """The same chunks; the next one is read while this one is worked on."""
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        ahead = beside.submit(next, chunks, None)
-        while (chunk := ahead.result()) is not None:
-            ahead = beside.submit(next, chunks, None)
-            yield chunk

@@ -58,6 +58,8 @@ LEVEL_SPREAD = 3.0 * DEGREE
 """rad/s: how far the level of a gyro at rest may be from that in another attitude."""
 STAYS = 0.05 * DEGREE
 DENSITY_POINTS = 1000
+AT_A_TIME = 16
+"""Points whose distances from all others stay in the cache."""
 MARGIN_FRACTION = 0.05
 MARGIN_SECONDS = (0.2, 1.0)
 STILL_SECONDS = math.ceil(MIN_REST_SECONDS + 2.0 * MARGIN_SECONDS[0])
@@ -458,9 +460,15 @@ def _window_of(rows: int, window: int) -> IntArray:
 def _densest(points: Array) -> Array:
     """The point of a cloud with the nearest neighbours, from at most DENSITY_POINTS of them evenly spread."""
     points = points[:: -(-len(points) // DENSITY_POINTS)]
-    squares = sum((column[:, None] - column) ** 2 for column in points.T)
     neighbour = min(len(points) - 1, max(3, len(points) // 20))
-    return np.asarray(points[np.argmin(np.partition(squares, neighbour, axis=1)[:, neighbour])])
+    few = (points[i : i + AT_A_TIME] for i in range(0, len(points), AT_A_TIME))
+    return np.asarray(points[np.argmin(np.concatenate([_to_neighbour(each, points, neighbour) for each in few]))])
+
+
+def _to_neighbour(points: Array, others: Array, neighbour: int) -> Array:
+    """Squared distances (m,) of points from the others that are their k-th neighbours, they themselves the 0-th."""
+    squares = sum((own[:, None] - column) ** 2 for own, column in zip(points.T, others.T, strict=True))
+    return np.asarray(np.partition(squares, neighbour, axis=1)[:, neighbour])
 
 
 def _floor(values: Array) -> float:

@@ -119,7 +119,7 @@ def _samples_from(samples: TurnSamples | None, first: int) -> TurnSamples | None
     """The samples of the session whose turns begin with this one."""
     if samples is None:
         return None
-    every = {0: replace(samples, others=(), _only_batch=[])} | dict(samples.others)
+    every = {0: replace(samples, others=(), _kept=[])} | dict(samples.others)
     return every.get(first)
 
 
@@ -189,7 +189,7 @@ def _samples(sessions: Sequence[Observations]) -> TurnSamples | None:
         return None
     before = np.cumsum([0] + [count for _, count in known]).tolist()
     others = tuple((first, samples) for first, (samples, _) in zip(before[1:-1], known[1:], strict=True))
-    return replace(known[0][0], others=others, _only_batch=[])
+    return replace(known[0][0], others=others, _kept=[])
 
 
 def _readings(sessions: Sequence[Observations]) -> TurnReadings | None:

@@ -13,6 +13,8 @@ from tumble.units import IntArray
 
 BATCH_SAMPLES = 2**17
 """Of turns, that are in memory at a time: 7 MB."""
+KEPT_SAMPLES = 2**19
+"""So few of turns are gathered once and stay in memory: 29 MB."""
 AHEAD = 2
 """Samples kept ahead of every piece of a turn, which the first step wants."""
 
@@ -26,7 +28,7 @@ class TurnSamples:
     start: IntArray
     stop: IntArray
     others: tuple[tuple[int, TurnSamples], ...] = ()
-    _only_batch: list[Pieces] = field(default_factory=list, repr=False)
+    _kept: list[Pieces] = field(default_factory=list, repr=False)
 
     @property
     def lengths(self) -> IntArray:
@@ -40,12 +42,12 @@ class TurnSamples:
             yield from (replace(pieces, turn=pieces.turn + before) for pieces in other.pieces())
 
     def _own_pieces(self) -> Iterator[Pieces]:
-        """Those of these samples. Turns that fill one batch at most are gathered once."""
-        if self._only_batch:
-            return iter(self._only_batch)
-        if int(np.sum(self.stop - self.start)) < BATCH_SAMPLES:
-            self._only_batch.extend(self._gathered())
-            return iter(self._only_batch)
+        """Those of these samples."""
+        if self._kept:
+            return iter(self._kept)
+        if int(np.sum(self.stop - self.start)) < KEPT_SAMPLES:
+            self._kept.extend(self._gathered())
+            return iter(self._kept)
         return self._gathered()
 
     def _gathered(self) -> Iterator[Pieces]:

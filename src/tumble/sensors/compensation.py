@@ -7,17 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tumble.sensors.fixed_point import fixed_point
 from tumble.sensors.instrument import Instrument, is_linear, measured_by
-from tumble.sensors.instrument import readings as readings_of
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, RATE, group_name
 from tumble.units import Array
 
 FIXED_POINT_STEPS = 5
-"""Steps for what is not linear: each leaves the part of 1e-3 to 1e-2 that the nonlinear terms are of the reading."""
-
-CACHED_ROWS = 1 << 13
-"""So many are solved together: their numbers stay in the processor's cache."""
+"""Steps after the linear one: each leaves the part of 1e-3 to 1e-2 that the nonlinear terms are of the reading."""
 
 
 def specific_force(instrument: Instrument, values: Array, readings: Array) -> Array:
@@ -38,23 +35,21 @@ def _solved(
 ) -> Array:
     """The measured vector (N, 3), by fixed-point steps: x ← S⁻¹ ((ŷ − b − what is not linear in x) / s); where
     parameters change with temperature, `change` is that of the bias, and s, both (N, n)."""
-    inverse = np.linalg.pinv(K[:, measured])
+    inverse = np.asarray(np.linalg.pinv(K[:, measured]), dtype=float)
     rest = K.copy()
     rest[:, measured], rest[:, CONSTANT] = 0.0, 0.0
     offset, gain = change if change is not None else (np.zeros(1), np.ones(1))
-    reading = readings - K[:, CONSTANT] - offset
-    x = (reading / gain) @ inverse.T
+    reading = readings - (K[:, CONSTANT] + offset)
     if not np.any(rest):
-        return np.asarray(x)
-    gain = np.broadcast_to(gain, reading.shape)
-    for first in range(0, len(x), CACHED_ROWS):
-        rows = slice(first, first + CACHED_ROWS)
-        nothing = np.zeros_like(x[rows])
-        known = force[rows] if np.any(rest[:, FORCE]) else nothing  # what does not count may be lost
-        for _ in range(FIXED_POINT_STEPS):
-            true = (x[rows], nothing) if measured == FORCE else (known, x[rows])
-            x[rows] = ((reading[rows] - readings_of(block, rest, *true)) / gain[rows]) @ inverse.T
-    return np.asarray(x)
+        return np.asarray((reading / gain) @ inverse.T)
+    return fixed_point(
+        reading,
+        np.broadcast_to(gain, reading.shape),
+        force if np.any(rest[:, FORCE]) else np.zeros((len(reading), 3)),  # what does not count may be lost
+        (inverse, block.axes, rest),
+        1 + FIXED_POINT_STEPS,
+        of_force=measured == FORCE,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -136,10 +131,10 @@ class Compensator:
         """Readings (N, n), SI, as all accelerometers would have them where the last one is, in motion with a rate and
         an angular acceleration (N, 3), rad/s and rad/s²: less what f_p − f = ω̇ × r_p + ω × (ω × r_p) adds through
         the sensitivity."""
-        r = self.levers[None]
-        across = np.cross(rate[:, None], np.cross(rate[:, None], r))
-        added = np.cross(acceleration[:, None], r) + across
-        return np.asarray(readings - np.einsum("npk,pk->np", added, self.accel_coefficients[:, FORCE]))
+        r, k = self.levers, self.accel_coefficients[:, FORCE]
+        # k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k)
+        across = (rate @ r.T) * (rate @ k.T) - np.sum(rate * rate, axis=1)[:, None] * np.sum(r * k, axis=1)
+        return np.asarray(readings - acceleration @ np.cross(r, k).T - across)
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
         """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N, n) or (N, 1), °C, of the sensors."""

@@ -15,7 +15,7 @@ from tumble.errors import did_you_mean
 class SessionTable(BaseModel):
     """A table of the file: no other keys, no other types."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def check_known(key: str, value: str, known: Iterable[str]) -> None:
