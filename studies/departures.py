@@ -374,6 +374,7 @@ def observed(setting: Setting, samples: Samples) -> Observations:
         velocity=moments.V,
         velocity_covariance=white[1] * T[:, None, None] * np.eye(3),
         jumps=moments.jumps,
+        aliased=np.zeros(len(moments)),
     )
     return Observations(
         accel_block=ACCEL,

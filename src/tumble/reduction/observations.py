@@ -59,6 +59,10 @@ GYRO_FLOOR = 1e-11  # rad/s
 PATH_STEPS = 32
 VELOCITY_FLOOR = 1e-8  # m/s
 VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: what the integration errs by
+FOURTH_DIFFERENCES = 70.0
+"""Variance of the fourth differences, 1 −4 6 −4 1, of independent samples, in parts of theirs."""
+BEYOND_NOISE = 9.0
+"""Times the variance by noise: where independent samples would make no more, nothing is said of them."""
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 
@@ -99,7 +103,8 @@ class Turns:
     M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
     velocity increment (K, 3), m/s, its covariance (K, 3, 3) from accelerometer noise, and `jumps` (K,), m²/s², the sum
     of the squares of what the force jumps by from sample to sample times the interval (A3). All are resolved in the
-    non-rotating frame that is the body at the start of the turn."""
+    non-rotating frame that is the body at the start of the turn. `aliased` (K,), rad², is the variance of the rotation
+    if what changes in the rate from sample to sample were independent, which it is in samples that are no means."""
 
     first: IntArray
     last: IntArray
@@ -111,6 +116,7 @@ class Turns:
     velocity: Array
     velocity_covariance: Array
     jumps: Array
+    aliased: Array
 
     def __len__(self) -> int:
         return len(self.duration)
@@ -485,6 +491,7 @@ def _turns(
     long = np.maximum(duration, block_seconds)
     density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
     velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
+    covariance = _carried(samples, density) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=first,
         last=last,
@@ -492,12 +499,29 @@ def _turns(
         C=moments.C,
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
-        covariance=_carried(samples, density) + TURN_FLOOR**2 * np.eye(3),
+        covariance=covariance,
         velocity=moments.V,
         velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
+        aliased=_beyond_noise(_of_independent(samples, len(pairs)), np.trace(covariance, axis1=1, axis2=2) / 3.0),
     )
     return turns, samples
+
+
+def _of_independent(samples: TurnSamples, turns: int) -> Array:
+    """Variance an axis (K,), rad², of the rotations if what rates change by from sample to sample were independent:
+    Σ |Δ⁴ω Δt|² / (3 · 70). A motion that its samples follow has next to no differences of fourth order."""
+    out = np.zeros(turns)
+    for pieces in samples.pieces():
+        for turn, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
+            steps = pieces.rates[start:stop] * pieces.intervals[start:stop, None]
+            out[turn] += (np.diff(steps, n=4, axis=0) ** 2).sum() / (3.0 * FOURTH_DIFFERENCES)
+    return out
+
+
+def _beyond_noise(variance: Array, noise: Array) -> Array:
+    """The variances (K,) of turns in which they are far beyond that of the `noise` within rests; 0 in others."""
+    return np.where(variance > BEYOND_NOISE * noise, variance, 0.0)
 
 
 _BODY = Block(kind="gyro", axes=np.eye(3))

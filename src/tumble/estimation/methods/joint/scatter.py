@@ -30,7 +30,7 @@ SHARES = (0.25, 3.0)  # what a step of scoring may be of that by the information
 
 
 def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights) -> BoolArray:
-    """Whether a fit leaves something of each component (5,) of scatter."""
+    """Whether a fit leaves something of each component (c,) of scatter."""
     degrees, last = np.zeros(len(COMPONENTS)), problem.link < 0
     at_rest, of_rest = noise.rest_directions
     rows = (weight.rest[last], after.rest[1][last]), (weight.merged, after.merged[1])
@@ -42,8 +42,8 @@ def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights
 
 
 def scatter_of(problem: Problem, at: At, start: Scatter, seen: BoolArray) -> tuple[Scatter, Array]:
-    """The components of scatter that are `seen` (5,) by restricted maximum likelihood at one linearisation, from a
-    start, and the covariance (5, 5) of their variances: steps of Fisher scoring, halved while the likelihood falls. The
+    """The components of scatter that are `seen` (c,) by restricted maximum likelihood at one linearisation, from a
+    start, and the covariance (c, c) of their variances: steps of Fisher scoring, halved while the likelihood falls. The
     information lacks what rests and turns tell of each other: `share` is the part that it was of how the score fell in
     the step before."""
     variance, share = start.variances, 1.0
@@ -82,7 +82,7 @@ def scatter_of(problem: Problem, at: At, start: Scatter, seen: BoolArray) -> tup
 
 
 def _scored(problem: Problem, at: At, variance: Array) -> tuple[float, Array, Array]:
-    """−2 log of the restricted likelihood, its score (5,) and information (5, 5) with respect to the variances."""
+    """−2 log of the restricted likelihood, its score (c,) and information (c, c) with respect to the variances."""
     step = at.solved(problem, Scatter.of_variances(variance))
     after, weight, last = left(problem, step), step.weights, problem.link < 0
     slope, information = np.zeros(len(variance)), np.zeros((len(variance),) * 2)
