@@ -60,6 +60,8 @@ COMPONENTS = ("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased")
 
 OWN: tuple[Variable, ...] = ("time", "launch")
 """What the changes go with that each of several sessions has of its own."""
+WARMING: tuple[Variable, ...] = ("warm-up", "warm-up²")
+"""And those that a session without a thermometer has that warms."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -395,14 +397,14 @@ def instruments_of(observations: Observations) -> tuple[Instrument, Instrument |
     accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
     variables = set(variables_of(observations))
     if observations.together is None:
-        variables -= {"warm-up"}
-        warming = None if observations.warm_up is None else _changing_with(observations, ("warm-up",))
+        variables -= set(WARMING)
+        warming = None if observations.warm_up is None else changing_with(observations, WARMING)
         return Instrument.of(accel, gyro, usual, variables), warming
-    own = _changing_with(observations, OWN)
+    own = changing_with(observations, OWN)
     return Instrument.of(accel, gyro, usual, variables - set(OWN)), own
 
 
-def _changing_with(observations: Observations, variables: tuple[Variable, ...]) -> Instrument:
+def changing_with(observations: Observations, variables: tuple[Variable, ...]) -> Instrument:
     """The instrument of the linear model and of its changes with some variables."""
     every = Instrument.of(observations.accel_block, observations.gyro_block, observations.usual, variables)
     return replace(every, further=tuple(group for group in every.further if group.variable in variables))
