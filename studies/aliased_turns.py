@@ -28,8 +28,8 @@ LATITUDE = 59.35 * DEGREE
 RATE, FINE = 62.5, 32
 """Samples a second, and steps of the simulation within the interval of one."""
 POSITIONS, REST, TURN, STILL = 20, 10.0, 3.0, 0.2
-OSCILLATIONS = 6
-SHAKEN_RATE, SHAKEN_FORCE = 15.0 * DEGREE, 4.0
+OSCILLATIONS = 12
+SHAKEN_RATE, SHAKEN_FORCE = 10.0 * DEGREE, 4.0
 ACCEL_NOISE, GYRO_NOISE = 2e-3, 0.01 * DEGREE
 """m/s²/√Hz and rad/s/√Hz."""
 

@@ -503,15 +503,17 @@ def _turns(
         velocity=moments.V,
         velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
-        aliased=_beyond_noise(_of_independent(samples, len(pairs)), np.trace(covariance, axis1=1, axis2=2) / 3.0),
+        aliased=_beyond_noise(
+            rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
+        ),
     )
     return turns, samples
 
 
-def _of_independent(samples: TurnSamples, turns: int) -> Array:
+def rotations_of_independent(samples: TurnSamples) -> Array:
     """Variance an axis (K,), rad², of the rotations if what rates change by from sample to sample were independent:
     Σ |Δ⁴ω Δt|² / (3 · 70). A motion that its samples follow has next to no differences of fourth order."""
-    out = np.zeros(turns)
+    out = np.zeros(len(samples.lengths))
     for pieces in samples.pieces():
         for turn, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
             steps = pieces.rates[start:stop] * pieces.intervals[start:stop, None]

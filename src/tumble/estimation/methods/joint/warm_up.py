@@ -29,6 +29,8 @@ TIME_CONSTANT_KNOWN = 0.5
 """u of the logarithm of a time constant: what is known less well is no warm-up that is seen."""
 EVIDENT = 40.0
 """−2 log of the likelihood without a warm-up over that with it: beyond doubt."""
+CURVED = 0.0
+"""The same without its square over that with it: the likelier of two that both warm."""
 
 
 def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
@@ -44,7 +46,9 @@ def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
     if straight is None or straight.settling > longest or _evidence(fitted) - _evidence(straight.fitted) < EVIDENT:
         return fitted
     curved = _warmed(straight.fitted, problem, WARMING, straight.settling, known=TIME_CONSTANT_KNOWN)
-    return (curved or straight).spread
+    if curved is None or _evidence(straight.fitted) - _evidence(curved.fitted) < CURVED:
+        return straight.spread
+    return curved.spread
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
