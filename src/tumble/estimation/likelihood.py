@@ -31,7 +31,8 @@ not see stays free and takes no information from the others. Without a latitude 
 Noise. Beside the noise within rests a session has components of variance (`Scatter`): a bias of the accelerometers and
 of the gyros that differs from rest to rest and lasts through the turn that follows, which makes the rows of a rest and
 of its turn dependent; a scatter of the rotations and of the velocities of the turns, and of what n > 3 gyros say beyond
-the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates that do. Rows of a rest and of the turn after it are therefore whitened together.
+the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates that do.
+Rows of a rest and of the turn after it are therefore whitened together.
 """
 
 from __future__ import annotations

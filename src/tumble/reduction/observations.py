@@ -503,9 +503,7 @@ def _turns(
         velocity=moments.V,
         velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
-        aliased=_beyond_noise(
-            rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
-        ),
+        aliased=_beyond_noise(rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0),
     )
     return turns, samples
 
