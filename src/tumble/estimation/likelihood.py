@@ -103,7 +103,7 @@ class Scatter:
     @property
     def of_turns(self) -> float:
         """The largest number of those that concern turns alone: whether there is any."""
-        return max(getattr(self, name) for name in COMPONENTS[2:])
+        return float(max(getattr(self, name) for name in COMPONENTS[2:]))
 
     @staticmethod
     def of_variances(variances: Array) -> Scatter:

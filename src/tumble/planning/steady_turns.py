@@ -94,7 +94,6 @@ def steady_moments(
         body_gyro=np.einsum("kn,knb->kb", dt, own_gyro).reshape(K, 2, n),
         body_accel=np.einsum("kn,knb->kb", dt, own_accel).reshape(K, 2, m),
         jumps=np.zeros(K),
-        aliased=np.zeros(K),
     )
     return whole, growing
 
