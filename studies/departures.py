@@ -30,7 +30,7 @@ from tumble.recording.session import Site
 from tumble.reduction.blocks import ChannelState
 from tumble.reduction.moments import BlockCompensation, Compensation, integrate
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.observations import Observations, Rests, Turns, TurnSamples
+from tumble.reduction.observations import Observations, Rests, Turns, TurnSamples, aliased_rotations
 from tumble.reduction.rounding import Rounding, rounding
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES
@@ -363,6 +363,7 @@ def observed(setting: Setting, samples: Samples) -> Observations:
     moments = integrate(turn_samples.pieces(), count - 1, nominal)
     T = time[stop] - time[start]
     white = [dt * np.mean([values[s].var(axis=0) for s in spans]) for values in (samples.gyro, samples.accel)]
+    covariance = white[0] * T[:, None, None] * np.eye(3)
     turns = Turns(
         first=np.arange(count - 1),
         last=np.arange(1, count),
@@ -370,11 +371,11 @@ def observed(setting: Setting, samples: Samples) -> Observations:
         C=moments.C,
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
-        covariance=white[0] * T[:, None, None] * np.eye(3),
+        covariance=covariance,
         velocity=moments.V,
         velocity_covariance=white[1] * T[:, None, None] * np.eye(3),
         jumps=moments.jumps,
-        aliased=np.zeros(len(moments)),
+        aliased=aliased_rotations(turn_samples, covariance),
     )
     return Observations(
         accel_block=ACCEL,

@@ -503,7 +503,7 @@ def _turns(
         velocity=moments.V,
         velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
-        aliased=_beyond_noise(rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0),
+        aliased=aliased_rotations(samples, covariance),
     )
     return turns, samples
 
@@ -519,9 +519,12 @@ def rotations_of_independent(samples: TurnSamples) -> Array:
     return out
 
 
-def _beyond_noise(variance: Array, noise: Array) -> Array:
-    """The variances (K,) of turns in which they are far beyond that of the `noise` within rests; 0 in others."""
-    return np.where(variance > BEYOND_NOISE * noise, variance, 0.0)
+def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
+    """The same where for most turns it is far beyond their noise, of `covariance` (K, 3, 3), for that is how a log is
+    sampled; else 0: of a single turn it may be that samples are missing."""
+    variance, noise = rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
+    aliased = len(noise) > 0 and np.median(variance / noise) > BEYOND_NOISE
+    return variance if aliased else np.zeros_like(variance)
 
 
 _BODY = Block(kind="gyro", axes=np.eye(3))
