@@ -19,11 +19,13 @@ from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
 from tumble.reduction import motion_samples as reduction
-from tumble.reduction import observations as observing
+from tumble.reduction import turn_samples
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.matching import Match
-from tumble.reduction.observations import Observations, TurnSamples, observe
+from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import find_rests, stated_rest
+from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.turns import rotations_of_independent
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record
@@ -151,7 +153,7 @@ def test_turns_cut_into_pieces_are_the_same(
     whole = observations.turns_about(true_gyros(scenario))
     kept = observations.turn_samples
     assert kept is not None
-    monkeypatch.setattr(observing, "BATCH_SAMPLES", batch)
+    monkeypatch.setattr(turn_samples, "BATCH_SAMPLES", batch)
     again = TurnSamples(samples=kept.samples, start=kept.start, stop=kept.stop)
     assert len(list(again.pieces())) > 1
     cut = replace(observations, turn_samples=again).turns_about(true_gyros(scenario))
@@ -363,6 +365,6 @@ def test_what_changes_from_sample_to_sample_is_the_error_of_a_rotation() -> None
     for rates in (white, swinging):
         kept.append(rates, np.zeros((count, 3)), np.full(count, dt))
     samples = TurnSamples(samples=kept, start=np.array([0, count]), stop=np.array([count, 2 * count]))
-    of_white, of_swinging = observing.rotations_of_independent(samples)
+    of_white, of_swinging = rotations_of_independent(samples)
     assert of_white == pytest.approx(count * (size * dt) ** 2, rel=0.1)
     assert np.sqrt(of_swinging) < 2e-3 * 3.0 * dt * np.sqrt(count)

@@ -17,7 +17,7 @@ from pydantic_core import PydanticCustomError
 
 from tumble.documents import dotted, is_plain, shown
 from tumble.errors import CalibrationError
-from tumble.recording.session_keys import LONGEST_NAME, ImuTable
+from tumble.recording.session_keys.device import LONGEST_NAME, ImuTable
 
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LONGEST_TEXT = 10_000

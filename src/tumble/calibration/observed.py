@@ -23,7 +23,8 @@ from tumble.files import FilePath
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.reduction import exclusion
 from tumble.reduction.blocks import Reduction, reduce_log
 from tumble.reduction.clipping import without_clipped_turns

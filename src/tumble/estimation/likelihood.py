@@ -47,7 +47,8 @@ from tumble.earth import EARTH_RATE, earth_rate
 from tumble.estimation.elimination import fold, whitening
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
-from tumble.reduction.observations import Observations, Turns
+from tumble.reduction.observations import Observations
+from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import Instrument, by_sensor, functions, slopes
 from tumble.sensors.model import Block, SensorModel, beyond_body

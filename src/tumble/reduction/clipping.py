@@ -33,12 +33,12 @@ def without_clipped_turns(
     limits, samples = _limits(reduction, channels), reduction.samples
     if samples is None or not np.isfinite(limits).any():
         return reduction, ()
-    files, gaps, said = {f.file: f for f in reduction.files}, list[Gap](), list[str]()
+    files, gaps, said = reduction.by_file, list[Gap](), list[str]()
     for i, (before, after) in enumerate(zip(match.rests[:-1], match.rests[1:], strict=True)):
         if before.file != after.file:
             continue
         of = files[before.file]
-        start, stop = (of.first_sample + of.size * block for block in (before.last, after.first))
+        start, stop = of.sample_at(before.last), of.sample_at(after.first)
         rates, _, _, spare = samples.read_with_spare(start, stop)
         of_gyros = spare[:, max(spare.shape[1] - (gyro.size - 3), 0) :]
         if of_gyros.shape[1] < gyro.size - 3:
