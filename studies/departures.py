@@ -34,7 +34,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests
 from tumble.reduction.rounding import Rounding, rounding
 from tumble.reduction.turn_samples import TurnSamples
-from tumble.reduction.turns import Turns
+from tumble.reduction.turns import Turns, aliased_rotations
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
@@ -366,6 +366,7 @@ def observed(setting: Setting, samples: Samples) -> Observations:
     moments = integrate(turn_samples.pieces(), count - 1, nominal)
     T = time[stop] - time[start]
     white = [dt * np.mean([values[s].var(axis=0) for s in spans]) for values in (samples.gyro, samples.accel)]
+    covariance = white[0] * T[:, None, None] * np.eye(3)
     turns = Turns(
         first=np.arange(count - 1),
         last=np.arange(1, count),
@@ -373,10 +374,11 @@ def observed(setting: Setting, samples: Samples) -> Observations:
         C=moments.C,
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
-        covariance=white[0] * T[:, None, None] * np.eye(3),
+        covariance=covariance,
         velocity=moments.V,
         velocity_covariance=white[1] * T[:, None, None] * np.eye(3),
         jumps=moments.jumps,
+        aliased=aliased_rotations(turn_samples, covariance),
     )
     return Observations(
         accel_block=ACCEL,

@@ -112,6 +112,7 @@ class Launches:
             velocity=np.zeros((k, 3)),
             velocity_covariance=np.zeros((k, 3, 3)),
             jumps=np.zeros(k),
+            aliased=np.zeros(k),
         )
 
 

@@ -269,9 +269,13 @@ def bound(setup: Setup, only_programmed: bool) -> Array:
 def test_slopes_of_the_variances_are_derivatives(axes: Array) -> None:
     """Of the variances of gravity and the parameters by those of the components of scatter: central differences."""
     problem, point, about = problem_at(scenario(axes, full=True), 1e-3)
+    turns = problem.observations.turns
+    assert turns is not None
+    jerky = replace(turns, aliased=np.linspace(1e-9, 1e-8, len(turns)))
+    problem = replace(problem, observations=replace(problem.observations, turns=jerky))
     rows = linearise(problem, point, about)
     noise = noise_of(problem, rows)
-    variance = Scatter(accel=2e-4, gyro=1e-5, turn=3e-5, velocity=1e-3, jumps=1e-2).variances
+    variance = Scatter(accel=2e-4, gyro=1e-5, turn=3e-5, velocity=1e-3, apart=2e-5, jumps=1e-2, aliased=0.5).variances
     found = variance_slopes(problem, solve(problem, rows, noise.weights(Scatter.of_variances(variance))), noise)
     for a, slopes in enumerate(found):
         change = 1e-4 * variance[a] * np.eye(len(variance))[a]

@@ -25,6 +25,7 @@ from tumble.reduction.matching import Match
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import find_rests, stated_rest
 from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.turns import rotations_of_independent
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record
@@ -352,3 +353,18 @@ def test_the_covariance_of_a_turn_is_that_of_repeated_turns(correlation_time: fl
     scale = np.sqrt(np.einsum("kii,kjj->kij", *2 * [np.mean(said, axis=0)]))
     np.testing.assert_allclose(seen / scale, np.mean(said, axis=0) / scale, atol=0.15 + 5.5 * np.sqrt(2 / 200))
     assert np.mean(squares) / 3 == pytest.approx(1.05, abs=0.1 + 5.5 * np.sqrt(2 / 3 / 400))
+
+
+def test_what_changes_from_sample_to_sample_is_the_error_of_a_rotation() -> None:
+    """Of white rates the variance of their integral; of a motion by hand that its samples follow next to nothing."""
+    count, dt, size = 20_000, 0.016, 0.05
+    time = dt * np.arange(count)
+    white = size * np.random.default_rng(5).standard_normal((count, 3))
+    swinging = np.outer(3.0 * np.sin(2.0 * np.pi * 2.0 * time), [1.0, 0.0, 0.0])
+    kept = reduction.MotionSamples()
+    for rates in (white, swinging):
+        kept.append(rates, np.zeros((count, 3)), np.full(count, dt))
+    samples = TurnSamples(samples=kept, start=np.array([0, count]), stop=np.array([count, 2 * count]))
+    of_white, of_swinging = rotations_of_independent(samples)
+    assert of_white == pytest.approx(count * (size * dt) ** 2, rel=0.1)
+    assert np.sqrt(of_swinging) < 2e-3 * 3.0 * dt * np.sqrt(count)

@@ -197,6 +197,7 @@ def observations(
         velocity=np.zeros((N - 1, 3)),
         velocity_covariance=np.broadcast_to(np.eye(3), (N - 1, 3, 3)),
         jumps=np.zeros(N - 1),
+        aliased=np.zeros(N - 1),
     )
     return Observations(
         accel_block=device.accel,
@@ -544,6 +545,7 @@ def missing_from(codes: Sequence[str], *, turns: int | None = None, noise: Noise
                 velocity=kept.velocity[:turns],
                 velocity_covariance=kept.velocity_covariance[:turns],
                 jumps=kept.jumps[:turns],
+                aliased=kept.aliased[:turns],
             ),
             turn_samples=TurnSamples(samples=samples.samples, start=samples.start[:turns], stop=samples.stop[:turns]),
         )

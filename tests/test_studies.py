@@ -17,6 +17,7 @@ PICTURES = {"gallery.py", "readme_picture.py"}
 ANSWERS = {
     "bench_endurance.py": "Does the bench last a day? Yes",
     "bench_interruptions.py": "on when the bench is killed? No.",
+    "aliased_turns.py": "Does u contain what instantaneous samples do to jerky turns? Yes",
     "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",
     "coverage_of_limits.py": "Does a device at its limit pass in 2.5 % at most? Yes",
     "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",

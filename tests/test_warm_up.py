@@ -92,6 +92,7 @@ axes = {axes}
     observations = observations_for_calibration(observed)
     assert not isinstance(observations, Outcome)
     assert observations.turns is not None
+    assert np.all(np.abs(np.log(np.sqrt(observations.turns.aliased) / 9e-3)) < 1.0)  # rad: instantaneous samples
     assert 19 not in observations.turns.first
     said = "turn from rest 20 to rest 21 is left out: gyros are clipped in 1159 of its samples"
     assert said in observations.notes

@@ -30,8 +30,9 @@ not see stays free and takes no information from the others. Without a latitude 
 
 Noise. Beside the noise within rests a session has components of variance (`Scatter`): a bias of the accelerometers and
 of the gyros that differs from rest to rest and lasts through the turn that follows, which makes the rows of a rest and
-of its turn dependent; a scatter of the rotations and of the velocities of the turns; and the error of integrals over
-samples that jump (A3). Rows of a rest and of the turn after it are therefore whitened together.
+of its turn dependent; a scatter of the rotations and of the velocities of the turns, and of what n > 3 gyros say beyond
+the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates that do.
+Rows of a rest and of the turn after it are therefore whitened together.
 """
 
 from __future__ import annotations
@@ -49,17 +50,20 @@ from tumble.estimation.session_spans import SessionSpan, session_spans
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
+from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of
 from tumble.units import Array, IntArray
 
-COMPONENTS = ("accel", "gyro", "turn", "velocity", "jumps")
+COMPONENTS = ("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased")
 """The components of variance, in the order of `Scatter`."""
 
 OWN: tuple[Variable, ...] = ("time", "launch")
 """What the changes go with that each of several sessions has of its own."""
+WARMING: tuple[Variable, ...] = ("warm-up", "warm-up²")
+"""And those that a session without a thermometer has that warms."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -80,19 +84,27 @@ NO_PRIOR = Prior()
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scatter:
     """Standard deviations on top of the noise within rests: of a bias of the accelerometers (m/s²) and gyros (rad/s)
-    from rest to rest, of the rotations (rad) and velocities (m/s) of turns, and c of (A3), the error of the integral
-    over a jump between samples in parts of its size times the interval."""
+    from rest to rest, of the rotations (rad) and velocities (m/s) of turns, of the integrals (rad) of gyros beyond the
+    rotation of the body, c of (A3), the error of the integral over a jump between samples in parts of its size times
+    the interval, and the error of a rotation in parts of what `aliased` samples would make it."""
 
     accel: float = 0.0
     gyro: float = 0.0
     turn: float = 0.0
     velocity: float = 0.0
+    apart: float = 0.0
     jumps: float = 0.0
+    aliased: float = 0.0
 
     @property
     def variances(self) -> Array:
         """The squares, in the order of COMPONENTS."""
         return np.array([getattr(self, name) for name in COMPONENTS]) ** 2
+
+    @property
+    def of_turns(self) -> float:
+        """The largest number of those that concern turns alone: whether there is any."""
+        return float(max(getattr(self, name) for name in COMPONENTS[2:]))
 
     @staticmethod
     def of_variances(variances: Array) -> Scatter:
@@ -399,14 +411,14 @@ def instruments_of(observations: Observations) -> tuple[Instrument, Instrument |
     accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
     variables = set(variables_of(observations))
     if observations.together is None:
-        variables -= {"warm-up"}
-        warming = None if observations.warm_up is None else _changing_with(observations, ("warm-up",))
+        variables -= set(WARMING)
+        warming = None if observations.warm_up is None else changing_with(observations, WARMING)
         return Instrument.of(accel, gyro, usual, variables), warming
-    own = _changing_with(observations, OWN)
+    own = changing_with(observations, OWN)
     return Instrument.of(accel, gyro, usual, variables - set(OWN)), own
 
 
-def _changing_with(observations: Observations, variables: tuple[Variable, ...]) -> Instrument:
+def changing_with(observations: Observations, variables: tuple[Variable, ...]) -> Instrument:
     """The instrument of the linear model and of its changes with some variables."""
     every = Instrument.of(observations.accel_block, observations.gyro_block, observations.usual, variables)
     return replace(every, further=tuple(group for group in every.further if group.variable in variables))
@@ -438,7 +450,7 @@ def _noise_of_session(problem: Problem) -> Noise:
     rest = _diagonal(blocks)
     r, stop, t = rest.shape[1], n + rests.gyro.shape[1], problem.rows_of_turn
     v = 3 if problem.instrument.in_velocities else 0
-    component = np.repeat(np.arange(len(COMPONENTS)), [n, stop - n, t - v, v, v])
+    component = np.repeat(np.arange(len(COMPONENTS)), [n, stop - n, 3, v, t - v - 3, v, 3])
     at_rest = np.broadcast_to(np.eye(r, stop), (len(rests), r, stop)), component[:stop]
     turns = observations.turns
     if turns is None or not len(turns):
@@ -446,10 +458,11 @@ def _noise_of_session(problem: Problem) -> Noise:
         return Noise(rest=rest, merged=nothing, rest_directions=at_rest, merged_directions=(empty, component))
     Z = np.zeros((len(turns), r + t, len(component)))
     Z[:, :stop, :stop] = np.eye(stop)
-    Z[:, r:, stop : stop + t] = np.eye(t)[:, np.r_[:3, 3 + v : t, 3 : 3 + v]]  # rotations, spare readings, velocities
+    Z[:, r:, stop : stop + t] = np.eye(t)
     turned = turns.duration > 0.0  # between the parts of a rest nothing is
     Z[~turned, r : r + 3 + v, stop:] = 0.0
-    Z[:, r + 3 : r + 3 + v, stop + t :] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+    Z[:, r + 3 : r + 3 + v, stop + t : -3] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+    Z[:, r : r + 3 + v, -3:] = np.sqrt(turns.aliased)[:, None, None] * _turned_on_the_way(turns)[:, : 3 + v]
     return Noise(
         rest=rest,
         merged=_diagonal([rest[turns.first], _turn_noise(problem, unseen)]),
@@ -465,7 +478,7 @@ def _turn_noise(problem: Problem, unseen: float) -> Array:
     assert turns is not None
     T = turns.duration[:, None, None]
     rotation = turns.covariance + T**2 * unseen * np.eye(3)
-    across = skew(-0.5 * turns.velocity)
+    across = _turned_on_the_way(turns)[:, 3:]
     by_rotation = across @ rotation @ np.swapaxes(across, 1, 2)
     out = np.zeros((len(turns), 6, 6))
     out[:, :3, :3] = rotation
@@ -479,6 +492,12 @@ def _turn_noise(problem: Problem, unseen: float) -> Array:
     assert problem.observations.gyro_block is not None
     free = beyond_body(problem.observations.gyro_block.axes)
     return _diagonal([out, free @ readings.covariance @ free.T])
+
+
+def _turned_on_the_way(turns: Turns) -> Array:
+    """What an error of the rotation that arose evenly within a turn is in its rotation and its velocity (K, 6, 3)."""
+    rotation = np.broadcast_to(np.eye(3), (len(turns), 3, 3))
+    return np.concatenate([rotation, skew(-0.5 * turns.velocity)], axis=1)
 
 
 def _diagonal(blocks: list[Array]) -> Array:

@@ -255,7 +255,7 @@ def _leave(seen: _Seen, parameters: Array, root: Array) -> tuple[Array, Array]:
 
 
 def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
-    """Derivatives (5, 1 + m) of the variances of gravity and the parameters by those of the components of scatter: with
+    """Derivatives (c, 1 + m) of the variances of gravity and the parameters by those of the components of scatter: with
     the covariances S of what rows predict with the parameters, Σ (Zᵀ Wᵀ S)² over the directions of a component."""
     q, slopes = len(problem.own_known), np.zeros((len(COMPONENTS), len(step.parameters)))
     (at_rest, of_rest), (of_merged, component) = noise.rest_directions, noise.merged_directions

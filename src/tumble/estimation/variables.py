@@ -37,7 +37,7 @@ GROWING = 2
 def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array, Array]]:
     """What parameters may change with, of the rests and of the turns: time from the middle of the session, s, the
     temperature of each thermometer from its mean, K, and its square, and the direction it came from; what is left of a
-    warm-up; and of several sessions, each of them."""
+    warm-up, and its square; and of several sessions, each of them."""
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
     for of in (slice(None),) if session is None else (session == s for s in range(session[-1] + 1)):
@@ -50,6 +50,7 @@ def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable,
     out = {name: (v, 0.5 * (v[first] + v[last]), np.full((len(first), 1), grows[name])) for name, v in at_rest.items()}
     if observations.warm_up is not None:
         out["warm-up"] = left_of_warm_up(observations, observations.warm_up)
+        out["warm-up²"] = left_of_warm_up(observations, 0.5 * observations.warm_up)
     if rests.temperatures is not None:
         out |= _of_temperature(observations, rests.temperatures, lag)
     return out

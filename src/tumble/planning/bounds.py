@@ -356,4 +356,5 @@ def _turns(course: Course, setup: Setup, moments: Moments, still: Array | None) 
         velocity=moments.V,
         velocity_covariance=velocity[:, None, None] * np.eye(3),
         jumps=moments.jumps,
+        aliased=np.zeros(len(moments)),
     )

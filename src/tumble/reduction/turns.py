@@ -27,6 +27,10 @@ from tumble.units import Array, IntArray
 PATH_STEPS = 32
 VELOCITY_FLOOR = 1e-8  # m/s
 VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: what the integration errs by
+FOURTH_DIFFERENCES = 70.0
+"""Variance of the fourth differences, 1 −4 6 −4 1, of independent samples, in parts of theirs."""
+BEYOND_NOISE = 9.0
+"""Times the variance by noise: where independent samples would make no more, nothing is said of them."""
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 
 _BODY = Block(kind="gyro", axes=np.eye(3))
@@ -38,7 +42,8 @@ class Turns:
     M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
     velocity increment (K, 3), m/s, its covariance (K, 3, 3) from accelerometer noise, and `jumps` (K,), m²/s², the sum
     of the squares of what the force jumps by from sample to sample times the interval (A3). All are resolved in the
-    non-rotating frame that is the body at the start of the turn."""
+    non-rotating frame that is the body at the start of the turn. `aliased` (K,), rad², is the variance of the rotation
+    if what changes in the rate from sample to sample were independent, which it is in samples that are no means."""
 
     first: IntArray
     last: IntArray
@@ -50,6 +55,7 @@ class Turns:
     velocity: Array
     velocity_covariance: Array
     jumps: Array
+    aliased: Array
 
     def __len__(self) -> int:
         return len(self.duration)
@@ -93,6 +99,7 @@ def reduced_turns(
     long = np.maximum(duration, block_seconds)
     density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
     velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
+    covariance = _carried(samples, density) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=first,
         last=last,
@@ -100,12 +107,32 @@ def reduced_turns(
         C=moments.C,
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
-        covariance=_carried(samples, density) + TURN_FLOOR**2 * np.eye(3),
+        covariance=covariance,
         velocity=moments.V,
         velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
+        aliased=aliased_rotations(samples, covariance),
     )
     return turns, samples
+
+
+def rotations_of_independent(samples: TurnSamples) -> Array:
+    """Variance an axis (K,), rad², of the rotations if what rates change by from sample to sample were independent:
+    Σ |Δ⁴ω Δt|² / (3 · 70). A motion that its samples follow has next to no differences of fourth order."""
+    out = np.zeros(len(samples.lengths))
+    for pieces in samples.pieces():
+        for turn, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
+            steps = pieces.rates[start:stop] * pieces.intervals[start:stop, None]
+            out[turn] += (np.diff(steps, n=4, axis=0) ** 2).sum() / (3.0 * FOURTH_DIFFERENCES)
+    return out
+
+
+def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
+    """The same where for most turns it is far beyond their noise, of `covariance` (K, 3, 3), for that is how a log is
+    sampled; else 0: of a single turn it may be that samples are missing."""
+    variance, noise = rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
+    aliased = len(noise) > 0 and np.median(variance / noise) > BEYOND_NOISE
+    return variance if aliased else np.zeros_like(variance)
 
 
 def _recorded(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> list[tuple[int, int]]:

@@ -222,6 +222,7 @@ def _turns(
         velocity=np.zeros((K, 3)),
         velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
         jumps=np.zeros(K),
+        aliased=np.zeros(K),
     )
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(

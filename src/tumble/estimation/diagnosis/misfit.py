@@ -21,7 +21,7 @@ from tumble.estimation.causes.lost_samples import lost_in_a_turn
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.causes.ranking import causes
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Linearised, Scatter
+from tumble.estimation.likelihood import COMPONENTS, Linearised, Scatter
 from tumble.estimation.methods.joint.method import joint
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
@@ -76,6 +76,10 @@ GROUPS = (
     Group(component="turn", concerns="gyro", words="rotations of the turns", unit=(DEGREE, "°")),
     Group(component="velocity", concerns="accel", words="velocities of the turns", unit=(1e-3, "mm/s")),
 )
+
+
+BESIDE = {"turn": ("apart",)}
+"""Components of scatter whose residuals belong to the group of another."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -146,8 +150,10 @@ def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
     said = list[str]()
     for kind, words in WORDS.items():
         size, unit = UNITS[kind]
-        if (members := own.members.get(f"{kind}.bias.warmup")) is not None:
-            largest = np.abs(values[members.start - first : members.stop - first]).max() / size
+        found = [own.members[name] for name in (f"{kind}.bias.warmup", f"{kind}.bias.warmup2") if name in own.members]
+        if found:
+            settled = sum(values[members.start - first : members.stop - first] for members in found)
+            largest = np.abs(settled).max() / size
             said.append(f"of the {words} {'' if said else 'settle '}by up to {largest:.2g} {unit}".replace(" °", "°"))
     yield (
         "both",
@@ -175,7 +181,12 @@ def group_chances(linearised: Linearised) -> list[float]:
     """Probability, by group, that chance alone makes residuals as large, from the noise within rests."""
     alone, noise = Projection(linearised, Scatter()), linearised.noise
     (rest, of_rest), (merged, of_merged), r = noise.rest_directions, noise.merged_directions, noise.rest.shape[1]
-    return [variance_chance(alone, rest[:, :, of_rest == i], merged[:, r:, of_merged == i]) for i in range(len(GROUPS))]
+    found = []
+    for group in GROUPS:
+        places = [COMPONENTS.index(name) for name in (group.component, *BESIDE.get(group.component, ()))]
+        of = np.isin(of_rest, places), np.isin(of_merged, places)
+        found.append(variance_chance(alone, rest[:, :, of[0]], merged[:, r:, of[1]]))
+    return found
 
 
 def _scatter(group: Group, linearised: Linearised) -> float:
@@ -212,9 +223,21 @@ def _said(group: Group, ratio: float, linearised: Linearised) -> str:
 
 
 def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
+    if group.component == "turn" and linearised.scatter.aliased > 0.0:
+        return _aliased(linearised)
     if _scatter(group, linearised) == 0.0:
         return f"the {group.words} are further from the fit than their noise explains"
     return f"the {group.words} scatter by {_said(group, ratio, linearised)}; u contains it as far as it is random"
+
+
+def _aliased(linearised: Linearised) -> str:
+    turns = linearised.problem.observations.turns
+    assert turns is not None
+    largest = linearised.scatter.aliased * float(np.sqrt(turns.aliased.max())) / DEGREE
+    return (
+        f"the rotations of the turns err by up to about {largest:.2g}° where rates jump from sample to sample, as "
+        "instantaneous samples of jerky turns do; u contains it; turn smoothly, or sample faster"
+    )
 
 
 def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Concerns, str]:

@@ -17,6 +17,8 @@ from tumble.units import Array
 
 ROUNDS = 6
 ALL_STEPS = MAX_ITERATIONS * (ROUNDS + 2)  # more than there can be
+MOST_ALIASED = 2.0
+"""Times what independent samples would make: rotations that err by more lack samples, or something else."""
 GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")
 SCATTER_OF = ("accel", "gyro", "turn", "velocity")
 SCATTER_UNITS = ("m/s^2", "rad/s", "rad", "m/s")
@@ -56,6 +58,10 @@ def fit_of(problem: Problem, start: At, most: int = ALL_STEPS) -> Fitted:
     for _ in range(ROUNDS):
         at = solved.last
         found, components, told = scatter_of(wide, at, (solved.step, after[0]), scatter, seen)
+        if found.aliased > MOST_ALIASED:
+            seen &= np.array(COMPONENTS) != "aliased"
+            plain = at.solved(wide, Scatter())
+            found, components, told = scatter_of(wide, at, (plain, left(wide, plain)), Scatter(), seen)
         wider = with_wider_priors(wide, at, told)
         if (found == scatter and wider is wide) or steps >= most:
             break

@@ -101,7 +101,7 @@ def sigmas_of(fitted: Fitted, scatter: Scatter) -> tuple[Array, Array, Array]:
     some of them may be by choice of these."""
     out, found = fitted.out, []
     judged = _judged(fitted, fitted.left)
-    scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
+    scales = (scatter.accel, scatter.gyro, scatter.of_turns)
     for (fall, count), left_out, name, scale in zip(
         judged, (out.rest, out.rest, out.turn), GROUPS[:3], scales, strict=True
     ):
@@ -118,7 +118,7 @@ def _suspect(fitted: Fitted) -> Out | None:
     """With the rest or turn left out too that stands out most among those of a group that scatters, before the scatter
     is allowed for; None where none does."""
     most, found, out, scatter = STANDS_OUT, None, fitted.out, fitted.scatter
-    scales = (scatter.accel, scatter.gyro, max(scatter.turn, scatter.velocity, scatter.jumps))
+    scales = (scatter.accel, scatter.gyro, scatter.of_turns)
     if not any(scales):
         return None
     judged = _judged(fitted, fitted.without)

@@ -30,7 +30,7 @@ SHARES = (0.25, 3.0)  # what a step of scoring may be of that by the information
 
 
 def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights) -> BoolArray:
-    """Whether a fit leaves something of each component (5,) of scatter."""
+    """Whether a fit leaves something of each component (c,) of scatter."""
     degrees, last = np.zeros(len(COMPONENTS)), problem.link < 0
     at_rest, of_rest = noise.rest_directions
     rows = (weight.rest[last], after.rest[1][last]), (weight.merged, after.merged[1])
@@ -44,8 +44,8 @@ def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights
 def scatter_of(
     problem: Problem, at: At, begun: tuple[Step, Left], start: Scatter, seen: BoolArray
 ) -> tuple[Scatter, Array, Told]:
-    """The components of scatter that are `seen` (5,) by restricted maximum likelihood at one linearisation, from a
-    start, of which the step and what it leaves are known; the covariance (5, 5) of their variances, and what the rows
+    """The components of scatter that are `seen` (c,) by restricted maximum likelihood at one linearisation, from a
+    start, of which the step and what it leaves are known; the covariance (c, c) of their variances, and what the rows
     tell with them. Steps of Fisher scoring, halved while the likelihood falls. The information lacks what rests and
     turns tell of each other: `share` is the part that it was of how the score fell in the step before."""
     step, after = begun
@@ -85,7 +85,7 @@ def scatter_of(
 
 
 def _scored(problem: Problem, at: At, step: Step, after: Left) -> tuple[Array, Array]:
-    """The score (5,) of the restricted likelihood and its information (5, 5) with respect to the variances, at a step
+    """The score (c,) of the restricted likelihood and its information (c, c) with respect to the variances, at a step
     with them and what it leaves."""
     weight, last = step.told.weights, problem.link < 0
     slope, information = np.zeros(len(COMPONENTS)), np.zeros((len(COMPONENTS),) * 2)

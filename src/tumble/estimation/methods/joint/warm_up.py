@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
-from tumble.estimation.likelihood import Problem, instruments_of
+from tumble.estimation.likelihood import WARMING, Problem, changing_with
 from tumble.estimation.methods.joint.fit import TOTAL, Fitted, fit_of
 from tumble.estimation.methods.joint.iteration import At, Solved
 from tumble.estimation.step import Step
+from tumble.sensors.parameters import Variable
 from tumble.units import Array
 
 UNEXPLAINED = 1e-4
@@ -28,29 +29,61 @@ TIME_CONSTANT_KNOWN = 0.5
 """u of the logarithm of a time constant: what is known less well is no warm-up that is seen."""
 EVIDENT = 40.0
 """−2 log of the likelihood without a warm-up over that with it: beyond doubt."""
+CURVED = 0.0
+"""The same without its square over that with it: the likelier of two that both warm."""
 
 
 def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
-    """The solution with biases that settle exponentially after the start, where they make a session that the noise
-    within rests does not explain far more likely; else that without. What is not known of the time constant τ is in
-    the covariance:
+    """The solution with biases and scale factors that settle exponentially after the start, where that makes a session
+    that the noise within rests does not explain far more likely; else that without. A device that warms exponentially
+    has, beside e^(−t/τ), its square where these are no straight lines over temperature. What is not known of the time
+    constant τ is in the covariance:
 
         C = C(τ) + (∂θ/∂ log τ)(∂θ/∂ log τ)ᵀ u²(log τ)"""
-    settling, found, by = _time_constant(fitted, problem), fitted, np.zeros(0)
-    for _ in range(WARM_UP_ROUNDS):
-        if settling is None:
-            return fitted
-        before, warm = settling, _settling(problem, settling)
-        found = fit_of(warm, _without_own(warm, found.solved))
-        settling, u, by = _closest(found, settling)
-        if settling is not None and abs(np.log(settling / before)) < SETTLED_TO * u:
-            break
+    first = _time_constant(fitted, problem)
+    straight = None if first is None else _warmed(fitted, problem, WARMING[:1], first)
     longest = WARM_UPS[-1] * np.ptp(problem.observations.rests.start)
-    if settling is None or settling > longest or _evidence(fitted) - _evidence(found) < EVIDENT:
+    if straight is None or straight.settling > longest or _evidence(fitted) - _evidence(straight.fitted) < EVIDENT:
         return fitted
-    step = found.solved.step
-    spread = replace(step, covariance=step.covariance + np.outer(by, by))
-    return replace(found, solved=replace(found.solved, step=spread))
+    curved = _warmed(straight.fitted, problem, WARMING, straight.settling, known=TIME_CONSTANT_KNOWN)
+    if curved is None or _evidence(straight.fitted) - _evidence(curved.fitted) < CURVED:
+        return straight.spread
+    return curved.spread
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Warmed:
+    """A solution with a warm-up of a time constant, s, and what a standard deviation of its logarithm makes of gravity
+    and the parameters (1 + m,)."""
+
+    fitted: Fitted
+    settling: float
+    by: Array
+
+    @property
+    def spread(self) -> Fitted:
+        """The solution with what is not known of the time constant in its covariance."""
+        solved = self.fitted.solved
+        step = replace(solved.step, covariance=solved.step.covariance + np.outer(self.by, self.by))
+        return replace(self.fitted, solved=replace(solved, step=step))
+
+
+def _warmed(
+    fitted: Fitted, problem: Problem, variables: tuple[Variable, ...], first: float, known: float = np.inf
+) -> _Warmed | None:
+    """The solution with a warm-up of the most likely time constant, sought from the first one, of which the logarithm
+    is `known` to so much; None where there is none."""
+    settling, found, by = first, fitted, np.zeros(0)
+    for _ in range(WARM_UP_ROUNDS):
+        before, warm = settling, _settling(problem, settling, variables)
+        found = fit_of(warm, _without_own(warm, found.solved))
+        closest = _closest(found, settling, variables, (first, known))
+        if closest is None:
+            return None
+        settling, u, by = closest
+        if abs(np.log(settling / before)) < SETTLED_TO * u:
+            break
+    return _Warmed(fitted=found, settling=settling, by=by)
 
 
 def _time_constant(fitted: Fitted, problem: Problem) -> float | None:
@@ -62,14 +95,14 @@ def _time_constant(fitted: Fitted, problem: Problem) -> float | None:
     if explained or unknown or rests.temperatures is not None or rests.file[0] != rests.file[-1]:
         return None
     tried = (WARM_UPS * np.ptp(rests.start)).tolist()
-    best = int(np.argmin([_at_time_constant(fitted, each).deviance for each in tried]))
+    best = int(np.argmin([_at_time_constant(fitted, each, WARMING[:1]).deviance for each in tried]))
     return tried[best] if 0 < best < len(tried) - 1 else None
 
 
-def _settling(problem: Problem, settling: float) -> Problem:
-    """The problem with biases that settle with a time constant, s."""
+def _settling(problem: Problem, settling: float, variables: tuple[Variable, ...]) -> Problem:
+    """The problem with what settles with a time constant, s."""
     observations = replace(problem.observations, warm_up=settling)
-    own = instruments_of(observations)[1]
+    own = changing_with(observations, variables)
     return Problem.of(observations, problem.prior, instrument=problem.instrument, own=own, usual=observations.usual)
 
 
@@ -79,27 +112,31 @@ def _without_own(problem: Problem, solved: Solved) -> At:
     return At.of(problem, point, solved.last.about, solved.last.out)
 
 
-def _at_time_constant(fitted: Fitted, settling: float) -> Step:
+def _at_time_constant(fitted: Fitted, settling: float, variables: tuple[Variable, ...]) -> Step:
     """The step from a solution to that with another time constant, s, or with one, of a warm-up."""
-    other = replace(_settling(fitted.problem, settling), measured=fitted.problem.measured)
+    other = replace(_settling(fitted.problem, settling, variables), measured=fitted.problem.measured)
     if fitted.problem.own is not None:
         other = replace(other, own_known=fitted.problem.own_known)
     return _without_own(other, fitted.solved).solved(other, fitted.scatter)
 
 
-def _closest(fitted: Fitted, settling: float) -> tuple[float | None, float, Array]:
+def _closest(
+    fitted: Fitted, settling: float, variables: tuple[Variable, ...], prior: tuple[float, float]
+) -> tuple[float, float, Array] | None:
     """The most likely time constant, s, with the scatter and the priors of a solution with one, by parabolas of the
-    likelihood over its logarithm, None where there is none; u of the logarithm, and what that makes of gravity and the
-    parameters (1 + m,)."""
+    likelihood over its logarithm, of which another one and its u are known before; u of the logarithm, and what that
+    makes of gravity and the parameters (1 + m,). None where there is none."""
     u, by = np.inf, np.zeros(0)
     for _ in range(WARM_UP_ROUNDS):
-        shorter, here, longer = (_at_time_constant(fitted, settling * float(np.exp(h))) for h in (-NEAR, 0.0, NEAR))
-        bend = (shorter.deviance - 2.0 * here.deviance + longer.deviance) / NEAR**2
+        steps = [_at_time_constant(fitted, settling * float(np.exp(h)), variables) for h in (-NEAR, 0.0, NEAR)]
+        off = np.log(settling / prior[0]) + np.array([-NEAR, 0.0, NEAR])
+        shorter, here, longer = (np.array([step.deviance for step in steps]) + (off / prior[1]) ** 2).tolist()
+        bend = (shorter - 2.0 * here + longer) / NEAR**2
         if bend <= 2.0 * TIME_CONSTANT_KNOWN**-2:
-            return None, u, by
+            return None
         u = float(np.sqrt(2.0 / bend))
-        by = u * (longer.parameters - shorter.parameters) / (2.0 * NEAR)
-        moved = float(np.clip(0.5 * (shorter.deviance - longer.deviance) / (NEAR * bend), -FARTHEST, FARTHEST))
+        by = u * (steps[-1].parameters - steps[0].parameters) / (2.0 * NEAR)
+        moved = float(np.clip(0.5 * (shorter - longer) / (NEAR * bend), -FARTHEST, FARTHEST))
         settling *= float(np.exp(moved))
         if abs(moved) < SETTLED_TO * u:
             break
