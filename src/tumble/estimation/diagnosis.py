@@ -463,11 +463,11 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     both += _misfits(estimate, observations)
     judged = None if missing or not estimate.converged else misfit(estimate, observations)
     said_of = {"accel": of_accel, "gyro": of_gyro, "both": both}
-    remarks: tuple[tuple[Concerns, str], ...] = ()
+    remarks: list[tuple[Concerns, str]] = [("both", remark) for remark in estimate.remarks]
     if judged is not None:
         for concerns, reason in judged.reasons:
             said_of[concerns].append(reason)
-        remarks = judged.remarks
+        remarks += judged.remarks
     return Outcome(
         reasons=first + tuple(reason for reason in (*both, *of_accel, *of_gyro) if reason not in first),
         remarks=tuple(remark for _, remark in remarks),

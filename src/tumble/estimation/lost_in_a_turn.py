@@ -20,7 +20,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from tumble.estimation.causes import SHORTEST_TURN, UNSEEN, Cause, Projection, apart, chance
-from tumble.estimation.likelihood import Linearised
+from tumble.estimation.likelihood import (
+    Linearised,
+    Point,
+    Problem,
+    Scatter,
+    instruments_of,
+    linearise,
+    noise_of,
+)
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
 
@@ -35,6 +45,25 @@ def with_one_turn(found: Sequence[Cause], linearised: Linearised, projection: Pr
     if one is None or one.probability >= everywhere.probability:
         return list(found)
     return sorted([*(cause for cause in found if cause is not everywhere), one], key=lambda cause: cause.probability)
+
+
+def with_all_groups(linear: Linearised, observations: Observations) -> Linearised:
+    """The likelihood of all groups of parameters whose usual size the observations know, without scatter, at the
+    estimate of the linear model: one step from its solution."""
+    instrument, own = instruments_of(observations)
+    problem = Problem.of(observations, instrument=instrument, own=own, usual=observations.usual)
+    values, first = problem.measured[0][1:].copy(), instrument.linear_count
+    values[:first] = linear.point.values[:first]
+    point = Point(
+        values=values,
+        gravity=linear.point.gravity,
+        attitudes=linear.point.attitudes,
+        own=np.zeros((len(problem.parts), len(problem.own_known))),
+    )
+    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
+    rows = linearise(problem, point, about)
+    noise = noise_of(problem, rows)
+    return Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, scatter=Scatter())
 
 
 def lost_in_a_turn(linearised: Linearised, projection: Projection) -> Cause | None:

@@ -18,7 +18,7 @@ from tumble.estimation.by_session import each_session
 from tumble.estimation.causes import Cause, Concerns, Projection, causes, variance_chance
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Linearised, Scatter
-from tumble.estimation.lost_in_a_turn import lost_in_a_turn, with_one_turn
+from tumble.estimation.lost_in_a_turn import lost_in_a_turn, with_all_groups, with_one_turn
 from tumble.estimation.methods.joint.method import joint
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
@@ -219,14 +219,25 @@ def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Conc
     )
 
 
-def lost_by_velocities(observations: Observations) -> tuple[str, ...]:
-    """The turn that lacks samples, as a reason, where an estimate of all groups of parameters shows it: the velocities
-    of turns, which the linear model does without, tell more of it than their rotations."""
-    linearised = joint(observations).linearised
-    assert linearised is not None
+def lost_by_velocities(linear: Linearised, observations: Observations) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The turn that lacks samples, as a reason, or where it does little harm as a remark, where an estimate of all
+    groups of parameters shows it: the velocities of turns, which the linear model does without, tell more of it than
+    their rotations. That estimate is made where the noise alone does not explain the velocities about the linear
+    one."""
+    if _standing_loss(with_all_groups(linear, observations)) is None:
+        return (), ()
+    whole = joint(observations).linearised
+    assert whole is not None
+    found = _standing_loss(next(each_session(whole)))
+    if found is None:
+        return (), ()
+    return ((_damaging(found),), ()) if found.damage > DAMAGE else ((), (f"fits: {found.sentence}",))
+
+
+def _standing_loss(linearised: Linearised) -> Cause | None:
+    """The turn that lacks samples most likely, where it stands out."""
     found = lost_in_a_turn(linearised, Projection(linearised, linearised.scatter))
-    stands = found is not None and found.probability < CAUSE_PROBABILITY and found.damage > DAMAGE
-    return (_damaging(found),) if found is not None and stands else ()
+    return found if found is not None and found.probability < CAUSE_PROBABILITY else None
 
 
 def _damaging(cause: Cause) -> str:
