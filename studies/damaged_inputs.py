@@ -461,7 +461,8 @@ def write_inputs(folder: Path) -> None:
 
 def _write_warm(folder: Path) -> None:
     """A session with thermometers, priors of the data sheet and what is left out, and its calibration."""
-    simulate_session(folder / "warm", SETUP, seed=9, temperature=temperature_profile("10:30"), log_format="csv")
+    by_hand = replace(SETUP, by_hand=20)
+    simulate_session(folder / "warm", by_hand, seed=9, temperature=temperature_profile("10:30"), log_format="csv")
     path = folder / "warm/session.toml"
     session = _of_accelerometers(folder / "warm", folder / "warm")
     session["log"]["temperature"]["columns"] *= 3

@@ -21,10 +21,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tumble.earth import earth_rate, normal_gravity
-from tumble.estimation.diagnosis import verdict
+from tumble.estimation.diagnosis.misfit import misfit
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.methods.joint.method import joint
-from tumble.estimation.misfit import misfit
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.blocks import ChannelState

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from tumble.calibration.calibrate import references_of
+from tumble.calibration.from_estimate import references_of
 from tumble.estimation.methods.joint.method import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations

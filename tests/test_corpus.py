@@ -111,6 +111,21 @@ CASES: dict[str, Case] = {
     ),
     "VectorNav": Case(write=d.named(VECTORNAV, time=1e9), said=("in ns (by its name)",)),
     "VectorNav, sentences": Case(write=d.vectornav_sentences, words=("--rate", "50"), said=("sentences $VNYMR",)),
+    "sentences of a board": Case(
+        write=d.board_sentences, said=("sentences $IMU", "column '2' in ms"), worth=(1.0, DEG)
+    ),
+    "objects of JSON": Case(write=d.objects_of_json, said=("objects of JSON (ts, acc_x",)),
+    "an array of JSON": Case(write=d.array_of_json, said=("objects of JSON (time, accel_x", GOOD)),
+    "a row for each sensor": Case(write=d.row_for_each_sensor(",", True), said=("stream-ACC.csv and stream-GYRO.csv",)),
+    "a row for each sensor, no names": Case(write=d.row_for_each_sensor(" ", False), said=("stream-ACC.csv and",)),
+    "ArduPilot, text": Case(write=d.dataflash_as_text, said=("message IMU.0",)),
+    "Betaflight": Case(
+        write=d.betaflight,
+        said=("gyros: gyroADC[0], gyroADC[1], gyroADC[2] in deg/s", "2048 counts per g as in data sheets"),
+        worth=(2048.0 * G, DEG),
+        within=2.0,
+    ),
+    "Shimmer": Case(write=d.shimmer, said=("in ms (by its name)", "in deg/s (from the name"), worth=(1.0, DEG)),
     "Sensor Logger, uncalibrated": Case(write=d.sensor_logger, said=("Metadata.csv has no rows of readings",)),
     "SBG, its logger": Case(write=d.sbg_logger, said=("in us (by its name)",)),
     "Xsens MT Manager": Case(write=d.xsens, said=("ticks of 0.0001 s", GOOD)),
@@ -294,3 +309,15 @@ def test_a_log_of_the_world_gives_the_result_of_the_clean_one(
     if case.gyro:
         assert spec.gyro is not None
         assert off(found.gyro, spec.gyro, clean, case, "gyro") < case.within
+
+
+def test_rows_of_two_sensors_read_as_those_of_one_are_refused(log: pl.DataFrame, tmp_path: Path) -> None:
+    d.row_for_each_sensor(",", True)(log, tmp_path)
+    (tmp_path / "session.toml").write_text(
+        'format = 1\n[device]\nserial = "a"\n[site]\nlatitude_deg = 56.84\n'
+        f'[log]\nfile = "stream.txt"\ndelimiter = ","\nrate_hz = {2 * d.RATE}\n'
+        '[log.accel]\ncolumns = ["x", "y", "z"]\nunit = "count"\nscale = 4.9\nscale_per = "g"\n'
+    )
+    result = CliRunner().invoke(main, ["calibrate", str(tmp_path)])
+    assert result.exit_code == 1
+    assert "have rows of several sensors" in result.stderr

@@ -16,7 +16,7 @@ import pytest
 from formula_setup import device_setup
 
 from tumble.calibration.calibrate import calibrate
-from tumble.estimation.diagnosis import verdict
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Prior, Problem, Scatter, linearise, weights
 from tumble.estimation.methods.joint.fit import TOTAL

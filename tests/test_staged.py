@@ -16,7 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.estimation.diagnosis import verdict
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.staged import accelerometers as staged_accelerometers
 from tumble.estimation.methods.staged import gyro_rows as staged_gyro_rows

@@ -18,10 +18,10 @@ from tumble.calibration.together import calibrate_together
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.by_session import each_session
-from tumble.estimation.causes import Projection
+from tumble.estimation.causes.projection import Projection
+from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, linearise, noise_of
 from tumble.estimation.methods.joint.method import joint
-from tumble.estimation.misfit import misfit
 from tumble.estimation.step import solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import variables_of

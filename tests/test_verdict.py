@@ -19,12 +19,15 @@ import pytest
 
 from tumble.calibration.calibrate import Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
-from tumble.estimation.causes import Projection, weighted_chance
-from tumble.estimation.diagnosis import gravity_said, listed, verdict
+from tumble.estimation.causes.chances import weighted_chance
+from tumble.estimation.causes.projection import Projection
+from tumble.estimation.diagnosis.misfit import misfit
+from tumble.estimation.diagnosis.site_gravity import gravity_said
+from tumble.estimation.diagnosis.undetermined import listed
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.likelihood import Scatter
 from tumble.estimation.methods.joint.method import joint
-from tumble.estimation.misfit import misfit
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.simulation.session import simulate_session

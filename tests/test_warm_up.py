@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tumble.calibration.observed import inspect_session, observations_for_calibration
-from tumble.estimation.diagnosis import verdict
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.joint.method import joint
 from tumble.planning.setup import Setup

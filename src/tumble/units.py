@@ -41,6 +41,10 @@ class Unit:
     factor: float
     kind: Kind
 
+    def per_second(self, rate: float) -> float:
+        """What a number is worth as a mean rate (m/s², rad/s) over a sample at `rate` samples per second."""
+        return self.factor * (rate if self.kind == "increment" else 1.0)
+
 
 ACCEL_UNITS = {
     "m/s^2": Unit(factor=1.0, kind="rate"),

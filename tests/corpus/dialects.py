@@ -7,6 +7,7 @@ to give to `tumble new`. Nothing here is read by the project: it is made from th
 from __future__ import annotations
 
 import gzip
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -435,3 +436,77 @@ def sbg_logger(log: pl.DataFrame, folder: Path) -> str:
     rows.append(["(us)", "(na)", *["(m.s^-2)"] * 3, *["(rad.s^-1)"] * 3, "(degC)"])
     rows += [[t, "0x0000013F", *read, "31.2"] for t, *read in table(log, NAMES, time=1e6, digits=8)[1:]]
     return written(folder / "imu.txt", rows, delimiter="\t")
+
+
+def objects_of_json(log: pl.DataFrame, folder: Path) -> str:
+    """Lists of three, and an object within the object; a time that is a number."""
+    with (folder / "imu.jsonl").open("w", encoding="utf-8") as out:
+        for t, *v in log.select("t", *ACCEL, *GYRO).iter_rows():
+            gyro = dict(zip("xyz", v[3:], strict=True))
+            out.write(json.dumps({"ts": round(1.6e9 + t, 3), "board": "A", "acc": v[:3], "imu": {"gyr": gyro}}) + "\n")
+    return "imu.jsonl"
+
+
+def array_of_json(log: pl.DataFrame, folder: Path) -> str:
+    """One array over all lines, with times of day."""
+    rows = [
+        json.dumps({"time": f"10:{int(t // 60):02d}:{t % 60:06.3f}", "accel": v[:3], "gyro": v[3:]})
+        for t, *v in log.select("t", *ACCEL, *GYRO).iter_rows()
+    ]
+    (folder / "imu.json").write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
+    return "imu.json"
+
+
+def shimmer(log: pl.DataFrame, folder: Path) -> str:
+    """The separator named above, units with brackets within, and a tab at the end of every row."""
+    names = ["Timestamp_Unix_CAL", *(f"Accel_LN_{a}_CAL" for a in "XYZ"), *(f"Gyro_{a}_CAL" for a in "XYZ")]
+    rows = table(log, [f"Shimmer_3A4B_{name}" for name in names], gyro=1.0 / DEGREE, time=1000.0)
+    rows[1:1] = [["ms", *["m/(s^2)"] * 3, *["deg/s"] * 3]]
+    return written(folder / "shimmer.csv", rows, delimiter="\t", above='"sep=\t"\n', end="\t\n")
+
+
+def board_sentences(log: pl.DataFrame, folder: Path) -> str:
+    """Sentences of a board's own with a counter, milliseconds and a checksum."""
+    rows = table(log, NAMES, gyro=1.0 / DEGREE, time=1000.0)[1:]
+    with (folder / "serial.log").open("w", encoding="utf-8") as out:
+        for count, row in enumerate(rows):
+            body = f"IMU,{count},{','.join(row)}"
+            out.write(f"${body}*{reduce(xor, body.encode(), 0):02X}\n")
+    return "serial.log"
+
+
+def row_for_each_sensor(delimiter: str, header: bool) -> Callable[[pl.DataFrame, Path], str]:
+    """A row for accelerometers, and one for gyros 1 ms later."""
+
+    def write(log: pl.DataFrame, folder: Path) -> str:
+        rows = [["time", "sensor", "x", "y", "z"]] if header else []
+        for t, *v in log.select("t", *ACCEL, *GYRO).iter_rows():
+            rows.append([f"{1e3 * t:.0f}", "ACC", *(f"{x:.9g}" for x in v[:3])])
+            rows.append([f"{1e3 * t + 1.0:.0f}", "GYRO", *(f"{x:.9g}" for x in v[3:])])
+        return written(folder / "stream.txt", rows, delimiter=delimiter)
+
+    return write
+
+
+def dataflash_as_text(log: pl.DataFrame, folder: Path) -> str:
+    """An ArduPilot log as its ground stations write it as text."""
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 130, 50, IMU, QBffffff, TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ",
+        "PARM, 1000, INS_GYROFFS_X, 0.0",
+    ]
+    for t, *v in log.select("t", *GYRO, *ACCEL).iter_rows():
+        lines.append(f"IMU, {1e6 * t:.0f}, 0, {', '.join(f'{x:.9g}' for x in v)}")
+    (folder / "00000012.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return "00000012.log"
+
+
+def betaflight(log: pl.DataFrame, folder: Path) -> str:
+    """A blackbox decoded: what the firmware says of itself above, accelerometers in counts, gyros in deg/s."""
+    names = ["loopIteration", "time", *(f"gyroADC[{i}]" for i in range(3)), *(f"accSmooth[{i}]" for i in range(3))]
+    above = '"Product","Blackbox flight data recorder"\n"Firmware revision","Betaflight 4.3.1"\n"acc_1G",2048\n'
+    rows = [[f'"{name}"' for name in names]]
+    for i, (t, *v) in enumerate(log.select("t", *GYRO, *ACCEL).iter_rows()):
+        gyro, accel = [f"{x / DEGREE:.4f}" for x in v[:3]], [f"{2048.0 * x / G_STANDARD:.0f}" for x in v[3:]]
+        rows.append([str(8 * i), f"{1e6 * t:.0f}", *gyro, *accel])
+    return written(folder / "LOG00007.01.csv", rows, above=above)

@@ -25,9 +25,10 @@ from datetime import UTC, datetime
 import numpy as np
 
 from tumble import __version__
-from tumble.calibration.calibrate import grade_of, readings_of_session, reference_of, references_of
+from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
+from tumble.calibration.from_estimate import readings_of_session, reference_of, references_of
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers

@@ -14,9 +14,9 @@ import numpy as np
 
 from tumble.calibration.draft import Draft
 from tumble.calibration.observed import Progress, inspect_session
-from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor
+from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor, known_unit
 from tumble.errors import TumbleError
-from tumble.estimation.diagnosis import fitting_gyro_unit
+from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
 from tumble.recording.session import session_of
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE
@@ -104,6 +104,10 @@ def _gyro_scaled(
         )
         return {**log, "gyro": centred}, [said]
     scale = counts_per_deg_s(factor / DEGREE)
+    unit = known_unit(scale)
+    if unit is not None:
+        said = f"gyros: {named} in {unit}: so they carry the vertical from rest to rest"
+        return {**log, "gyro": {"columns": gyro["columns"], "unit": unit}}, [said]
     high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
     made = {**(centred if high else gyro), "scale": scale.value}
     return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)"]

@@ -20,11 +20,20 @@ import polars as pl
 from tumble.calibration.log_times import Stamps, Times, overflow_of, times_of_column, times_without_column, unwound
 from tumble.calibration.raw_scale import unwrapped, wrapped
 from tumble.calibration.respelled import respelled
+from tumble.calibration.sensor_rows import files_by_sensor
 from tumble.errors import InputError
 from tumble.recording import formats
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, columns_by_name
-from tumble.recording.formats.columns_by_data import columns_by_data
+from tumble.recording.formats.columns import (
+    ACCEL,
+    GYRO,
+    MAGNETOMETER,
+    SENSOR_WORDS,
+    Columns,
+    columns_by_name,
+    time_unit,
+)
+from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
 from tumble.recording.gaps import is_likely
 from tumble.recording.readers import ENDINGS, LogSource, opened, readable, source_of, text_tables
@@ -124,11 +133,12 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
-    logs, left = _those_with_rows(files, folder)
+    parts = [part for file in files for part in files_by_sensor(file, folder) or [file]]
+    logs, left = _those_with_rows(parts, folder)
     if len(logs) > 1 and not any(log.columns.triads for log in logs):
         apart = _of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
-    logs = [_by_data(log) if ACCEL not in log.columns.triads else log for log in logs]
+    logs = [_by_data(log) if ACCEL not in log.columns.triads else _with_time(log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
         if (
@@ -250,6 +260,21 @@ def _by_data(log: FoundLog) -> FoundLog:
         return log
     said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in found.triads.items()]
     return replace(log, columns=columns, said=(*log.said, *said))
+
+
+def _with_time(log: FoundLog) -> FoundLog:
+    """A log whose time, if no name says which column it is, is one that grows as times do."""
+    if log.columns.time is not None:
+        return log
+    known = {log.columns.counter, *(c for triad in log.columns.triads.values() for c in triad.columns)}
+    names = [name for name in _numeric(log) if name not in known]
+    if not names:
+        return log
+    time = time_by_data(names, log.read(names, rows=LONGEST // 10))
+    if time is None:
+        return log
+    said = f"time: column {time!r}, by its numbers (a guess)"
+    return replace(log, columns=replace(log.columns, time=time, time_unit=time_unit(time)), said=(*log.said, said))
 
 
 def _check_has_accelerometers(log: FoundLog) -> None:
@@ -445,10 +470,6 @@ def _jumps(accel: Array) -> list[int] | None:
 
 # -------------------- sensors in files of their own --------------------
 
-_KINDS = {
-    ACCEL: re.compile(r"acc|beschl|ускор|加速度", re.IGNORECASE),
-    GYRO: re.compile(r"gyr|angular|dreh|гиро|角速度|陀螺", re.IGNORECASE),
-}
 _UNCALIBRATED = re.compile(r"acc.*uncal", re.IGNORECASE)
 _NOT_ACCEL = re.compile(r"linear|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
@@ -458,7 +479,7 @@ def _of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
     by_kind: dict[str, FoundLog] = {}
     for log in logs:
         name = log.files[0].stem
-        kind = next((k for k, pattern in _KINDS.items() if pattern.search(name)), None)
+        kind = next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
         if kind is not None and not (kind == ACCEL and _NOT_ACCEL.search(name)):
             by_kind.setdefault(kind, log)
     uncalibrated = next((log for log in logs if _UNCALIBRATED.search(log.files[0].stem)), None)

@@ -90,8 +90,8 @@ def new_session(
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
         draft = _of_files(files, folder, given)
-        draft, faults = tried(draft, progress)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
+        draft, faults = tried(draft, progress)
         folder.mkdir(parents=True, exist_ok=True)
         text = session_text(draft, folder, given.programme, named=bool(given.serial))
         with whole_file(path) as temporary:
@@ -103,7 +103,7 @@ def new_session(
 
 
 def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
-    recordings = [f for f in files if f.suffix.lower() in formats.ENDINGS or f.is_dir()]
+    recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
     if not recordings:
         log = mended(found_log(files, folder), folder, given.rate)
         return _of_log(log, times_of(log, given.rate), given.rate)
@@ -256,15 +256,13 @@ def _accel(log: FoundLog, sensors: Sensors, times: Times) -> tuple[dict[str, Any
     named = ", ".join(columns)
     if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
         said = [f"accelerometers: {named} in {sensors.unit} (from the name or the format), magnitude {magnitude:.6g}"]
-        unit = ACCEL_UNITS[sensors.unit]
-        rate = times.rate if unit.kind == "increment" else 1.0
-        if abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) > _TOLERANCE:
+        if abs(magnitude * ACCEL_UNITS[sensors.unit].per_second(times.rate) / G_STANDARD - 1.0) > _TOLERANCE:
             said.append(f"accelerometers: their magnitude is not that of gravity in {sensors.unit}: is the unit right?")
         return {"columns": columns, "unit": sensors.unit}, said
     for name, unit in ACCEL_UNITS.items():
-        rate = times.rate if unit.kind == "increment" else 1.0
         named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
-        if named_raw or unit.kind == "raw" or abs(magnitude * unit.factor * rate / G_STANDARD - 1.0) >= _TOLERANCE:
+        fits = abs(magnitude * unit.per_second(times.rate) / G_STANDARD - 1.0) < _TOLERANCE
+        if named_raw or unit.kind == "raw" or not fits:
             continue
         also = "; 1024 counts per g are possible too" if name == "mg" and abs(magnitude / 1024.0 - 1.0) < _SOFT else ""
         found = f"accelerometers: {named} in {name} (their magnitude is {magnitude:.6g}){also}"

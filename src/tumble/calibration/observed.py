@@ -14,7 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.diagnosis import no_rests, recording_faults, sense_faults
+from tumble.estimation.diagnosis.accelerometer_unit import accelerometer_faults
+from tumble.estimation.diagnosis.carried_vertical import sense_faults
+from tumble.estimation.diagnosis.channels import channel_faults, mixed_rows
+from tumble.estimation.diagnosis.verdict import no_rests
 from tumble.estimation.estimate import Outcome
 from tumble.files import FilePath
 from tumble.recording.circumstances import Circumstances
@@ -85,7 +88,11 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
     with ThreadPoolExecutor(max_workers=1) as beside:
         digest = beside.submit(log.sha256)
         reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
-    faults = recording_faults(reduction, session)
+    faults = (
+        channel_faults(reduction, session.log)
+        or accelerometer_faults(reduction, session)
+        or mixed_rows(reduction, session.log)
+    )
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
         segmentation = exclusion.without_times(reduction, segmentation, session.excluded)

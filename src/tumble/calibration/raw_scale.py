@@ -141,6 +141,12 @@ def counts_per_deg_s(factor: float) -> Scale:
     return matched(factor * DEGREE, GYRO_STEPS, "deg/s")
 
 
+def known_unit(counts: Scale) -> str | None:
+    """The unit of gyros whose readings are no counts: one °/s reads one, or one rad/s does; None where neither."""
+    units = {"deg/s": 1.0, "rad/s": DEGREE}
+    return next((unit for unit, one in units.items() if abs(counts.found / one - 1.0) < _NEAR), None)
+
+
 def wrapped(columns: Array) -> bool:
     """Whether integers (m, n) are numbers of 16 bits with a sign that were read without it: from 0 to 65535, and hardly
     any in the middle, while they are on both sides."""

@@ -1,5 +1,5 @@
-"""Text logs that are no table, as one: `ax=0.01 ay=-0.02 …`, `acc: 0.1, 0.2, 9.8; gyro: …`, sentences `$VNYMR,…`, and
-lines that end in a carriage return alone.
+"""Text logs that are no table, as one: `ax=0.01 ay=-0.02 …`, `acc: 0.1, 0.2, 9.8; gyro: …`, sentences `$VNYMR,…`,
+objects of JSON, and lines that end in a carriage return alone.
 
 What is written is a CSV file in the session's folder, a row for each line, with the names before the signs. A name with
 three numbers behind it is three columns. A line with other names is left as it is, for the reader to report.
@@ -8,18 +8,17 @@ three numbers behind it is three columns. A line with other names is left as it 
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tumble.calibration.sentences import FIELDS, sentence_of, values_of
+from tumble.calibration.json_lines import json_lines
+from tumble.calibration.sentences import sentences
+from tumble.calibration.spelling import LEAST_NUMBERS, Spelling, most_common
 from tumble.files import whole_file
 from tumble.recording.dialect import encoding_of, is_clock
 from tumble.recording.readers import opened, readable
 
 _SEEN_LINES = 200
-_SHARE = 0.8
-_LEAST_NUMBERS = 3
 _LONGEST_LINE = 4096
 _KEY = re.compile(r"([^\W\d][\w.]*)\s*[=:]\s*(?=[-+\d.\[(])")
 _NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
@@ -32,29 +31,23 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
     read as it is. `seen`: the first bytes of the file."""
     encoding = encoding_of(seen)
     text = seen.decode(encoding, errors="replace")
-    old = text.count("\r") > 2 and "\n" not in text
     lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
-    kind = sentence_of(lines)
-    names = _names_of(lines) if kind is None else FIELDS[kind]
-    if names is None and not old:
+    spelling = sentences(lines) or json_lines(lines) or _named_numbers(lines)
+    if spelling is None and text.count("\r") > 2 and "\n" not in text:
+        spelling = Spelling(names=(), values=lambda line: [line], said="lines that end in a carriage return")
+    if spelling is None:
         return None
     target = folder / f"{file.name.partition('.')[0]}.csv"
     if target.exists():
         target = target.with_stem(f"{target.stem}-copy")
     folder.mkdir(parents=True, exist_ok=True)
     with readable(file), opened(file, encoding) as stream, whole_file(target) as temporary, temporary.open("wb") as out:
-        if names is not None:
-            out.write(f"{','.join(names)}\n".encode())
+        if spelling.names:
+            out.write(f"{','.join(spelling.names)}\n".encode())
         for line in _lines(iter(lambda: stream.read(1 << 16), b"")):
-            row = _row(line, names) if kind is None else ",".join(values_of(line, kind)) or line.replace(",", " ")
+            row = ",".join(spelling.values(line)) or line.replace(",", " ")
             out.write(row.encode() + b"\n")
-    return target, f"text: {_what(kind, names)}: copied to {target.name} as a table"
-
-
-def _what(kind: str | None, names: tuple[str, ...] | None) -> str:
-    if kind is not None:
-        return f"sentences ${kind}"
-    return "lines that end in a carriage return" if names is None else f"names before the numbers ({', '.join(names)})"
+    return target, f"text: {spelling.said}: copied to {target.name} as a table"
 
 
 def _lines(pieces: Iterator[bytes]) -> Iterator[str]:
@@ -67,13 +60,17 @@ def _lines(pieces: Iterator[bytes]) -> Iterator[str]:
         yield rest.decode(errors="replace")
 
 
-def _names_of(lines: list[str]) -> tuple[str, ...] | None:
-    """The names that most lines have before their numbers."""
-    found = Counter(tuple(cells) for line in lines if len(cells := _cells(line)) >= _LEAST_NUMBERS)
-    if not found:
+def _named_numbers(lines: Sequence[str]) -> Spelling | None:
+    """Lines with names before their numbers; None where most have none."""
+    names = most_common((tuple(_cells(line)) for line in lines), lines)
+    if names is None or len(names) < LEAST_NUMBERS:
         return None
-    names, count = found.most_common(1)[0]
-    return names if count > _SHARE * sum(bool(line.strip()) for line in lines) and count > 1 else None
+
+    def values(line: str) -> list[str]:
+        cells = _cells(line)
+        return list(cells.values()) if tuple(cells) == names else []
+
+    return Spelling(names=names, values=values, said=f"names before the numbers ({', '.join(names)})")
 
 
 def _cells(line: str) -> dict[str, str]:
@@ -90,10 +87,3 @@ def _cells(line: str) -> dict[str, str]:
         elif len(numbers) == 3:
             cells |= {f"{key[1]}_{axis}": number for axis, number in zip("xyz", numbers, strict=True)}
     return cells
-
-
-def _row(line: str, names: tuple[str, ...] | None) -> str:
-    if names is None:
-        return line
-    cells = _cells(line)
-    return ",".join(cells[name] for name in names) if tuple(cells) == names else line.replace(",", " ")

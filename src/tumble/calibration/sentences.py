@@ -1,18 +1,19 @@
-"""Logs of sentences as VectorNav sends them, `$VNYMR,…*6D`: a table of their numbers.
+"""Logs of sentences with a checksum, `$VNYMR,…*6D`, as VectorNav and many boards send them: a table of their values.
 
-The names and units of the fields are those of the maker's reference (VN-100, asynchronous output). A line with another
-checksum or of another kind is no row.
+The names and units of VectorNav's fields are those of the maker's reference (VN-100, asynchronous output); other
+sentences have columns without names. A line with another checksum or of another kind is no row.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from functools import reduce
 
+from tumble.calibration.spelling import LEAST_NUMBERS, Spelling, most_common
+
 _MAG = tuple(f"Mag{axis} [gauss]" for axis in "XYZ")
 _INERTIAL = (*(f"Accel{axis} [m/s^2]" for axis in "XYZ"), *(f"Gyro{axis} [rad/s]" for axis in "XYZ"))
-FIELDS = {
+_FIELDS = {
     "VNYMR": ("Yaw", "Pitch", "Roll", *_MAG, *_INERTIAL),
     "VNQMR": ("Qx", "Qy", "Qz", "Qw", *_MAG, *_INERTIAL),
     "VNIMU": (*_MAG, *_INERTIAL, "Temperature [degC]", "Pressure [kPa]"),
@@ -20,21 +21,32 @@ FIELDS = {
 }
 """Fields of the sentences with accelerometers and gyros."""
 
-_SHARE = 0.5
 
-
-def sentence_of(lines: Sequence[str]) -> str | None:
-    """The kind of sentence that most lines are; None where they are none, or none with sensors."""
-    kinds = Counter(kind for line in lines if (kind := line[1:].partition(",")[0]) in FIELDS and values_of(line, kind))
-    if not kinds:
+def sentences(lines: Sequence[str]) -> Spelling | None:
+    """The sentences that most lines are; None where they are none."""
+    common = most_common(map(_kind, lines), lines)
+    if common is None:
         return None
-    kind, count = kinds.most_common(1)[0]
-    return kind if count > _SHARE * sum(bool(line.strip()) for line in lines) else None
+    name, count = common
+    names = _FIELDS.get(name, ())
+    if names and len(names) != count:
+        return None
+
+    def values(line: str) -> list[str]:
+        found = _parts(line)
+        return found[1:] if found and (found[0], len(found) - 1) == common else []
+
+    return Spelling(names=names, values=values, said=f"sentences ${name}")
 
 
-def values_of(line: str, kind: str) -> list[str]:
-    """The values of a sentence of a kind; none where it is another, or damaged."""
+def _kind(line: str) -> tuple[str, int] | None:
+    """The name of a sentence and how many values it has; None where a line is none."""
+    name, *values = _parts(line) or [""]
+    return (name, len(values)) if len(values) >= LEAST_NUMBERS else None
+
+
+def _parts(line: str) -> list[str]:
+    """Name and values of a sentence; nothing where a line is none, or damaged."""
     body, _, check = line.strip().removeprefix("$").partition("*")
-    name, *values = body.split(",")
     whole = line.lstrip().startswith("$") and check.upper() == f"{reduce(lambda c, b: c ^ b, body.encode(), 0):02X}"
-    return values if whole and name == kind and len(values) == len(FIELDS[kind]) else []
+    return body.split(",") if whole else []

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.calibration.calibrate import estimated, provenance_of, result_of, systematic_of, without_result
+from tumble.calibration.calibrate import estimated, provenance_of, systematic_of
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.from_estimate import result_of, without_result
 from tumble.calibration.launches import circumstances_of_all
 from tumble.calibration.observed import Progress, inspect_session, observations_in_parts
 from tumble.calibration.results import Member, Parameter

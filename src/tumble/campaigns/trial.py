@@ -22,7 +22,7 @@ from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, calibrate
 from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
-from tumble.estimation.diagnosis import verdict
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
 from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
 from tumble.estimation.methods.paper.compensation import triad_model

@@ -128,7 +128,7 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     if len(named) > 1 and named[1][0] == at - 1 and _are_units(names):
         at, names = (
             at - 1,
-            tuple(f"{name} [{unit.strip('[]() ')}]" for name, unit in zip(named[1][1], names, strict=True)),
+            tuple(f"{name} [{_bare(unit)}]" for name, unit in zip(named[1][1], names, strict=True)),
         )
         names = tuple(name.removesuffix(" []") for name in names)
         used.add(at)
@@ -177,7 +177,12 @@ _UNIT_WORDS = re.compile(
 
 def _are_units(names: Sequence[str]) -> bool:
     """Whether all that stands in a line are units."""
-    return all(not name or _UNIT_WORDS.fullmatch(name.strip("[]() ")) for name in names)
+    return all(not name or _UNIT_WORDS.fullmatch(_bare(name)) for name in names)
+
+
+def _bare(unit: str) -> str:
+    """A unit without its brackets, about it or within it."""
+    return re.sub(r"[\[\]()]", "", unit).strip()
 
 
 def _said(lines: Sequence[str], dialect: Dialect) -> tuple[str, ...]:

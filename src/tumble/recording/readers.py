@@ -466,7 +466,8 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
             raise LogError(f"{path}: expected lines of numbers, found one of more than {LINE_BYTES} bytes")
         size = _PIECE_BYTES
     if rest.strip():
-        yield rest.rstrip() + (b"\n" if b"\n" in rest[len(rest.rstrip()) :] else b"")
+        empty, line_end, _ = rest[len(rest.rstrip()) :].partition(b"\n")  # tabs are empty values
+        yield rest.rstrip() + empty.rstrip(b"\r") + line_end
 
 
 ENDINGS = (".csv", ".csv.gz", ".csv.zst", ".parquet")

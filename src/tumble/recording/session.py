@@ -104,6 +104,11 @@ class Channels:
     axes: Array
     range: float | None
 
+    @property
+    def raw(self) -> bool:
+        """Whether the log has counts or volts, which need a scale and an offset."""
+        return self.unit_name in ("count", "V")
+
     def to_si(self, raw: Array, dt: Array) -> Array:
         """Rates (m, n), m/s² or rad/s, of a log's numbers (m, n) and the samples' intervals (m,), s."""
         gain = self.unit.factor / self.scale
@@ -496,8 +501,7 @@ def _channels(sensors: SensorsTable, rate: float | None) -> Channels:
     scale = sensors.per_sensor(sensors.scale, 1.0)
     full_scale = None
     if sensors.range is not None:
-        per_second = rate if unit.kind == "increment" and rate is not None else 1.0
-        full_scale = float(sensors.range * unit.factor * per_second / np.abs(scale).max())
+        full_scale = float(sensors.range * unit.per_second(rate or 1.0) / np.abs(scale).max())
     return Channels(
         columns=tuple(sensors.columns),
         unit=unit,

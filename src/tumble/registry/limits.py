@@ -31,7 +31,7 @@ from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError
 from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
 from tumble.sensors.frames import FRAMES
-from tumble.sensors.parameters import ParameterGroup, group_name, group_of
+from tumble.sensors.parameters import ParameterGroup, group_of, meant_by
 from tumble.sensors.typed_quantities import quantity_of
 
 FORMAT = 1
@@ -91,7 +91,7 @@ class Limits:
     def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
         """The lowest and the highest value (SI) of a parameter; None where it has no limit."""
         own = self.checks.get(occasion, {})
-        keys = [key for key in own if _is_of(name, key)]
+        keys = [key for key in own if meant_by(key, name)]
         if not keys:
             return None
         limit = own[max(keys, key=len)]
@@ -186,12 +186,6 @@ def months_later(day: date, months: int) -> date:
     return date(year, month + 1, min(day.day, calendar.monthrange(year, month + 1)[1]))
 
 
-def _is_of(name: str, key: str) -> bool:
-    """Whether a key of the limits, a parameter or kind, is meant for a parameter. Changes have limits of their own."""
-    own = group_name(name)
-    return name == key or own == key or (name.startswith(f"{key}.") and own == group_name(key))
-
-
 def judge(
     limits: Limits, occasion: Occasion, parameters: Iterable[ParameterRow], unobservable: Iterable[str] = ()
 ) -> Verdict | None:
@@ -205,7 +199,7 @@ def judge(
     judged = [_judged(row, found) for row in rows if (found := limits.of(row.name, occasion)) is not None]
     named = [*(row.name for row in rows), *unobservable]
     missing = [name for name in unobservable if limits.of(name, occasion) is not None]
-    missing += [key for key in own if not any(_is_of(name, key) for name in named)]
+    missing += [key for key in own if not any(meant_by(key, name) for name in named)]
     judged += [_not_determined(name, limits.of(name, occasion) or (-math.inf, math.inf)) for name in missing]
     return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judged))
 
@@ -390,7 +384,7 @@ def _check_relative(limits: Limits, name: str) -> None:
     """That there is a systematic value for every limit that is about one."""
     for occasion, own in limits.checks.items():
         for key, limit in own.items():
-            known = any(_is_of(p, key) for p in limits.systematic)
+            known = any(meant_by(key, p) for p in limits.systematic)
             if limit.relative and not known:
                 raise InputError(
                     f"{name}: {occasion}: {key}: expected a systematic value to deviate from, found none; name a "

@@ -426,6 +426,13 @@ def named_group(name: str) -> ParameterGroup | None:
     return next((group for group in groups() if group.name == name), None)
 
 
+def meant_by(name: str, parameter: str) -> bool:
+    """Whether a name, of a parameter, of a group or of one sensor in it ("gyro.g_sensitivity.x"), means a parameter:
+    "accel.bias" means "accel.bias.x", and not its change "accel.bias.x.t1", which is of a group of its own."""
+    group = group_name(parameter)
+    return name in (parameter, group) or (parameter.startswith(f"{name}.") and group == group_name(name))
+
+
 def to_temperature(names: Sequence[str], warmer: float | Array) -> Array:
     """The matrix (m, m) that takes parameters of these names to a reference temperature higher by so many K, each (m,)
     or all, by the slopes and curvatures among them."""

@@ -249,5 +249,7 @@ def _fit_lines(calibration: Calibration) -> list[str]:
 
 def _truth_line(calibration: Calibration, truth: Mapping[str, float]) -> str:
     z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
-    rms = math.sqrt(sum(v * v for v in z) / len(z)) if z else math.nan
+    if not z:
+        return "truth: no parameter was estimated that it has"
+    rms = math.sqrt(sum(v * v for v in z) / len(z))
     return f"truth: {len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"

@@ -6,12 +6,12 @@ Parquet file, which a session can name. One reader per format, each behind the e
 
     .bag, .db3, .mcap, folder     ROS 1 and 2              ros
     .ulg                          PX4                      ulog
-    .bin                          ArduPilot                ardupilot
+    .bin, .log                    ArduPilot                ardupilot
     .mat, .h5, .hdf5              arrays                   arrays
 """
 
 from tumble.recording.formats.conversion import as_log
 from tumble.recording.formats.message import Message, Sensors
-from tumble.recording.formats.recording import ENDINGS, messages
+from tumble.recording.formats.recording import ENDINGS, is_recording, messages
 
-__all__ = ["ENDINGS", "Message", "Sensors", "as_log", "messages"]
+__all__ = ["ENDINGS", "Message", "Sensors", "as_log", "is_recording", "messages"]

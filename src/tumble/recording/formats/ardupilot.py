@@ -1,5 +1,5 @@
-"""ArduPilot flight logs (.bin): the messages IMU (accelerometers and gyros of an instance) and ACC and GYR (raw, at the
-sensors' own rate), an entry for each instance.
+"""ArduPilot flight logs (.bin, or as text, .log): the messages IMU (accelerometers and gyros of an instance), and ACC
+and GYR (raw, at the sensors' own rate), an entry for each instance.
 
 ArduPilot subtracts its own offsets and divides by its own scales before it logs: they are to be reset before recording.
 """
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from pymavlink.DFReader import DFReader_binary
+from pymavlink.DFReader import DFReader_binary, DFReader_text
 
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.formats.message import AXES, TIME, Message, triad
@@ -49,7 +49,7 @@ def messages(path: Path) -> list[Message]:
     kept: dict[tuple[str, int], list[list[float]]] = {}
     ids: dict[str, int] = {}
     with _silent():
-        log = DFReader_binary(str(path))
+        log = DFReader_binary(str(path)) if path.suffix.lower() == ".bin" else DFReader_text(str(path))
         try:
             while (message := log.recv_match(type=[*_FIELDS, _PARAMETER])) is not None:
                 kind = message.get_type()

@@ -23,8 +23,14 @@ _KINDS: Mapping[str, re.Pattern[str]] = {
     ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
 }
+SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
+    ACCEL: re.compile(r"acc|beschl|ускор|加速度", re.IGNORECASE),
+    GYRO: re.compile(r"gyr|angular|dreh|гиро|角速度|陀螺", re.IGNORECASE),
+}
+"""Words for sensors in the names of files, and of rows."""
+
 _TIME = re.compile(
-    r"(^|_)(t|times?|time_?stamps?|stamp|seconds?|sec|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
+    r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|sec|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
     r"micros(econds)?|time_?startup|(sensor|chip|sys|system|gps|sample|date|utc)_?time(_?fine)?|sample_?time_?fine)$|"
     r"^time_(since|elapsed|from)"
 )
@@ -102,7 +108,7 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     temperatures = of_sensors(warm, gyros=GYRO in triads)
     return Columns(
         time=time,
-        time_unit=None if time is None else _time_unit(time),
+        time_unit=None if time is None else time_unit(time),
         counter=next((n for n in free if n != time and _COUNTER.search("_".join(_split(n)[0]))), None),
         triads=triads,
         temperatures=temperatures,
@@ -110,7 +116,8 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     )
 
 
-def _time_unit(name: str) -> str | None:
+def time_unit(name: str) -> str | None:
+    """The unit that the name of a time says: `t [ms]` ms, `micros` us; None where it says none."""
     words, unit = _split(name)
     return _UNITS[TIME_KIND].get(unit) or (_TIME_WORDS.get(words[-1]) if words else None)
 

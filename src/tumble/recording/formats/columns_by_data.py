@@ -24,9 +24,11 @@ _FEWEST_ROWS = 200
 
 def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers."""
-    time = next((j for j in range(len(names)) if _grows(read[:, j])), None)
+    growing = [j for j in range(len(names)) if _grows(read[:, j])]
     numbers = [
-        j for j in range(len(names)) if j != time and np.isfinite(read[:, j]).mean() > 0.5 and np.ptp(read[:, j]) > 0
+        j
+        for j in range(len(names))
+        if j not in growing and np.isfinite(read[:, j]).mean() > 0.5 and np.ptp(read[:, j]) > 0
     ]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
     triads: dict[str, Sensors] = {}
@@ -40,8 +42,29 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
                 triads[kind] = Sensors(columns=(x, y, z), unit=None)
                 used |= set(run)
     return Columns(
-        time=None if time is None else names[time], time_unit=None, triads=triads, temperatures=(), others=()
+        time=_time([names[j] for j in growing], read[:, growing]),
+        time_unit=None,
+        triads=triads,
+        temperatures=(),
+        others=(),
     )
+
+
+def time_by_data(names: Sequence[str], read: Array) -> str | None:
+    """The column of a table (m, n) that is a time; None where none grows as one, or only a counter of samples."""
+    growing = [j for j in range(len(names)) if _grows(read[:, j]) and not _counts(read[:, j])]
+    return names[growing[0]] if growing else None
+
+
+def _time(names: Sequence[str], read: Array) -> str | None:
+    """The time among columns that grow: the first that is no counter of samples, else the first."""
+    return time_by_data(names, read) or (names[0] if names else None)
+
+
+def _counts(column: Array) -> bool:
+    """Whether a column grows by one from row to row, but for lost rows."""
+    steps = np.diff(column[np.isfinite(column)])
+    return bool((steps == np.floor(steps)).all() and np.median(steps) == 1.0)
 
 
 def _grows(column: Array) -> bool:

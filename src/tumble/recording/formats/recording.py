@@ -23,7 +23,29 @@ _READERS = {
 ENDINGS: tuple[str, ...] = tuple(_READERS)
 """Endings of the files that can be read; a ROS 2 bag may also be a folder."""
 
+_DATAFLASH_TEXT = b"FMT,"
+
 _NEEDED: Mapping[str, str] = {"ros": "rosbags", "ulog": "pyulog", "ardupilot": "pymavlink", "arrays": "h5py"}
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file, or the folder of a ROS 2 bag, is in one of the formats, by its ending or its first bytes."""
+    return _reader(path) is not None
+
+
+def _reader(path: Path) -> str | None:
+    if path.is_dir():
+        return "ros" if (path / "metadata.yaml").is_file() else None
+    named = _READERS.get(path.suffix.lower())
+    return named or ("ardupilot" if _begins_with(path, _DATAFLASH_TEXT) else None)
+
+
+def _begins_with(path: Path, first: bytes) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(first)) == first
+    except OSError:
+        return False
 
 
 def messages(path: Path) -> list[Message]:
@@ -31,7 +53,7 @@ def messages(path: Path) -> list[Message]:
 
     Raises InputError, one line, for an unknown or damaged file and for one without inertial sensors, and
     MissingExtraError where the extra `formats` is not installed."""
-    reader = "ros" if (path / "metadata.yaml").is_file() else _READERS.get(path.suffix.lower())
+    reader = _reader(path)
     if reader is None:
         raise InputError(f"{path}: expected a recording that ends in {', '.join(ENDINGS)}, found another")
     if not path.exists():

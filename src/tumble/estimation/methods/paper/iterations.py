@@ -42,6 +42,7 @@ from tumble.estimation.methods.paper.levelling import vertical
 from tumble.reduction.observations import Observations, Turns
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import group_name
 from tumble.units import Array
 
 MAX_PASSES = 30
@@ -117,7 +118,7 @@ class _SessionData:
         rests, turns = 3 * len(self.observations.rests), 3 * len(self.course.duration)
         gyros = [] if self.observations.gyro_block is None else [(rests, 1e-9), (turns, 1e-6)]
         data = [np.full(n, step) for n, step in [(rests, 1e-5), *gyros, (1, 1e-5)]]
-        values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(name[: name.rindex(".")], 1e-6) for name in self.names]
+        values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(group_name(name), 1e-6) for name in self.names]
         return np.concatenate([*data, values])
 
     def readings(self, data: Array) -> tuple[Array, Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Samples that are missing or held in one turn.
+"""Samples that are missing, or held where one is missing, in all turns or in one.
 
 Without time stamps nothing in a log says that rows are missing. A turn says it: what it lacks is a rotation δ about its
 own axis a, so that it does not carry the vertical from rest to rest; and of the specific force, which turned by δ from
@@ -15,11 +15,14 @@ linear model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
-from tumble.estimation.causes import SHORTEST_TURN, UNSEEN, Cause, Projection, apart, chance
+from tumble.estimation.causes.cause import UNSEEN, Cause
+from tumble.estimation.causes.chances import fall_chance, ratio_chance, sum_of_squares
+from tumble.estimation.causes.linearised_session import SHORTEST_TURN, LinearisedSession
+from tumble.estimation.causes.projection import Projection
 from tumble.estimation.likelihood import (
     Linearised,
     Point,
@@ -31,20 +34,24 @@ from tumble.estimation.likelihood import (
 )
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
+from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
 
+FEWEST_HELD = 3
 
-def with_one_turn(found: Sequence[Cause], linearised: Linearised, projection: Projection) -> list[Cause]:
-    """Causes, in which, of a log without time stamps, samples lost in one turn stand for samples lost in all, where
-    they are the more likely; the `projection` is that with the scatter of the estimate."""
-    everywhere = next((cause for cause in found if cause.name == "lost samples"), None)
-    if everywhere is None or not linearised.problem.observations.unstamped:  # nothing is turned, or time tells
-        return list(found)
-    one = lost_in_a_turn(linearised, projection)
-    if one is None or one.probability >= everywhere.probability:
-        return list(found)
-    return sorted([*(cause for cause in found if cause is not everywhere), one], key=lambda cause: cause.probability)
+
+def lost_samples(session: LinearisedSession, projection: Projection) -> Iterator[Cause]:
+    """Samples that are copies of the one before, or else that turns lack: all of them, or one alone, where that is the
+    more likely and no time stamps tell. The `projection` is that with the scatter of the estimate."""
+    held = _held(session)
+    if held is not None:
+        yield held
+    elif session.turned:
+        found = [_lost_in_all_turns(session, projection)]
+        if session.observations.unstamped and (one := lost_in_a_turn(session.linearised, projection)) is not None:
+            found.append(one)
+        yield min(found, key=lambda cause: cause.probability)
 
 
 def with_all_groups(linear: Linearised, observations: Observations) -> Linearised:
@@ -91,7 +98,7 @@ def lost_in_a_turn(linearised: Linearised, projection: Projection) -> Cause | No
     return Cause(
         name="lost samples",
         concerns="both",
-        probability=min(1.0, columns.shape[1] * chance(projection, linearised.scatter, most, q)),
+        probability=min(1.0, columns.shape[1] * fall_chance(projection, linearised.scatter, most, q)),
         damage=float(damage.max()),
         sentence=f"{observations.turn_named(worst)} errs about its own axis by {abs(values[0]) / DEGREE:.2g}°: samples "
         f"are missing or held there; leave it out by turn = {turns.first[worst] + 1} in [[exclude]], and record with "
@@ -113,5 +120,56 @@ def _columns(linearised: Linearised, projection: Projection) -> Array:
     if q == 2:
         straight = (linearised.point.gravity * about.moments.T)[:, None] * L[projection.first, 1]
         turn[:, 3:6, 1] = np.cross(axis, straight)
-    wide = apart(projection, np.zeros((*rows.rest.shape[:2], 0)), turn)
+    wide = projection.apart(np.zeros((*rows.rest.shape[:2], 0)), turn)
     return wide.reshape(len(wide), len(rows.rest), q)[:, projection.first]
+
+
+def _held(session: LinearisedSession) -> Cause | None:
+    """Samples of turns whose accelerometers and gyros all read what they read in the sample before, where that is not
+    for want of resolution."""
+    samples = session.observations.turn_samples
+    if samples is None:
+        return None
+    rows = same = 0
+    fewest = np.zeros(6, dtype=np.int64)
+    for start, stop in zip(samples.start.tolist(), samples.stop.tolist(), strict=True):
+        rates, forces, _ = samples.samples.read(start, stop)
+        equal = np.concatenate([np.diff(rates, axis=0) == 0.0, np.diff(forces, axis=0) == 0.0], axis=1)
+        rows, same, fewest = rows + len(equal), same + int(equal.all(axis=1).sum()), fewest + equal.sum(axis=0)
+    if same < FEWEST_HELD or same < 0.8 * fewest.min() or fewest.min() > 0.5 * rows:
+        return None
+    return Cause(
+        name="lost samples",
+        concerns="both",
+        probability=0.0,
+        damage=0.0,
+        sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: "
+        "the log holds the last sample where one is missing; record all of them",
+    )
+
+
+def _lost_in_all_turns(session: LinearisedSession, projection: Projection) -> Cause:
+    """Rotations of turns that err about their own axis, with the angle, more than across it: samples that are missing
+    or held. Both are scatter, so that what is compared is one with the other."""
+    about = session.linearised.about
+    assert about is not None
+    path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
+    axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
+    size = np.sqrt(about.moments.body_rates[:, [0, 3, 5]].sum(axis=1))[:, None]
+    about_axis, across_it = axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2)
+    along, across = (_along(session, projection, size[..., None] * d) for d in (about_axis, across_it))
+    return Cause(
+        name="lost samples",
+        concerns="both",
+        probability=ratio_chance(along, across),
+        damage=0.0,
+        sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
+        "record with time stamps",
+    )
+
+
+def _along(session: LinearisedSession, projection: Projection, directions: Array) -> tuple[float, Array]:
+    """The sum of squares along directions (K, 3, q) of the rotations, each turn's of sizes of their own."""
+    rest, turn = session.nothing(directions.shape[2])
+    turn[:, :3] = directions
+    return sum_of_squares(projection, projection.apart(rest, turn))

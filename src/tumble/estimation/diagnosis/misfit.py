@@ -15,10 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.estimation.by_session import each_session
-from tumble.estimation.causes import Cause, Concerns, Projection, causes, variance_chance
+from tumble.estimation.causes.cause import UNITS, WORDS, Cause, Concerns
+from tumble.estimation.causes.chances import variance_chance
+from tumble.estimation.causes.lost_samples import lost_in_a_turn, with_all_groups
+from tumble.estimation.causes.projection import Projection
+from tumble.estimation.causes.ranking import causes
 from tumble.estimation.estimate import Estimate
 from tumble.estimation.likelihood import Linearised, Scatter
-from tumble.estimation.lost_in_a_turn import lost_in_a_turn, with_all_groups, with_one_turn
 from tumble.estimation.methods.joint.method import joint
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
@@ -67,9 +70,9 @@ GROUPS = (
         component="accel",
         concerns="accel",
         words="readings of the accelerometers at rest",
-        unit=(1e-6 * G_STANDARD, "µg"),
+        unit=UNITS["accel"],
     ),
-    Group(component="gyro", concerns="gyro", words="readings of the gyros at rest", unit=(DEGREE_PER_HOUR, "°/h")),
+    Group(component="gyro", concerns="gyro", words="readings of the gyros at rest", unit=UNITS["gyro"]),
     Group(component="turn", concerns="gyro", words="rotations of the turns", unit=(DEGREE, "°")),
     Group(component="velocity", concerns="accel", words="velocities of the turns", unit=(1e-3, "mm/s")),
 )
@@ -116,7 +119,7 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     chances = group_chances(linearised)
     larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
     projection = Projection(linearised, linearised.scatter)
-    found = with_one_turn(causes(linearised, projection), linearised, projection)
+    found = causes(linearised, projection)
     named = [cause for cause in found if cause.probability < limit]
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     if larger:
@@ -141,7 +144,8 @@ def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
         return
     first, values = own.linear_count, linearised.point.own[0]
     said = list[str]()
-    for kind, words, (size, unit) in (("accel", "accelerometers", GROUPS[0].unit), ("gyro", "gyros", GROUPS[1].unit)):
+    for kind, words in WORDS.items():
+        size, unit = UNITS[kind]
         if (members := own.members.get(f"{kind}.bias.warmup")) is not None:
             largest = np.abs(values[members.start - first : members.stop - first]).max() / size
             said.append(f"of the {words} {'' if said else 'settle '}by up to {largest:.2g} {unit}".replace(" °", "°"))

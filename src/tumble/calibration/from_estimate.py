@@ -1,0 +1,207 @@
+"""From an estimate to a calibration: its parameters, and all that belongs to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tumble.calibration.calibration_file import Calibration, SensingAxes
+from tumble.calibration.case import CaseAlignment, estimate_in
+from tumble.calibration.coverage import MANY_DEGREES, with_degrees
+from tumble.calibration.notes import case_found, one_rate, torn_turns, unchecked
+from tumble.calibration.over_temperature import over_temperature
+from tumble.calibration.rests_and_turns import rest_results, turn_results
+from tumble.calibration.results import Parameter, Readings
+from tumble.estimation.diagnosis.verdict import verdict
+from tumble.estimation.estimate import Estimate, Outcome
+from tumble.recording.session import Channels, Session
+from tumble.reduction import exclusion
+from tumble.reduction.observations import Observations
+from tumble.sensors.frames import Frame, convert
+from tumble.sensors.parameters import sensor_kind
+from tumble.units import ZERO_CELSIUS, IntArray
+
+
+def result_of(
+    session: Session,
+    estimate: Estimate,
+    observations: Observations,
+    systematic: Mapping[str, float],
+    frame: Frame,
+    provenance: Mapping[str, str],
+    bridged: tuple[str, ...] = (),
+) -> Calibration:
+    """The calibration of an estimate; `bridged` are notes of the gaps of its log."""
+    outcome = verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed)
+    rests, turns = rest_results(estimate, observations), turn_results(estimate, observations)
+    complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
+    learned, limited = _learned(estimate), tuple(over_temperature(estimate, observations))
+    estimate, case = estimate_in(frame, estimate, observations)
+    systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
+    seen = np.flatnonzero(estimate.observable)
+    missing = {sensor_kind(name) for name in outcome.unobservable}
+    return Calibration(
+        serial=session.device.serial,
+        model=session.device.model,
+        method=estimate.method,
+        frame=frame if complete else "accelerometer",
+        parameters=with_degrees(_parameters(estimate, seen, systematic, learned), estimate.fits),
+        covariance=estimate.covariance[np.ix_(seen, seen)],
+        accel=None if "accel" in missing else estimate.accel,
+        gyro=None if missing else estimate.gyro,
+        outcome=outcome,
+        iterations=tuple({estimate.names[i]: float(step[i]) for i in seen} for step in estimate.increments),
+        rests=rests,
+        turns=turns,
+        fits=estimate.fits,
+        site=observations.site,
+        programme=None if observations.programme is None else observations.programme.name,
+        readings=readings_of_session(session),
+        notes=bridged
+        + torn_turns(observations)
+        + exclusion.said(session.excluded)
+        + observations.notes
+        + unchecked(estimate)
+        + one_rate(estimate, observations)
+        + limited
+        + case_found(case),
+        provenance=provenance,
+        groups=estimate.groups,
+        prediction=estimate.prediction,
+        axes=_axes(observations),
+        reference_temperature=reference_of(observations),
+        thermometers=_thermometers(session, observations),
+        references=references_of(observations),
+        imu=session.device.imu,
+        clock_u=observations.clock_u,
+    )
+
+
+def without_result(
+    session: Session, method: str, outcome: Outcome, provenance: Mapping[str, str], bridged: tuple[str, ...] = ()
+) -> Calibration:
+    """A calibration that says why there is none; `bridged` are notes of the gaps of its log."""
+    return Calibration(
+        serial=session.device.serial,
+        model=session.device.model,
+        method=method,
+        frame="accelerometer",
+        parameters=(),
+        covariance=None,
+        accel=None,
+        gyro=None,
+        outcome=outcome,
+        site=session.site,
+        readings=readings_of_session(session),
+        notes=bridged,
+        provenance=provenance,
+    )
+
+
+def _parameters(
+    estimate: Estimate, seen: IntArray, systematic: Mapping[str, float], learned: Mapping[str, Mapping[str, float]]
+) -> tuple[Parameter, ...]:
+    """The parameters that the data determine, those `seen`, in the order of the estimate."""
+    return tuple(
+        Parameter(
+            name=name,
+            value=value,
+            u=float(estimate.u[i]),
+            unit=estimate.units[i],
+            deviation=value - systematic[name] if name in systematic else None,
+            dof=_dof(estimate, i),
+            **learned.get(name, {}),
+        )
+        for i, name, value in ((i, estimate.names[i], float(estimate.values[i])) for i in seen.tolist())
+    )
+
+
+def _axes(observations: Observations) -> dict[str, SensingAxes]:
+    """Nominal sensing directions by kind of sensor."""
+    blocks = (observations.accel_block, observations.gyro_block)
+    return {block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks if block is not None}
+
+
+def _thermometers(session: Session, observations: Observations) -> dict[str, tuple[str, ...]]:
+    """The column of the thermometer of each sensor by kind."""
+    known, blocks = session.log.temperature, (observations.accel_block, observations.gyro_block)
+    if known is None or observations.rests.temperatures is None:
+        return {}
+    return {block.kind: known.names(block.kind) for block in blocks if block is not None}
+
+
+def reference_of(observations: Observations) -> float | None:
+    """The temperature, °C, at which parameters have their values: the mean of the thermometers over the rests."""
+    temperature = observations.rests.temperature
+    return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS
+
+
+def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
+    """The same of each sensor by kind, °C, by its own thermometer."""
+    kelvin, blocks = observations.rests.temperatures, (observations.accel_block, observations.gyro_block)
+    if kelvin is None:
+        return {}
+    celsius = kelvin.mean(axis=0) - ZERO_CELSIUS
+    return {block.kind: tuple(celsius[block.thermometer].tolist()) for block in blocks if block is not None}
+
+
+def _dof(estimate: Estimate, i: int) -> float | None:
+    """Degrees of freedom behind the u of a parameter; None where there are more than matter."""
+    if estimate.degrees is None or estimate.degrees[i] > MANY_DEGREES:
+        return None
+    return float(estimate.degrees[i])
+
+
+def _learned(estimate: Estimate) -> dict[str, dict[str, float]]:
+    """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name."""
+    instrument = estimate.instrument
+    if instrument is None:
+        return {}
+    return {
+        name: {"prior": group.prior * group.widened, "learned": learned}
+        for group in estimate.groups
+        for name, learned in zip(estimate.names[instrument.members[group.name]], group.learned, strict=True)
+    }
+
+
+def _systematic_in(
+    frame: Frame, systematic: Mapping[str, float], observations: Observations, gyros: bool, case: CaseAlignment | None
+) -> Mapping[str, float]:
+    """Values of the systematic calibration in another frame; none where it lacks one of them."""
+    if frame == "accelerometer":
+        return systematic
+    accel, gyro = observations.accel_block, observations.gyro_block if gyros else None
+    names = accel.names + (() if gyro is None else gyro.names)
+    if not set(names) <= set(systematic) or (frame == "case" and case is None):
+        return {}
+    framed = convert(
+        accel,
+        gyro,
+        source="accelerometer",
+        values=np.array([systematic[name] for name in names]),
+        covariance=None,
+        target=frame,
+        alignment=None if case is None else case.alignment,
+    )
+    return dict(zip(framed.names, framed.values.tolist(), strict=True))
+
+
+def readings_of_session(session: Session) -> dict[str, Readings]:
+    """What the readings of a session are."""
+    given = {"accel": session.log.accel, "gyro": session.log.gyro}
+    readings = {kind: _readings_in(channels) for kind, channels in given.items() if channels is not None}
+    mag, ones, zeros = session.log.magnetometer, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+    if mag is not None:
+        readings["mag"] = Readings(columns=mag.columns, unit=mag.unit, increments=False, scale=ones, offset=zeros)
+    return readings
+
+
+def _readings_in(channels: Channels) -> Readings:
+    return Readings(
+        columns=channels.columns,
+        unit=channels.unit_name,
+        increments=channels.unit.kind == "increment",
+        scale=tuple((channels.scale / channels.unit.factor).tolist()),
+        offset=tuple(channels.offset.tolist()),
+    )

@@ -1,0 +1,53 @@
+"""Logs with an object of JSON in each line, `{"ts": 0.01, "acc": [0.1, 0.2, 9.8], "gyro": {"x": 0, …}}`: a table of
+their values. A list of three numbers is three columns, an object within an object has its name before its own."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from tumble.calibration.spelling import LEAST_NUMBERS, Spelling, most_common
+from tumble.recording.dialect import is_clock
+
+_LONGEST_LINE = 4096
+
+
+def json_lines(lines: Sequence[str]) -> Spelling | None:
+    """The objects that most lines are; None where they are none."""
+    names = most_common((tuple(_cells(line)) for line in lines), lines)
+    if names is None or len(names) < LEAST_NUMBERS:
+        return None
+
+    def values(line: str) -> list[str]:
+        cells = _cells(line)
+        return list(cells.values()) if tuple(cells) == names else []
+
+    return Spelling(names=names, values=values, said=f"objects of JSON ({', '.join(names)})")
+
+
+def _cells(line: str) -> dict[str, str]:
+    """Names and values of the object in a line; nothing where it is none."""
+    text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
+    if not text.startswith("{") or len(text) > _LONGEST_LINE:
+        return {}
+    try:
+        read = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return dict(_flat(read)) if isinstance(read, dict) else {}
+
+
+def _flat(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of an object and those within it: numbers and times of day."""
+    for key, value in read.items():
+        name = before + re.sub('[,"\\s]+', " ", key)
+        if isinstance(value, dict):
+            yield from _flat(value, f"{name}_")
+        elif isinstance(value, list) and len(value) == 3:
+            yield from _flat(dict(zip("xyz", value, strict=True)), f"{name}_")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield name, repr(value)
+        elif isinstance(value, str) and is_clock(value):
+            yield name, value

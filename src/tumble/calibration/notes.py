@@ -1,0 +1,93 @@
+"""Notes of a calibration: what was bridged or left out, and what the session does not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tumble.calibration.case import CaseAlignment
+from tumble.estimation.estimate import Estimate
+from tumble.recording.gaps import Gap
+from tumble.reduction.observations import Observations
+from tumble.rotation import rotation_vector
+from tumble.sensors.parameters import group_name
+from tumble.units import DEGREE
+
+_GAPS_SHOWN = 5
+ONE_RATE = 1.2
+"""The largest mean rate of the turns, in parts of the smallest, where they count as one rate."""
+
+
+def bridged_in(found: Sequence[Gap]) -> tuple[str, ...]:
+    """What was bridged or left out in the log, as notes: the first of each kind, and how many more."""
+    kinds = {
+        "bridged": [g for g in found if g.samples and g.integrable],
+        "left out": [g for g in found if not g.samples],
+        "gap": [g for g in found if not g.integrable],
+    }
+    notes = []
+    for kind, gaps in kinds.items():
+        for g in gaps[:_GAPS_SHOWN]:
+            lost = f" ({g.samples} samples)" if g.samples > 1 else ""
+            notes.append(
+                f"{kind}: file {g.file + 1}, row {g.row}, {g.time:.3f} s: {g.what.removesuffix(': left out')}{lost}"
+            )
+        if len(gaps) > _GAPS_SHOWN:
+            lost = f", {sum(g.samples for g in gaps)} samples in all" if gaps[0].samples else ""
+            notes.append(f"{kind}: {len(gaps) - _GAPS_SHOWN} more such places{lost}")
+    return tuple(notes)
+
+
+def torn_turns(observations: Observations) -> tuple[str, ...]:
+    """The turns that were not recorded as a whole, as notes."""
+    if observations.turns is None:
+        return ()
+    file, known = observations.rests.file, set(observations.turns.first.tolist())
+    if observations.together is not None:
+        return ()
+    missing = [i for i in range(len(file) - 1) if file[i] == file[i + 1] and i not in known]
+    left_out = [f"turn from rest {i + 1} to rest {i + 2} is left out" for i in missing]
+    return tuple(
+        f"{said}: samples are lost in it"
+        for said in left_out
+        if not any(note.startswith(said) for note in observations.notes)
+    )
+
+
+def unchecked(estimate: Estimate) -> tuple[str, ...]:
+    """What no redundancy checks, as notes."""
+    fit = estimate.fits["accelerometers"]
+    if fit.degrees >= 0.5 or estimate.unobservable:
+        return ()
+    return ("as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed",)
+
+
+def one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
+    """Where all turns have about one rate, what the scale factors of the gyros are, as a note."""
+    turns = observations.turns
+    if estimate.method != "joint" or turns is None or any(group_name(name) == "gyro.cubic" for name in estimate.names):
+        return ()
+    made = turns.duration > 0.0  # between the parts of a rest nothing is turned
+    rates = np.linalg.norm(rotation_vector(turns.C[made]), axis=1) / turns.duration[made]
+    if not len(rates) or not rates.max() < ONE_RATE * rates.min():
+        return ()
+    return (
+        f"all turns have about {rates.mean() / DEGREE:.2g} °/s: scale factors of the gyros are those at this rate; "
+        "what they are at others, turns at two rates show, or gyro_cubic in [device.prior] puts into u",
+    )
+
+
+def case_found(case: CaseAlignment | None) -> tuple[str, ...]:
+    """How the case was found, as a note."""
+    if case is None:
+        return ()
+    u = np.sqrt(np.diag(case.alignment.covariance)) / DEGREE
+    text = (
+        f"case: from {len(case.rests)} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "
+        f"standard uncertainty of its alignment {u[0]:.2g}°, {u[1]:.2g}°, {u[2]:.2g}° about X, Y, Z"
+    )
+    if not len(case.tilt):
+        return (f"{text}; azimuths are not known, so that the tilt of the plate is part of the scatter",)
+    lean = np.linalg.norm(case.tilt) / DEGREE
+    return (f"{text}; the plate leans by {lean:.2g}° (u {np.linalg.norm(case.tilt_u) / DEGREE:.1g}°)",)

@@ -1,0 +1,84 @@
+"""Text logs in which every row is of one sensor, `ACC,1200,0.01,0.02,9.81` and then `GYRO,1202,…`: a file for each
+sensor, which are logs of sensors in files of their own."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import ExitStack
+from itertools import pairwise
+from pathlib import Path
+
+from tumble.errors import InputError
+from tumble.files import whole_file
+from tumble.recording.dialect import Dialect, Top, dialect_of, is_clock
+from tumble.recording.formats.columns import ACCEL, SENSOR_WORDS
+from tumble.recording.readers import opened, readable
+
+_SEEN_BYTES = 1 << 18
+_MOST_SENSORS = 20
+_LONGEST_LINE = 4096
+_UNNAMED = ("time", "x", "y", "z")
+
+
+def files_by_sensor(file: Path, folder: Path) -> list[Path]:
+    """The files written to a folder for the sensors of a log; none where its rows are not of single sensors."""
+    with readable(file), opened(file) as stream:
+        seen = stream.read(_SEEN_BYTES)
+    found = dialect_of(seen)
+    if found is None:
+        return []
+    dialect, top = found
+    label = _label(seen, dialect, top)
+    return [] if label is None else _split(file, dialect, top, label, folder)
+
+
+def _label(seen: bytes, dialect: Dialect, top: Top) -> int | None:
+    """The column that says of which sensor a row is: few words, one of which is that of accelerometers, that change
+    all the time."""
+    lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
+    rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
+    for column in range(len(top.names)):
+        words = [row[column] for row in rows]
+        changes = sum(a != b for a, b in pairwise(words))
+        if 4 * changes > len(words) and _are_sensors(words, dialect):
+            return column
+    return None
+
+
+def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
+    named = Counter(words)
+    return (
+        2 <= len(named) <= _MOST_SENSORS
+        and not any(not word or dialect.is_number(word) or is_clock(word) for word in named)
+        and any(SENSOR_WORDS[ACCEL].search(word) for word in named)
+    )
+
+
+def _split(file: Path, dialect: Dialect, top: Top, label: int, folder: Path) -> list[Path]:
+    """The rows of each sensor in a file of its own, with all columns but the label."""
+    columns = [j for j in range(len(top.names)) if j != label]
+    names = [top.names[j] for j in columns] if dialect.header else list(_UNNAMED)
+    if len(names) != len(columns):
+        raise InputError(
+            f"{file}: expected a time and three readings behind the name of a sensor, found {len(columns)} columns; "
+            "give them names in a first line"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    parts: dict[str, Path] = {}
+    with ExitStack() as files, readable(file), opened(file, dialect.encoding) as stream:
+        outs = {}
+        for number, line in enumerate(stream):
+            cells = dialect.cells(line[:_LONGEST_LINE].decode(errors="replace").rstrip("\r\n"))
+            if number < top.lines or len(cells) != len(top.names):
+                continue
+            word = re.sub(r"\W+", "-", cells[label]).strip("-")[:40]
+            if word not in parts:
+                if len(parts) == _MOST_SENSORS:
+                    raise InputError(f"{file}: expected at most {_MOST_SENSORS} sensors, found more")
+                parts[word] = folder / f"{file.name.partition('.')[0]}-{word or 'unnamed'}.csv"
+                outs[word] = files.enter_context(files.enter_context(whole_file(parts[word])).open("wb"))
+                outs[word].write(f"{','.join(names)}\n".encode())
+            outs[word].write((",".join(cells[j].replace(",", ".") for j in columns) + "\n").encode())
+    return list(parts.values())

@@ -1,0 +1,165 @@
+"""Parameters and combinations of them that a session does not determine, in words, and what would determine them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from tumble.estimation.causes.cause import Concerns
+from tumble.estimation.common_errors import common_covariance
+from tumble.estimation.estimate import SEEN, Estimate
+from tumble.estimation.observability import faces_and_edges, most_telling, standing
+from tumble.recording.session import Site
+from tumble.reduction.observations import Observations
+from tumble.rotation import onto_body, skew, tangent_basis
+from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
+from tumble.units import Array
+
+POORLY_KNOWN = 0.05
+"""Of the spreads: a combination of parameters that is known no better is poorly observable."""
+
+MOST_LISTED = 21
+"""Parameters that are named one by one."""
+
+
+def linear_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Those of these parameters that belong to the linear model. They come first in an estimate; the others have
+    priors."""
+    linear = {group.name for group in LINEAR}
+    return tuple(name for name in names if group_name(name) in linear)
+
+
+def undetermined(
+    estimate: Estimate, observations: Observations, missing: tuple[str, ...]
+) -> list[tuple[Concerns, str]]:
+    """What the data do not determine, the parameters that are `missing`, or else determine poorly, and what would; with
+    the sensors it concerns."""
+    if missing:
+        said = f"not observable in this session: {listed(missing)}"
+        return [(_concerned(missing), _and(said, _most_helpful(estimate, observations, estimate.null)))]
+    combinations, known = _weak(estimate, observations)
+    if not len(known):
+        return []
+    weak = "; ".join(
+        f"{_combination_said(each, estimate.names)} (known to {100.0 * u:.2g} % of its usual size)"
+        for each, u in zip(combinations, known, strict=True)
+    )
+    remedy = _gravity_wanted(estimate, observations.site, combinations, known)
+    if not remedy:
+        remedy = _most_helpful(estimate, observations, combinations)
+    return [("both", _and(f"poorly observable in this session: {weak}", remedy))]
+
+
+def _and(*parts: str) -> str:
+    """What there is to say, separated by semicolons."""
+    return "; ".join(part for part in parts if part)
+
+
+def _concerned(parameters: Sequence[str]) -> Concerns:
+    """The kind of sensor that all parameters are of, else both."""
+    kinds = {sensor_kind(name) for name in parameters}
+    return "accel" if kinds == {"accel"} else "gyro" if kinds == {"gyro"} else "both"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Parameters by name, or where they are many by group: "accel.axis (12), accel.scale (6)"."""
+    if len(names) <= MOST_LISTED:
+        return ", ".join(names)
+    counted = Counter(group_name(name) for name in names)
+    return ", ".join(f"{group} ({count})" for group, count in counted.items())
+
+
+def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]:
+    """Combinations (q, m) of the parameters, in units of their spreads, that the data determine poorly or not at all,
+    the worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty
+    of scale factors and angles is not small against what the data resolve: u does not hold then, for effects of second
+    order count."""
+    linear = linear_names(estimate.names)
+    spread = limits_of(linear)
+    m, covariance = len(linear), estimate.covariance
+    if estimate.instrument is not None:  # what is common to all rests no further rest would show
+        covariance = covariance - common_covariance(observations, estimate.instrument)
+    variance, vectors = np.linalg.eigh(covariance[:m, :m] / np.outer(spread, spread))
+    angles = np.array([within_kind(group_name(name)) != "bias" for name in linear])  # biases are linear
+    squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
+    poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
+    return vectors[:, poor].T, np.sqrt(variance[poor])
+
+
+def _resolution(estimate: Estimate, observations: Observations) -> float:
+    """The angle, rad, that the rests and turns both resolve, scatter included."""
+
+    def typical(covariance: Array, group: str) -> float:
+        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2))
+        return float(np.hypot(np.sqrt(variance), estimate.fits[group].scatter if group in estimate.fits else 0.0))
+
+    tilt = typical(observations.rests.accel_covariance, "accelerometers") / observations.site.gravity
+    if observations.turns is None or estimate.gyro is None:
+        return tilt
+    return max(tilt, typical(observations.turns.covariance, "gyro turns"))
+
+
+def _combination_said(combination: Array, names: Sequence[str]) -> str:
+    """A combination (m,) of parameters in words, by its largest parts."""
+    order = np.argsort(-np.abs(combination))
+    largest = [i for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+    sign = np.sign(combination[largest[0]])
+    parts = [f"{'+' if sign * combination[i] > 0 else '−'} {names[i]}" for i in largest]
+    return " ".join(parts).removeprefix("+ ")
+
+
+def _gravity_wanted(estimate: Estimate, site: Site, combinations: Array, known: Array) -> str:
+    """That gravity would determine all poorly determined combinations, where its uncertainty is most of theirs."""
+    linear = linear_names(estimate.names)
+    scales = np.array([group_name(name) == "accel.scale" for name in linear])
+    by_gravity = combinations @ (scales / limits_of(linear)) * site.gravity_u / site.gravity
+    if np.all(by_gravity**2 > 0.5 * known**2):
+        return f"gravity is known to {site.gravity_u:g} m/s^2 only: give latitude_deg or gravity in [site]"
+    return ""
+
+
+def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array) -> str:
+    """The rests, or the turns, that together would say what the data do not determine, the most telling first; `unseen`
+    (q, m) are combinations of parameters."""
+    m = len(observations.accel_block.names)
+    null = unseen[:, :m]
+    if np.abs(null).max(initial=0.0) > SEEN:
+        rests = {standing(u): _rest_rows(observations, u) for u in faces_and_edges()}
+        return _advice(estimate, "rests", *most_telling(null, rests))
+    turns = {
+        f"180° about {'XYZ'[axis]} from {'XYZ'[up]} up": _turn_rows(observations, axis, up)
+        for up in range(3)
+        for axis in range(3)
+    }
+    return _advice(estimate, "turns", *most_telling(unseen[:, m:], turns))
+
+
+def _advice(estimate: Estimate, what: str, names: list[str], left: int) -> str:
+    said = [f"{what} that would help, the most helpful first: {', '.join(names)}"] if names else []
+    if left:
+        said.append(f"the others no further {what} would show to the method {estimate.method}")
+    return "; ".join(said)
+
+
+def _rest_rows(observations: Observations, vertical: Array) -> Array:
+    """What one more rest would say about the accelerometer parameters, whatever the exact vertical, in units of their
+    spreads: (n − 2, m), m/s²."""
+    block, g = observations.accel_block, observations.site.gravity
+    derivative = block.jacobian(np.zeros(len(block.names)))
+    basis, _ = np.linalg.qr(block.axes @ tangent_basis(vertical).T, mode="complete")
+    rows = np.einsum("pr,pqm,q->rm", basis[:, 2:], derivative, np.append(g * vertical, 1.0))
+    return np.asarray(rows * limits_of(block.names))
+
+
+def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
+    """What one more turn by 180° about a body axis would say about the gyro parameters, in units of their spreads:
+    (2, m), rad."""
+    block = observations.gyro_block
+    assert block is not None
+    n = np.eye(3)[axis]
+    derivative = np.einsum("ap,pqm->aqm", onto_body(block.axes), block.jacobian(np.zeros(len(block.names))))
+    path = np.pi * np.outer(n, n) + 2.0 * skew(n)  # ∫ C dθ of a turn by π, Eq. (6.2)
+    rows = tangent_basis(np.eye(3)[up]) @ skew(np.eye(3)[up]) @ path @ np.einsum("aqm,q->am", derivative[:, :3], n)
+    return np.asarray(rows * limits_of(block.names))
