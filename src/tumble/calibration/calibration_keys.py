@@ -292,9 +292,7 @@ class _ResultKeys(_Keys):
     def _check_rests(self) -> Self:
         for number, (rest, following) in enumerate(pairwise(self.rests), 2):
             if not rest.file <= following.file < MOST_RESTS:
-                raise ValueError(
-                    f"rests[{number}].file: expected {rest.file} or a later file, found {following.file}"
-                )
+                raise ValueError(f"rests[{number}].file: expected {rest.file} or a later file, found {following.file}")
         for number, turn in enumerate(self.turns, 1):
             if not turn.first < turn.last < len(self.rests):
                 raise ValueError(
