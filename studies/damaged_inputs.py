@@ -439,7 +439,7 @@ def write_inputs(folder: Path) -> None:
     head = log.head(LOOKED_AT)
     rounded = head.with_columns(pl.all().round(5))
     rounded.write_csv(folder / "messung.txt", separator=";", decimal_comma=True)
-    savemat(folder / "imu.mat", {"data": head.to_numpy()})
+    savemat(folder / "imu.mat", {"data": log.head(400).to_numpy()})  # without names: it takes some rests to tell
     _written_h5(folder / "imu.h5", head)
     for ending in ("gz", "zst"):
         head.lazy().sink_csv(folder / f"log.csv.{ending}", compression={"gz": "gzip", "zst": "zstd"}[ending])

@@ -29,6 +29,8 @@ from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UN
 CLOCK = "iso8601"
 """The time unit of dates with times and times of day."""
 
+LEAST_GRAVITY_U = 1e-15
+"""m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
 LONGEST_NAME = 200
 """Characters of a serial number and of a type."""
 
@@ -104,6 +106,8 @@ class SiteTable(SessionTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if self.gravity_u is not None and 0.0 < self.gravity_u < LEAST_GRAVITY_U:
+            raise ValueError(f"gravity_u: expected 0 or at least {LEAST_GRAVITY_U:g} m/s^2, found {self.gravity_u:g}")
         if self.gravity_u is not None and self.gravity is None and self.latitude_deg is None:
             raise ValueError("gravity_u: expected site.gravity or site.latitude_deg with it, found neither")
         return self

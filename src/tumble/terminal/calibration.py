@@ -68,7 +68,8 @@ def _uncertainty(parameter: Parameter, size: float, *, expanded: bool) -> list[s
     if parameter.u is None:
         return [""] * (3 if expanded else 1)
     u, k = parameter.u / size, parameter.k
-    return [rounded(0.0, u)[1], *([f"{k:.2f}", rounded(0.0, k * u)[1]] if expanded else [])]
+    more = ["", ""] if k is None else [f"{k:.2f}", rounded(0.0, k * u)[1]]
+    return [rounded(0.0, u)[1], *(more if expanded else [])]
 
 
 def group_table(calibration: Calibration) -> Table:
