@@ -174,7 +174,7 @@ def shared_gravity(first: Site | None, second: Site | None) -> bool:
 def remarks(calibration: Calibration) -> tuple[str, ...]:
     """Of which parameters no U is stated; and, for each kind of sensor whose U is of known noise although few residuals
     could have shown a scatter, how large one may be there unseen."""
-    found = list(_without_expanded(calibration.parameters))
+    found = list(without_expanded(calibration.parameters))
     if calibration.launches:
         return tuple(found)
     for kind, sensors in _KINDS.items():
@@ -189,8 +189,8 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
-    """The parameters whose u has too few degrees of freedom for a U."""
+def without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
+    """Of which parameters no U is stated, their u having too few degrees of freedom."""
     few = {p.name: p.dof for p in parameters if p.dof is not None and p.k is None}
     if few:
         named = ", ".join(few) if len(few) <= MOST_NAMED else f"{len(few)} parameters, first {next(iter(few))}"

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from tumble.calibration.calibrate import ITERATED_METHODS
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import without_expanded
 from tumble.calibration.further import (
     decided_by_priors,
     group_lines,
@@ -216,7 +217,7 @@ def calibration_report(
         parts.append(Text(predicted(whole.prediction)))
     if decided := decided_by_priors(whole):
         parts.append(Text(decided))
-    parts += [Text(note) for note in calibration.notes]
+    parts += [Text(note) for note in (*without_expanded(calibration.parameters), *calibration.notes)]
     parts += [Text(f"remark: {remark}") for remark in calibration.outcome.remarks]
     parts += [Text(""), *map(Text, verdicts(calibration))]
     return Group(*parts)
