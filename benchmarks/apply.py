@@ -18,7 +18,7 @@ from calibrate import ONE_RUN, TUMBLE, machine
 
 from tumble.calibration.calibrate import calibrate
 from tumble.planning.setup import Setup
-from tumble.recording.session import write_session
+from tumble.recording.session_file import write_session
 from tumble.recording.writer import write_tables
 from tumble.simulation.session import simulate_session
 

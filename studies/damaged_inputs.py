@@ -448,9 +448,8 @@ def write_inputs(folder: Path) -> None:
     pl.DataFrame(means, schema=["ax", "ay", "az"]).write_csv(folder / "readings.csv")
     for name, text in TEXTS.items():
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
-    for name, of in (("still", "csv"), ("other-still", "other")):  # for what has several sessions
-        _of_accelerometers(folder / of, folder / name)
-    (folder / "manifest.csv").write_text("session,who\nstill,a\nother-still,b\n", encoding="utf-8")
+    _of_accelerometers(folder / "csv", folder / "still")
+    (folder / "manifest.csv").write_text("session,who\nstill,a\nparquet,b\n", encoding="utf-8")
     (folder / "manifest.txt").write_text("# a comment\nstill\n", encoding="utf-8")
     registry = f"--registry {folder}/r.sqlite"
     _invoked(f"registry limits BCHE-501 {folder}/limits.toml {registry}")

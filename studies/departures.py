@@ -30,8 +30,11 @@ from tumble.recording.session import Site
 from tumble.reduction.blocks import ChannelState
 from tumble.reduction.moments import BlockCompensation, Compensation, integrate
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.observations import Observations, Rests, Turns, TurnSamples
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import Rests
 from tumble.reduction.rounding import Rounding, rounding
+from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block

@@ -23,7 +23,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, Array
 

@@ -12,7 +12,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Parameter, RestResult
 from tumble.estimation.estimate import Outcome
-from tumble.recording.session import write_session
+from tumble.recording.session_file import write_session
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.units import Array

@@ -17,7 +17,7 @@ from tumble.estimation.methods.paper.indirect import (
     gyro_errors,
 )
 from tumble.estimation.methods.paper.levelling import vertical
-from tumble.reduction.observations import Turns
+from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix
 from tumble.units import Array
 

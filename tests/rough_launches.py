@@ -30,7 +30,7 @@ from tumble.estimation.methods.paper.four_stages import (
 )
 from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
 from tumble.programme.positions import programme
-from tumble.reduction.observations import Turns
+from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import SensorModel
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array

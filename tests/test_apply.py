@@ -21,7 +21,7 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import InputError, LogError
 from tumble.planning.setup import Setup
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.sensors.model import SensorModel
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array

@@ -24,7 +24,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.description import description_of
 from tumble.recording.formats.recording import messages
-from tumble.recording.session import read_session, session_of
+from tumble.recording.session_file import read_session, session_of
 from tumble.simulation.session import simulate_session
 from tumble.units import Array
 

@@ -12,7 +12,7 @@ from bench_driver import Bench, served
 from browser import Browser, chromium, eventually, inaccessible
 
 from tumble.bench.virtual_table import VirtualTable
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 
 needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium is installed")
 

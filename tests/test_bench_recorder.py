@@ -28,7 +28,8 @@ from tumble.bench.recorder import Recorder
 from tumble.bench.sources import MOTIONCAL_LOG, GrowingFile, Replay, Serial, StandardInput, Tcp, Udp, in_si, source_of
 from tumble.bench.virtual_table import VirtualTable
 from tumble.errors import InputError
-from tumble.recording.session import Exclusion, read_session
+from tumble.recording.session import Exclusion
+from tumble.recording.session_file import read_session
 from tumble.units import G_STANDARD
 
 COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")

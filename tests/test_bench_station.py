@@ -21,7 +21,7 @@ from tumble.calibration.calibrate import calibrate
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session
 
 

@@ -29,7 +29,8 @@ from tumble.errors import CalibrationError
 from tumble.planning.setup import Setup
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.circumstances import AirConditions, Circumstances
-from tumble.recording.session import Site, read_session
+from tumble.recording.session import Site
+from tumble.recording.session_file import read_session
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import group_of

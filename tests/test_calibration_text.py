@@ -21,7 +21,7 @@ from tumble.cli import main
 from tumble.estimation.estimate import GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
 from tumble.planning.setup import Setup
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session
 from tumble.terminal.calibration import (
     WHAT_AN_INCREMENT_SAYS,

@@ -24,7 +24,7 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.circumstances import AirConditions, Circumstances
-from tumble.recording.session import session_of
+from tumble.recording.session_file import session_of
 from tumble.registry.limits import LimitJudgement, judge_value
 from tumble.registry.records import Particulars, read_submission
 from tumble.report.write import write_report

@@ -16,7 +16,8 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.planning.setup import Setup
-from tumble.recording.session import Channels, read_session
+from tumble.recording.session import Channels
+from tumble.recording.session_file import read_session
 from tumble.sensors.model import SensorModel
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array

@@ -20,7 +20,8 @@ from tumble.programme.positions import ANY_MOVE, Position, Programme, programme
 from tumble.programme.sheet import sheet_page
 from tumble.programme.sheet_words import sheet_rows
 from tumble.recording.log import open_log
-from tumble.recording.session import ProgrammeSpec, Session, read_session
+from tumble.recording.session import ProgrammeSpec, Session
+from tumble.recording.session_file import read_session
 from tumble.reduction.blocks import reduce_log
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.segmentation import find_rests

@@ -13,7 +13,7 @@ from registry_files import content
 from tumble.calibration.calibration_file import calibration_of
 from tumble.documents import LONGEST_LINE, json_of, one_line, plain, toml_of
 from tumble.errors import CalibrationError, InputError, SessionError
-from tumble.recording.session import read_session, session_of
+from tumble.recording.session_file import read_session, session_of
 
 LOG = {"file": "log.csv", "rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}}
 
@@ -63,6 +63,7 @@ def test_a_serial_number_is_printable(serial: str) -> None:
 
 
 REST = {"start": 0.0, "stop": 1.0, "residual": 0.0}
+READ = {"columns": ["x", "y", "z"], "unit": "m/s^2", "increments": False, "scale": [1.0] * 3, "offset": [0.0] * 3}
 TURN = {"first": 0, "last": 1, "duration": 1.0, "angle": None, "programmed": None, "sigmas": 0.0}
 
 
@@ -88,6 +89,7 @@ TURN = {"first": 0, "last": 1, "duration": 1.0, "angle": None, "programmed": Non
         ("rests", [REST | {"file": 3}, REST], "rests[2].file: expected 3 or a later file, found 0"),
         ("rests", [REST, REST | {"file": 10**6}], "rests[2].file: expected 0 or a later file, found 1000000"),
         ("turns", [TURN], "turns[1]: expected two of 0 rests, in their order and counted from 0, found 0 and 1"),
+        ("readings", {"accel": READ | {"scale": [1.0, 1e-300, 1.0]}}, "readings.accel: expected a scale, not zero"),
         ("provenance/created", 7, "found 7 in place of a text at provenance.created"),
         ("device/imu", {"gyro_number": 0}, "found 0 in place of a larger number at device.imu.gyro_number"),
         ("device/imu", {"accel_id": "7"}, "found '7' in place of a whole number at device.imu.accel_id"),

@@ -13,7 +13,7 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.cli import main
 from tumble.errors import InputError, SessionError
 from tumble.planning.setup import Setup
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session
 
 RESTS = 9

@@ -18,7 +18,7 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.kalibr import noise_densities
 from tumble.planning.setup import Setup
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.reduction.allan_deviation import allan_deviation
 from tumble.sensors.frames import Frame
 from tumble.simulation.session import simulate_session

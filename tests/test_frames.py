@@ -20,7 +20,7 @@ from tumble.cli import main
 from tumble.commands.arguments import FRAMES as OFFERED
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.rotation import rotation_matrix
 from tumble.sensors.frames import FRAMES, Alignment, Convention, Frame, convert, frame_of, rotation_to, triad_axes
 from tumble.sensors.model import Block, SensorModel

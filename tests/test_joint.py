@@ -28,7 +28,8 @@ from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.observations import Observations, TurnSamples
+from tumble.reduction.observations import Observations
+from tumble.reduction.turn_samples import TurnSamples
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block
 from tumble.simulation.observations import simulate_observations

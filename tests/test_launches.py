@@ -19,7 +19,7 @@ from tumble.calibration.type_spread import KnownLaunches, TypeSpread
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.sensors.parameters import group_name
 from tumble.simulation.session import simulate_session
 

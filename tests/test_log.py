@@ -21,12 +21,11 @@ from hypothesis import strategies as st
 
 from tumble.errors import LogError
 from tumble.recording import gaps as bridging
-from tumble.recording import readers as log_files
-from tumble.recording import unpacked
+from tumble.recording import table_log, text_pieces, unpacked
 from tumble.recording.description import description_of
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
-from tumble.recording.session import read_session, write_session
+from tumble.recording.session_file import read_session, write_session
 from tumble.units import Array
 
 if sys.version_info >= (3, 14):
@@ -209,7 +208,7 @@ def test_fault_is_the_same_however_the_file_is_cut(name: str, tmp_path: Path) ->
     change, said = CSV_FAULTS[name]
     table = change(lines())
     for size in (60, 700):
-        with mock.patch.multiple(log_files, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+        with mock.patch.multiple(text_pieces, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
             assert said in refusal(lambda: whole(csv_log(tmp_path, table)))
 
 
@@ -512,7 +511,7 @@ def test_other_ways_to_write_a_csv_file_are_the_same(change: Callable[[str], str
     expected = whole(csv_log(tmp_path, lines()))
     for size in (50, 1 << 24):
         (tmp_path / "log.csv").write_bytes(change(plain).encode())
-        with mock.patch.multiple(log_files, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+        with mock.patch.multiple(text_pieces, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
             assert equal_to_the_bit(whole(opened(tmp_path)), expected)
 
 
@@ -651,7 +650,7 @@ def test_gaps_in_memory_are_bounded(tmp_path: Path) -> None:
     frame = pl.DataFrame({"t": np.arange(30_000) / 100, **{name: np.ones(30_000) for name in NAMES[1:]}})
     frame = frame.with_columns(ax=pl.when(pl.arange(30_000) % 2 == 1).then(math.nan).otherwise(1.0))
     log = parquet_log(tmp_path, frame)
-    with mock.patch.object(log_files, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "_MOST", 700):
+    with mock.patch.object(table_log, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "_MOST", 700):
         assert "expected at most 700 gaps in a file" in refusal(lambda: whole(log))
     assert len(log.gaps) < 1700
 
@@ -709,7 +708,7 @@ BLEMISHES: dict[str, tuple[Change, str]] = {
 def test_isolated_bad_row_is_a_lost_sample_that_is_named(name: str, size: int, tmp_path: Path) -> None:
     change, said = BLEMISHES[name]
     log = csv_log(tmp_path, change(lines()))
-    with mock.patch.multiple(log_files, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+    with mock.patch.multiple(text_pieces, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
         check_ramp(whole(log))
     assert {gap.row for gap in log.gaps} <= {17, 18}
     assert said in log.gaps[0].what
@@ -760,7 +759,7 @@ def test_longer_gap_is_left_out_and_nothing_is_integrated_across_it(name: str, s
     change, samples, time, what = LONG_GAPS[name]
     table = change(lines())
     log = csv_log(tmp_path, table)
-    with mock.patch.multiple(log_files, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+    with mock.patch.multiple(text_pieces, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
         found = whole(log)
     (gap,) = log.gaps
     assert (gap.samples, gap.what, gap.integrable) == (samples, what, False)
@@ -820,8 +819,8 @@ def test_chunks_together_are_the_same_to_the_bit_for_any_size(
     csv: bool,
 ) -> None:
     log = gappy[0 if csv else 1]
-    cut: Any = {"_PIECE_BYTES": piece, "_FIRST_PIECE_BYTES": piece // 2 + 1, "_PARQUET_ROWS": batch}
-    with mock.patch.multiple(log_files, **cut):
+    cut: Any = {"_PIECE_BYTES": piece, "_FIRST_PIECE_BYTES": piece // 2 + 1}
+    with mock.patch.multiple(text_pieces, **cut), mock.patch.object(table_log, "_PARQUET_ROWS", batch):
         chunks = list(log.chunks(rows))
         samples = whole(log, rows)
     assert max(len(chunk.time) for chunk in chunks) <= rows

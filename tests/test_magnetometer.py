@@ -22,7 +22,7 @@ from tumble.errors import InputError, SessionError
 from tumble.estimation.ellipsoid import TRIAD
 from tumble.estimation.methods.magnetometer import NAMES
 from tumble.recording.log import open_log
-from tumble.recording.session import read_session, write_session
+from tumble.recording.session_file import read_session, write_session
 from tumble.reduction.blocks import reduce_log
 from tumble.units import Array
 

@@ -19,11 +19,12 @@ from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.recording.session import Site
 from tumble.reduction import motion_samples as reduction
-from tumble.reduction import observations as observing
+from tumble.reduction import turn_samples
 from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.matching import Match
-from tumble.reduction.observations import Observations, TurnSamples, observe
+from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import find_rests, stated_rest
+from tumble.reduction.turn_samples import TurnSamples
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record
@@ -151,7 +152,7 @@ def test_turns_cut_into_pieces_are_the_same(
     whole = observations.turns_about(true_gyros(scenario))
     kept = observations.turn_samples
     assert kept is not None
-    monkeypatch.setattr(observing, "BATCH_SAMPLES", batch)
+    monkeypatch.setattr(turn_samples, "BATCH_SAMPLES", batch)
     again = TurnSamples(samples=kept.samples, start=kept.start, stop=kept.stop)
     assert len(list(again.pieces())) > 1
     cut = replace(observations, turn_samples=again).turns_about(true_gyros(scenario))

@@ -13,7 +13,7 @@ from tumble.calibration.quiet_samples import longest_rest, noise_panels, whole_l
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.reduction.allan_deviation import Panel
 from tumble.sensors.grades import GRADES
 from tumble.simulation.session import simulate_session

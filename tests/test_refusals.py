@@ -30,7 +30,8 @@ from tumble.estimation.estimate import Estimate
 from tumble.estimation.methods.staged.method import staged
 from tumble.planning.setup import Setup
 from tumble.programme.positions import attitude, from_attitudes, programme
-from tumble.recording.session import Site, read_session
+from tumble.recording.session import Site
+from tumble.recording.session_file import read_session
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block

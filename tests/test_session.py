@@ -18,9 +18,12 @@ from hypothesis.extra.numpy import arrays
 
 from tumble.errors import SessionError
 from tumble.programme.positions import BUILT_IN
-from tumble.recording import session as session_module
-from tumble.recording import session_keys as session_tables
-from tumble.recording.session import Session, read_session, write_session
+from tumble.recording import session_file
+from tumble.recording.session import Session
+from tumble.recording.session_file import read_session, write_session
+from tumble.recording.session_keys.document import TABLES, SessionDocument
+from tumble.recording.session_keys.sensors import AccelTable, GyroTable
+from tumble.recording.session_keys.table import SessionTable
 from tumble.units import TIME_UNITS
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "session-file.md"
@@ -459,7 +462,7 @@ def test_unit_is_worth_the_number_computed_by_hand(
 
 
 def test_every_unit_is_among_the_numbers_computed_by_hand() -> None:
-    cases = ((session_tables.AccelTable, ACCEL_CASES), (session_tables.GyroTable, GYRO_CASES))
+    cases = ((AccelTable, ACCEL_CASES), (GyroTable, GYRO_CASES))
     for table, computed in cases:
         assert {keys["unit"] for keys, _, _ in computed} == set(table.UNITS)
         raw = [keys for keys, _, _ in computed if "scale" in keys]
@@ -474,7 +477,7 @@ def test_negative_scale_is_the_polarity_of_its_channel(tmp_path: Path) -> None:
 
 @given(arrays(float, (4, 3), elements=st.floats(allow_nan=False, allow_infinity=False)))
 def test_si_numbers_are_kept_to_the_bit(raw: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-    channels = session_module._channels(session_tables.AccelTable(**BASE["log"]["accel"]), None)
+    channels = session_file._channels(AccelTable(**BASE["log"]["accel"]), None)
     assert channels.to_si(raw, np.full(4, DT)).tobytes() == raw.tobytes()
 
 
@@ -571,8 +574,8 @@ def documented_examples() -> list[str]:
 
 def test_every_key_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    tables: dict[str, type[session_tables.SessionTable]] = {"": session_tables.SessionDocument}
-    tables |= session_tables.TABLES
+    tables: dict[str, type[SessionTable]] = {"": SessionDocument}
+    tables |= TABLES
     keys = [(table, key) for table, model in tables.items() for key in model.model_fields]
     assert len(keys) > 30
     # every key has its own entry: a table in brackets, another key at the start of a row
@@ -586,7 +589,7 @@ def test_every_key_is_documented() -> None:
 
 def test_every_unit_and_programme_is_documented() -> None:
     text = DOCUMENT.read_text(encoding="utf-8")
-    names = [*session_tables.AccelTable.UNITS, *session_tables.GyroTable.UNITS, *TIME_UNITS]
+    names = [*AccelTable.UNITS, *GyroTable.UNITS, *TIME_UNITS]
     for name in [*names, *BUILT_IN]:
         assert f"`{name}`" in text, name
 

@@ -21,7 +21,8 @@ from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.description import description_of
 from tumble.recording.log import Chunk, Log, open_log
-from tumble.recording.session import Session, read_session, session_of
+from tumble.recording.session import Session
+from tumble.recording.session_file import read_session, session_of
 from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 

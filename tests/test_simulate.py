@@ -21,7 +21,8 @@ from tumble.earth import earth_rate, normal_gravity
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
-from tumble.recording.session import Site, read_session
+from tumble.recording.session import Site
+from tumble.recording.session_file import read_session
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.model import Block

@@ -14,7 +14,7 @@ from tumble.calibration.calibrate import calibrate
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.sensors.model import Block
 from tumble.simulation.session import read_truth, simulate_session
 from tumble.simulation.temperature_profile import (

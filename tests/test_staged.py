@@ -24,9 +24,11 @@ from tumble.estimation.methods.staged import gyros as staged_gyros
 from tumble.estimation.methods.staged.method import staged
 from tumble.programme.positions import attitude, programme
 from tumble.recording.session import Site
-from tumble.reduction import observations as observing
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.observations import Observations, Rests, TurnReadings, Turns, TurnSamples
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
+from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.turns import TURN_FLOOR, TurnReadings, Turns
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
@@ -158,11 +160,11 @@ def observations(
         start=np.linspace(0.0, 100.0 * (N - 1), N),
         stop=np.linspace(0.0, 100.0 * (N - 1), N) + noise.seconds,
         accel=accel.predict(force) + np.hypot(u_accel, noise.accel_scatter) * rng.standard_normal((N, na)),
-        accel_covariance=np.tile((u_accel**2 + observing.ACCEL_FLOOR**2) * np.eye(na), (N, 1, 1)),
+        accel_covariance=np.tile((u_accel**2 + ACCEL_FLOOR**2) * np.eye(na), (N, 1, 1)),
         accel_drift=np.zeros((N, na)),
         accel_noise=np.full((N, na), noise.accel),
         gyro=gyro.predict(rate) + np.hypot(u_gyro, noise.gyro_scatter) * rng.standard_normal((N, ng)),
-        gyro_covariance=np.tile((u_gyro**2 + observing.GYRO_FLOOR**2) * np.eye(ng), (N, 1, 1)),
+        gyro_covariance=np.tile((u_gyro**2 + GYRO_FLOOR**2) * np.eye(ng), (N, 1, 1)),
         gyro_drift=np.zeros((N, ng)),
         gyro_noise=np.full((N, ng), noise.gyro),
         temperatures=None,
@@ -181,7 +183,7 @@ def observations(
         integrals.append(readings[1:].sum(axis=0) * dt)
     start = 1 + (samples + 1) * np.arange(len(way.moves))
     kept = TurnSamples(samples=stored, start=start, stop=start + samples)
-    floor = observing.TURN_FLOOR**2 * np.eye(3)
+    floor = TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=np.arange(N - 1),
         last=np.arange(1, N),
@@ -211,7 +213,7 @@ def observations(
 
 def _turn_readings(integrals: list[Array], noise: Noise, way: Course) -> TurnReadings:
     count = len(integrals[0])
-    variance = noise.gyro**2 * way.durations + observing.TURN_FLOOR**2
+    variance = noise.gyro**2 * way.durations + TURN_FLOOR**2
     return TurnReadings(integral=np.array(integrals), covariance=variance[:, None, None] * np.eye(count))
 
 

@@ -10,7 +10,8 @@ from tumble.campaigns.triads import LANES, STEPS, fit_statics
 from tumble.estimation.likelihood import Point, Problem, Scatter, linearise, weights
 from tumble.estimation.step import solve
 from tumble.recording.session import Site
-from tumble.reduction.observations import Observations, Rests
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import Rests
 from tumble.sensors.model import Block
 from tumble.units import Array
 

@@ -27,7 +27,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.description import description_of
 from tumble.recording.log import open_log
-from tumble.recording.session import read_session
+from tumble.recording.session_file import read_session
 from tumble.simulation.session import read_truth, simulate_session
 from tumble.simulation.temperature_profile import (
     temperature_profile,

@@ -27,7 +27,8 @@ from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import variables_of
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log
-from tumble.recording.session import Session, session_of, write_session
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_of, write_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.sensors.instrument import Instrument

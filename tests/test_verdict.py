@@ -22,7 +22,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.estimation.causes.chances import weighted_chance
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.diagnosis.misfit import misfit
-from tumble.estimation.diagnosis.site_gravity import gravity_said
+from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
 from tumble.estimation.diagnosis.undetermined import listed
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
@@ -206,8 +206,10 @@ def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
     assert "+1110 mGal" in refused.reasons[0]
     assert verdict(estimate, wrong, gravity_confirmed=True).accepted
     doubtful = replace(observations.site, gravity=observations.site.gravity + 0.0031)
-    assert "more than 300" in str(gravity_said(doubtful))
-    assert "more than" not in str(gravity_said(observations.site))
+    assert "+310 mGal from normal gravity, more than 300" in gravity_doubted(doubtful)[0]
+    assert not gravity_doubted(observations.site)
+    assert gravity_said(observations.site).endswith("+0 mGal from normal gravity")
+    assert gravity_said(replace(observations.site, latitude=None)).endswith("m/s^2")
 
 
 def test_a_latitude_that_the_gyros_contradict_is_named() -> None:

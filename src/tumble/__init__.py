@@ -91,9 +91,9 @@ if TYPE_CHECKING:
     from tumble.recording.log import Log as Log
     from tumble.recording.log import open_log as open_log
     from tumble.recording.session import Session as Session
-    from tumble.recording.session import read_session as read_session
-    from tumble.recording.session import session_of as session_of
-    from tumble.recording.session import write_session as write_session
+    from tumble.recording.session_file import read_session as read_session
+    from tumble.recording.session_file import session_of as session_of
+    from tumble.recording.session_file import write_session as write_session
     from tumble.reduction.allan_deviation import allan_deviation as allan_deviation
     from tumble.reduction.observations import Observations as Observations
     from tumble.registry.connect import Registry as Registry
@@ -113,9 +113,9 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "Session": "recording.session",
-    "read_session": "recording.session",
-    "session_of": "recording.session",
-    "write_session": "recording.session",
+    "read_session": "recording.session_file",
+    "session_of": "recording.session_file",
+    "write_session": "recording.session_file",
     "session_of_arrays": "recording.arrays",
     "description_of": "recording.description",
     "open_log": "recording.log",

@@ -12,7 +12,8 @@ from typing import Any
 from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError, SessionError
 from tumble.files import whole_file
-from tumble.recording.session import SESSION_FILE, Exclusion, Session, read_session, write_session
+from tumble.recording.session import Exclusion, Session
+from tumble.recording.session_file import SESSION_FILE, read_session, write_session
 
 _DIALECT = ("delimiter", "decimal", "comment", "header", "encoding")
 _NOT_IN_A_NAME = re.compile(r"[^\w.+-]+")

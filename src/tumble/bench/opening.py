@@ -12,7 +12,7 @@ from tumble.bench.sources import MOTIONCAL_LOG, LineSource, in_si, is_recorded, 
 from tumble.bench.station import Station
 from tumble.errors import InputError
 from tumble.programme.positions import programme as built_in
-from tumble.recording.session import SESSION_FILE, read_session
+from tumble.recording.session_file import SESSION_FILE, read_session
 
 FULL_SCALE_OF_VIRTUAL = 5.235987755982989  # rad/s: 300 °/s
 

@@ -23,7 +23,8 @@ from typing import Any, Protocol
 from tumble.bench.lines import MOTIONCAL_COLUMNS
 from tumble.documents import whole_number
 from tumble.errors import InputError, needs_extra
-from tumble.recording.session import LogSpec, read_session
+from tumble.recording.session import LogSpec
+from tumble.recording.session_file import read_session
 
 _READ_BYTES = 1 << 16
 _AGAIN_SECONDS = 0.5

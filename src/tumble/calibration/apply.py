@@ -33,11 +33,14 @@ from tumble.errors import InputError, LogError
 from tumble.estimation.variables import sensors_at
 from tumble.files import FilePath
 from tumble.recording.arrays import SI
+from tumble.recording.clock import times_of
 from tumble.recording.description import description_of
 from tumble.recording.formats.columns import unit_of_name
 from tumble.recording.log import open_log
-from tumble.recording.readers import LogSource, rows_of_numbers, source_of, times_of
-from tumble.recording.session import Channels, LogSpec, Magnetometer, Session, session_from
+from tumble.recording.log_source import LogSource, rows_of_numbers
+from tumble.recording.readers import source_of
+from tumble.recording.session import Channels, LogSpec, Magnetometer, Session
+from tumble.recording.session_file import session_from
 from tumble.recording.writer import write_tables
 from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import Compensator

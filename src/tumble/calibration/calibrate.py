@@ -28,7 +28,8 @@ from tumble.estimation.methods.staged.method import staged
 from tumble.files import FilePath
 from tumble.recording.arrays import Temperatures, session_of_arrays
 from tumble.recording.log import Log
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import guessed_grade

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tumble.calibration.correction import true_force, true_rate
+from tumble.calibration.calibration_content import FORMAT, content_of
+from tumble.calibration.corrected_readings import corrected_readings
 from tumble.calibration.coverage import with_degrees
-from tumble.calibration.given_temperatures import given_temperatures
 from tumble.calibration.reframed import reframed
 from tumble.calibration.results import (
     Launch,
@@ -30,12 +30,9 @@ from tumble.calibration.results import (
     RestResult,
     TurnResult,
     covariance_from,
-    fits_content,
     fits_from,
-    member_content,
     member_from,
     optional,
-    parameter_content,
     parameter_from,
     readings_from,
     rest_from,
@@ -48,23 +45,20 @@ from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
 from tumble.files import FilePath, whole_file
-from tumble.recording.arrays import Temperatures, numbers_of
-from tumble.recording.autopilot import AutopilotSensor, sensors_content, sensors_from
-from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_content, circumstances_from
+from tumble.recording.arrays import Temperatures
+from tumble.recording.autopilot import AutopilotSensor, sensors_from
+from tumble.recording.circumstances import UNKNOWN, Circumstances, circumstances_from
 from tumble.recording.session import Site
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import frame_of, triad_axes
 from tumble.sensors.model import Block, SensorKind, SensorModel
-from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
+from tumble.sensors.parameters import sensor_kind, within_group
 from tumble.units import Array
 
 if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
     from matplotlib.axes import Axes
-
-FORMAT = 1
-
 
 SensingAxes = tuple[tuple[float, ...], ...]
 """Sensing directions, a row a sensor."""
@@ -220,26 +214,7 @@ class Calibration:
         Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
         of a frame whose names say another unit, and temperatures that are not in kelvin."""
         compensator = self.compensator if self.accel is not None else None
-        force_readings = _checked(None if compensator is None else compensator.accel, "accel", accel, dt)
-        assert compensator is not None
-        shape = force_readings.shape[:-1]
-        steps, celsius = _intervals(dt, shape), given_temperatures(temperature, compensator, shape)
-        flat = force_readings.reshape(-1, compensator.accel.size)
-        force = true_force(compensator, flat, dt=steps, temperature=celsius["accel"])
-        felt = force.reshape(*shape, 3)
-        if gyro is None:
-            return felt, None
-        rate_readings = _checked(compensator.gyro, "gyro", gyro, dt)
-        assert compensator.gyro is not None
-        if rate_readings.shape[:-1] != shape and not (compensator.linear and dt is None):
-            raise InputError(
-                f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape "
-                f"{rate_readings.shape}"
-            )
-        turned = rate_readings.reshape(-1, compensator.gyro.size)
-        force = force if steps is None else force / steps[:, None]
-        rate = true_rate(compensator, turned, force, dt=steps, temperature=celsius["gyro"])
-        return felt, rate.reshape(*rate_readings.shape[:-1], 3)
+        return corrected_readings(compensator, accel, gyro, dt=dt, temperature=temperature)
 
     def in_frame(self, frame: str) -> Calibration:
         """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
@@ -258,28 +233,6 @@ class Calibration:
             return reframed(self, frame_of(frame))
         except InputError as error:
             raise CalibrationError(str(error)) from error
-
-    def _temperature_content(self) -> dict[str, Any]:
-        """The reference and the range, °C, and where they are known the thermometers and the lag behind them, s."""
-        content: dict[str, Any] = {"reference": self.reference_temperature, "range": self.temperature_range}
-        if self.thermometers:
-            content["thermometers"] = {kind: list(of) for kind, of in self.thermometers.items()}
-        if self.references:
-            content["references"] = {kind: list(of) for kind, of in self.references.items()}
-        lag = [p.value for p in self.parameters if p.name == "temperature.lag"]
-        return content | ({"lag": lag[0]} if lag else {})
-
-    def _with_further(self, kind: str, content: dict[str, Any] | None) -> dict[str, Any] | None:
-        """The model of a kind of sensor, and beside it the values of the groups beyond it."""
-        if content is None:
-            return None
-        further = {}
-        for group in self.groups:
-            members = [p for p in self.parameters if group_name(p.name) == group.name]
-            if group.kept and sensor_kind(group.name) == kind and members:
-                named = {within_group(p.name) or within_kind(p.name): p.value for p in members}
-                further[within_kind(group.name)] = named
-        return content | further
 
     def write(self, path: FilePath, *, force: bool = False) -> None:
         """Write the calibration file, whole or not at all. An existing file is replaced only if it came from the
@@ -311,62 +264,7 @@ class Calibration:
 
     def content(self) -> dict[str, Any]:
         """What the calibration file holds."""
-        return {
-            "format": FORMAT,
-            "device": {"serial": self.serial, "model": self.model}
-            | ({"imu": sensors_content(self.imu)} if self.imu else {}),
-            "method": self.method,
-            "frame": self.frame,
-            "parameters": [parameter_content(p) for p in self.parameters],
-            "covariance": None if self.covariance is None else self.covariance.tolist(),
-            "accel": self._with_further("accel", _model_content(self.accel, "m/s^2")),
-            "gyro": self._with_further("gyro", _model_content(self.gyro, "rad/s")),
-            "mag": _model_content(self.mag, self["mag.bias.x"].unit if self.mag is not None else ""),
-            "outcome": self.outcome.content(),
-            "groups": [_group_content(group) for group in self.groups],
-            "prediction": None if self.prediction is None else asdict(self.prediction),
-            "axes": {kind: [list(axis) for axis in axes] for kind, axes in self.axes.items()},
-            "temperature": self._temperature_content(),
-            "iterations": [
-                {"parameters": [{"name": n, "increment": v} for n, v in step.items()]} for step in self.iterations
-            ],
-            "sample_rate": self.sample_rate,
-            "clock_u": self.clock_u,
-            "site": None if self.site is None else asdict(self.site),
-            "session": circumstances_content(self.circumstances),
-            "programme": self.programme,
-            "readings": {kind: asdict(readings) for kind, readings in self.readings.items()},
-            "rests": [asdict(rest) for rest in self.rests],
-            "turns": [asdict(turn) for turn in self.turns],
-            "fits": fits_content(self.fits),
-            "notes": list(self.notes),
-            "launches": [
-                {
-                    "session": launch.session,
-                    "parameters": [parameter_content(p) for p in launch.parameters],
-                    "covariance": None if launch.covariance is None else launch.covariance.tolist(),
-                    "log_sha256": launch.log_sha256,
-                    "site": None if launch.site is None else asdict(launch.site),
-                    "circumstances": circumstances_content(launch.circumstances),
-                    "rests": [asdict(rest) for rest in launch.rests],
-                    "turns": [asdict(turn) for turn in launch.turns],
-                    "fits": fits_content(launch.fits),
-                }
-                for launch in self.launches
-            ],
-            "together": [member_content(member) for member in self.together],
-            "provenance": dict(self.provenance),
-        }
-
-
-def _group_content(group: GroupFinding) -> dict[str, Any]:
-    return {
-        "name": group.name,
-        "kept": group.kept,
-        "prior": group.prior,
-        "prior_widened": group.widened,
-        "learned": list(group.learned),
-    }
+        return content_of(self)
 
 
 def _nominal_axes(model: SensorModel) -> Array:
@@ -377,34 +275,6 @@ def _nominal_axes(model: SensorModel) -> Array:
         except InputError:  # three that are skew
             pass
     return np.asarray(model.matrix / np.linalg.norm(model.matrix, axis=1, keepdims=True))
-
-
-def _checked(block: Block | None, kind: str, given: npt.ArrayLike, dt: npt.ArrayLike | None) -> Array:
-    """Readings of a kind of sensors, one number for each sensor and sample."""
-    readings = numbers_of(kind, given, increments=dt is not None)
-    sensors = 0 if block is None else block.size
-    if readings.shape[-1:] != (sensors,):
-        raise InputError(
-            f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found an "
-            f"array of shape {readings.shape}"
-        )
-    return readings
-
-
-def _intervals(given: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array | None:
-    """An interval for each sample, flat; one for all of them is repeated."""
-    if given is None:
-        return None
-    numbers = numbers_of("dt", given)
-    if numbers.shape not in ((), shape):
-        raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {numbers.shape}")
-    return np.ravel(np.broadcast_to(numbers, shape))
-
-
-def _model_content(model: SensorModel | None, unit: str) -> dict[str, Any] | None:
-    if model is None:
-        return None
-    return {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": unit}
 
 
 def read_calibration(path: FilePath) -> Calibration:
@@ -466,7 +336,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
             return None
         return SensorModel(matrix=np.array(part["matrix"], float), bias=np.array(part["bias"], float))
 
-    outcome = content["outcome"]
+    temperature = content.get("temperature", {})
     parameters = with_degrees(map(parameter_from, content["parameters"]), fits_from(content))
     return Calibration(
         serial=content["device"]["serial"],
@@ -478,16 +348,14 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         accel=model(content["accel"]),
         gyro=model(content["gyro"]),
         mag=model(content.get("mag")),
-        outcome=_outcome_from(outcome),
+        outcome=_outcome_from(content["outcome"]),
         groups=tuple(_group_from(group) for group in content.get("groups", ())),
         prediction=optional(_prediction_from, content.get("prediction")),
         axes={kind: tuple(tuple(map(float, axis)) for axis in axes) for kind, axes in content.get("axes", {}).items()},
-        reference_temperature=optional(float, content.get("temperature", {}).get("reference")),
-        thermometers={kind: tuple(of) for kind, of in content.get("temperature", {}).get("thermometers", {}).items()},
-        references={
-            kind: tuple(map(float, of)) for kind, of in content.get("temperature", {}).get("references", {}).items()
-        },
-        measured_between=optional(_pair, content.get("temperature", {}).get("range")),
+        reference_temperature=optional(float, temperature.get("reference")),
+        thermometers={kind: tuple(of) for kind, of in temperature.get("thermometers", {}).items()},
+        references={kind: tuple(map(float, of)) for kind, of in temperature.get("references", {}).items()},
+        measured_between=optional(_pair, temperature.get("range")),
         imu=sensors_from(content["device"].get("imu", {})),
         sample_rate=optional(float, content.get("sample_rate")),
         clock_u=float(content.get("clock_u", 0.0)),
@@ -500,22 +368,23 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         programme=content.get("programme"),
         readings={kind: readings_from(each) for kind, each in content.get("readings", {}).items()},
         notes=tuple(content.get("notes", ())),
-        launches=tuple(
-            Launch(
-                session=launch["session"],
-                parameters=with_degrees(map(parameter_from, launch["parameters"]), fits_from(launch)),
-                covariance=covariance_from(launch["covariance"], len(launch["parameters"])),
-                log_sha256=launch.get("log_sha256", ""),
-                site=site_from(launch),
-                circumstances=circumstances_from(launch.get("circumstances", {})),
-                rests=tuple(map(rest_from, launch.get("rests", ()))),
-                turns=tuple(map(turn_from, launch.get("turns", ()))),
-                fits=fits_from(launch),
-            )
-            for launch in content.get("launches", ())
-        ),
+        launches=tuple(map(_launch_from, content.get("launches", ()))),
         together=tuple(map(member_from, content.get("together", ()))),
         provenance=dict(content["provenance"]),
+    )
+
+
+def _launch_from(content: Mapping[str, Any]) -> Launch:
+    return Launch(
+        session=content["session"],
+        parameters=with_degrees(map(parameter_from, content["parameters"]), fits_from(content)),
+        covariance=covariance_from(content["covariance"], len(content["parameters"])),
+        log_sha256=content.get("log_sha256", ""),
+        site=site_from(content),
+        circumstances=circumstances_from(content.get("circumstances", {})),
+        rests=tuple(map(rest_from, content.get("rests", ()))),
+        turns=tuple(map(turn_from, content.get("turns", ()))),
+        fits=fits_from(content),
     )
 
 

@@ -18,7 +18,7 @@ from pydantic_core import PydanticCustomError
 
 from tumble.documents import dotted, is_plain, shown
 from tumble.errors import CalibrationError
-from tumble.recording.session_keys import LONGEST_NAME, ImuTable
+from tumble.recording.session_keys.device import LONGEST_NAME, ImuTable
 
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LONGEST_TEXT = 10_000
@@ -257,7 +257,8 @@ class _ReadingsKeys(_Keys):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if not len(self.columns) == len(self.scale) == len(self.offset) or not all(self.scale):
+        seen = all(abs(scale) >= LEAST for scale in self.scale)
+        if not len(self.columns) == len(self.scale) == len(self.offset) or not seen:
             raise ValueError("expected a scale, not zero, and an offset for every column, found others")
         return self
 

@@ -39,7 +39,8 @@ from tumble.estimation.likelihood import Scatter
 from tumble.estimation.prediction import prediction
 from tumble.estimation.variables import variables_of
 from tumble.files import FilePath
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument

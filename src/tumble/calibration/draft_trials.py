@@ -17,7 +17,7 @@ from tumble.calibration.observed import Progress, inspect_session
 from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor, known_unit
 from tumble.errors import TumbleError
 from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
-from tumble.recording.session import session_of
+from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE
 

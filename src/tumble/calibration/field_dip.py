@@ -11,10 +11,9 @@ so alike; which of the two it is the hemisphere tells, where the latitude is kno
 
 from __future__ import annotations
 
-from itertools import permutations, product
-
 import numpy as np
 
+from tumble.estimation.diagnosis.exchanged_columns import signed_permutations
 from tumble.recording.session import Magnetometer
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -30,7 +29,7 @@ CONTRADICTS = 3.0
 TELLING_LATITUDE = 20.0 * DEGREE
 """Nearer the equator the field may point either way."""
 
-_ORDERS = [np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)]
+_ORDERS = signed_permutations()
 
 
 def exchanged_columns(

@@ -13,6 +13,7 @@ from tumble.calibration.notes import case_found, one_rate, unchecked
 from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.rests_and_turns import rest_results, turn_results
 from tumble.calibration.results import Parameter, Readings
+from tumble.estimation.diagnosis.site_gravity import gravity_doubted
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.recording.session import Channels, Session
@@ -61,6 +62,7 @@ def result_of(
         notes=bridged
         + exclusion.said(session.excluded)
         + observations.notes
+        + gravity_doubted(observations.site)
         + unchecked(estimate)
         + one_rate(estimate, observations)
         + limited

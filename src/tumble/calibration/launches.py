@@ -32,7 +32,8 @@ from tumble.estimation.prediction import Prediction, prediction
 from tumble.files import FilePath
 from tumble.recording.circumstances import AirConditions, Circumstances
 from tumble.recording.log import Log
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel

@@ -19,8 +19,10 @@ import numpy as np
 
 from tumble.calibration.draft import Draft, session_text
 from tumble.calibration.draft_trials import tried
-from tumble.calibration.found_log import FoundLog, files_of, found_log, mended, times_of
+from tumble.calibration.found_log import FoundLog, times_of
+from tumble.calibration.log_detection import files_of, found_log
 from tumble.calibration.log_times import Times
+from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
 from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
@@ -31,8 +33,8 @@ from tumble.recording.formats import Sensors
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, temperature_unit
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
-from tumble.recording.session import SESSION_FILE, session_of
-from tumble.recording.session_keys import TemperatureTable
+from tumble.recording.session_file import SESSION_FILE, session_of
+from tumble.recording.session_keys.temperature import TemperatureTable
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS
 
 _HEAD = 20_000

@@ -23,14 +23,16 @@ from tumble.files import FilePath
 from tumble.recording.circumstances import Circumstances
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.reduction import exclusion
 from tumble.reduction.blocks import Reduction, reduce_log
 from tumble.reduction.clipping import without_clipped_turns
 from tumble.reduction.matching import Match, match_rests
-from tumble.reduction.observations import Observations, observe, torn_turns
+from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
+from tumble.reduction.turns import torn_turns
 from tumble.units import IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]

@@ -17,7 +17,8 @@ from tumble.calibration.observed import Progress, inspect_session
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath
 from tumble.recording.log import Chunk, Log, open_log
-from tumble.recording.session import SESSION_FILE, Session, session_from, session_of
+from tumble.recording.session import Session
+from tumble.recording.session_file import SESSION_FILE, session_from, session_of
 from tumble.reduction.allan_deviation import Panel, allan_deviation, identify
 from tumble.units import Array
 

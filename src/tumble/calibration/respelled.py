@@ -16,7 +16,8 @@ from tumble.calibration.sentences import sentences
 from tumble.calibration.spelling import LEAST_NUMBERS, Spelling, most_common
 from tumble.files import whole_file
 from tumble.recording.dialect import encoding_of, is_clock
-from tumble.recording.readers import opened, readable
+from tumble.recording.log_source import readable
+from tumble.recording.text_pieces import opened
 
 _SEEN_LINES = 200
 _LONGEST_LINE = 4096

@@ -6,7 +6,8 @@ import numpy as np
 
 from tumble.calibration.results import RestResult, SensorsAtRest, TurnResult
 from tumble.estimation.estimate import Estimate
-from tumble.reduction.observations import Observations, Rests
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import Rests
 from tumble.sensors.model import Block
 from tumble.units import ZERO_CELSIUS, Array
 

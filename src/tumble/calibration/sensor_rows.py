@@ -14,7 +14,8 @@ from tumble.errors import InputError
 from tumble.files import whole_file
 from tumble.recording.dialect import Dialect, Top, dialect_of, is_clock
 from tumble.recording.formats.columns import ACCEL, SENSOR_WORDS
-from tumble.recording.readers import opened, readable
+from tumble.recording.log_source import readable
+from tumble.recording.text_pieces import opened
 
 _SEEN_BYTES = 1 << 18
 _MOST_SENSORS = 20

@@ -26,7 +26,8 @@ from tumble.estimation.methods.joint.method import joint
 from tumble.files import FilePath
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Log
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.sensors.frames import Frame

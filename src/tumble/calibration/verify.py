@@ -36,7 +36,8 @@ from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, sigmas
 from tumble.estimation.variables import sensors_at
 from tumble.files import FilePath
-from tumble.recording.session import Session, session_from
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_from
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block

@@ -25,7 +25,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
-from tumble.recording.session import SESSION_FILE, read_session
+from tumble.recording.session_file import SESSION_FILE, read_session
 
 MANIFESTS = (".txt", ".csv")
 COLUMN = "session"

@@ -89,7 +89,7 @@ def calibrate(
     from tumble.calibration.launches import calibrate_launches
     from tumble.calibration.new_session import NOTHING_GIVEN, Given
     from tumble.calibration.together import calibrate_together
-    from tumble.recording.session import read_session
+    from tumble.recording.session_file import read_session
     from tumble.simulation.session import read_truth
     from tumble.simulation.temperature_profile import truth_at
     from tumble.terminal.calibration import calibration_report

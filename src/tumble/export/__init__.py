@@ -114,7 +114,7 @@ def _check_wanted(to: str, noise: NoiseDensities | None, certificate: Certificat
 
 def _noise(given: NoiseDensities | Session | FilePath | None) -> NoiseDensities | None:
     from tumble.export.kalibr import NoiseDensities, noise_densities
-    from tumble.recording.session import session_from
+    from tumble.recording.session_file import session_from
 
     return given if given is None or isinstance(given, NoiseDensities) else noise_densities(session_from(given))
 

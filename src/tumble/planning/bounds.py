@@ -35,15 +35,9 @@ from tumble.planning.setup import Setup, check_setup
 from tumble.planning.steady_turns import steady_moments
 from tumble.recording.session import Site
 from tumble.reduction.moments import Moments
-from tumble.reduction.observations import (
-    ACCEL_FLOOR,
-    GYRO_FLOOR,
-    TURN_FLOOR,
-    VELOCITY_FLOOR,
-    Observations,
-    Rests,
-    Turns,
-)
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
+from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, Turns
 from tumble.rotation import rotation_vector
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block

@@ -25,10 +25,11 @@ from tumble.estimation.likelihood import Point, Problem, Rows, instruments_of, l
 from tumble.planning.bounds import Course, instrument_of, observed
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme
-from tumble.reduction.observations import Observations, Together, Turns
+from tumble.reduction.observations import Observations, Together
 from tumble.reduction.segmentation import margin_of
 from tumble.reduction.thermometer import Thermometers
 from tumble.reduction.together import MOST_PARTS, SHORTEST_PART, WARMED, held
+from tumble.reduction.turns import Turns
 from tumble.units import Array
 
 TYPICAL = 0.5

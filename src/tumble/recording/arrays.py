@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from tumble.errors import InputError
 from tumble.recording.formats.columns import unit_of_name
-from tumble.recording.session import Session, session_of
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_of
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, ZERO_CELSIUS, Array
 
 SI = {"accel": ("m/s^2", "m/s"), "gyro": ("rad/s", "rad")}

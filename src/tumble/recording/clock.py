@@ -5,7 +5,11 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime, timedelta
 
+import numpy as np
 import polars as pl
+
+from tumble.recording.session import LogSpec
+from tumble.units import Array
 
 _DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[-./](\d{4}))"
 _TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
@@ -45,3 +49,15 @@ def _days(text: pl.Series) -> pl.Series:
     year, month, day = (found[i].zip_with(found[i].is_not_null(), found[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
     written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
     return written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
+
+
+def times_of(column: pl.Series, spec: LogSpec) -> Array:
+    """The times (s) of a log's time column, as it is in a table with all columns."""
+    if spec.clock and column.dtype == pl.String:
+        return seconds_of(column, 0).to_numpy()
+    if isinstance(column.dtype, pl.Datetime):
+        since = (column - column.dt.truncate("1d")[0]).dt.total_nanoseconds()
+        return np.asarray(since.to_numpy() * 1e-9)
+    comma = spec.dialect is not None and spec.dialect.decimal == "," and column.dtype == pl.String
+    numbers = (column.str.replace(",", ".") if comma else column).cast(pl.Float64)
+    return np.asarray(numbers.to_numpy() * spec.time_factor)

@@ -15,7 +15,8 @@ from tumble.recording.autopilot import sensors_content
 from tumble.recording.circumstances import Circumstances, circumstances_content
 from tumble.recording.dialect import Dialect
 from tumble.recording.session import Channels, LogSpec, ProgrammeSpec, Session, Site, TemperatureChannels
-from tumble.recording.session_keys import CLOCK, TemperatureTable
+from tumble.recording.session_keys.log import CLOCK
+from tumble.recording.session_keys.temperature import TemperatureTable
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TIME_UNITS, Unit
 
 

@@ -27,7 +27,7 @@ import numpy.typing as npt
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.readers import Kind, LogSource, Unread, unread_error
+from tumble.recording.log_source import Kind, LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
 from tumble.units import Array, BoolArray, IntArray
 

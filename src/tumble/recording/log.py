@@ -19,7 +19,8 @@ from tumble.errors import LogError, did_you_mean
 from tumble.recording.circumstances import date_of_unix
 from tumble.recording.dialect import LINE_BYTES
 from tumble.recording.gaps import Bridge, Gap, Grid, check_head, is_reading, rows_of
-from tumble.recording.readers import Kind, LogSource, readable, source_of
+from tumble.recording.log_source import Kind, LogSource, readable
+from tumble.recording.readers import source_of
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array

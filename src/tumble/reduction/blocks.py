@@ -92,6 +92,10 @@ class FileBlocks:
     magnetometer: Array | None
     magnetometer_tail: Tail | None
 
+    def sample_at(self, block: int) -> int:
+        """Position of a block's first sample among the stored increments."""
+        return self.first_sample + self.size * block
+
     def accel_mean(self, first: int, last: int) -> Array:
         """Mean accelerometer reading (n,) over blocks first … last − 1, and over the tail where they end the file."""
         return self.accel_tail.mean(self.accel, first, last)
@@ -125,6 +129,16 @@ class Reduction:
     """Rows whose accelerometers and gyros all read what they read in the row before."""
     gaps: tuple[Gap, ...] = ()
     """Lost samples of the log, as it was read."""
+
+    @property
+    def by_file(self) -> dict[int, FileBlocks]:
+        """The blocks of each file by its number."""
+        return {each.file: each for each in self.files}
+
+    @property
+    def block_seconds(self) -> float:
+        """Duration of a block, s."""
+        return self.files[0].size / self.rate
 
     @property
     def held(self) -> int:

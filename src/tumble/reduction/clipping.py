@@ -32,12 +32,12 @@ def without_clipped_turns(reduction: Reduction, match: Match, gyro: Block, chann
     limits, samples = _limits(reduction, channels), reduction.samples
     if samples is None or not np.isfinite(limits).any():
         return reduction
-    files, gaps = {f.file: f for f in reduction.files}, list[Gap]()
+    files, gaps = reduction.by_file, list[Gap]()
     for before, after in pairwise(match.rests):
         if before.file != after.file:
             continue
         of = files[before.file]
-        start, stop = (of.first_sample + of.size * block for block in (before.last, after.first))
+        start, stop = of.sample_at(before.last), of.sample_at(after.first)
         rates, _, _, spare = samples.read_with_spare(start, stop)
         of_gyros = spare[:, max(spare.shape[1] - (gyro.size - 3), 0) :]
         if of_gyros.shape[1] < gyro.size - 3:

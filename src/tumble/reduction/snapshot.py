@@ -19,7 +19,7 @@ from functools import reduce
 import numpy as np
 
 from tumble.reduction.blocks import FileBlocks, Reducer, Reduction
-from tumble.reduction.observations import Rests, reduced_rests
+from tumble.reduction.rests import Rests, reduced_rests
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests, rest_between
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.units import Array

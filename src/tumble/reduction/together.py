@@ -16,17 +16,13 @@ import numpy as np
 
 from tumble.reduction.blocks import Reduction
 from tumble.reduction.matching import Match
-from tumble.reduction.observations import (
-    Observations,
-    Rests,
-    Together,
-    TurnReadings,
-    Turns,
-    TurnSamples,
-)
+from tumble.reduction.observations import Observations, Together
+from tumble.reduction.rests import Rests
 from tumble.reduction.rounding import Rounding
 from tumble.reduction.segmentation import RestSpan
 from tumble.reduction.thermometer import Thermometers
+from tumble.reduction.turn_samples import TurnSamples
+from tumble.reduction.turns import TurnReadings, Turns
 from tumble.units import Array, IntArray
 
 WARMED = 1.0
@@ -40,7 +36,7 @@ HELD = 1e-6
 
 def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
     """The rests of a match, those that warm in parts, and the number of the rest that each of these is of."""
-    by_file = {f.file: f for f in reduction.files}
+    by_file = reduction.by_file
     spans: list[RestSpan] = []
     number: list[int] = []
     for i, span in enumerate(match.rests):

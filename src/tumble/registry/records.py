@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from tumble.errors import InputError
-from tumble.recording.session_keys import LONGEST_NAME
+from tumble.recording.session_keys.device import LONGEST_NAME
 
 if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration

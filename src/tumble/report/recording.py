@@ -11,6 +11,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import ProgrammeError
+from tumble.estimation.diagnosis.site_gravity import MILLIGAL, gravity_difference
 from tumble.estimation.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
@@ -77,7 +78,9 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
     elif site.gravity_u == 0.0:
         gravity = f"{fixed(site.gravity, 7)} m/s², taken as exact: no uncertainty of it was stated"
     height = () if site.latitude is None else (("height", f"{fixed(site.height, 1)} m"),)
-    return (("latitude", latitude), *height, ("gravity", gravity))
+    difference = None if site.gravity_is_unit else gravity_difference(site)
+    against = () if difference is None else (("from normal gravity", f"{difference / MILLIGAL:+z.0f} mGal"),)
+    return (("latitude", latitude), *height, ("gravity", gravity), *against)
 
 
 def site(all_of_them: Sequence[RecordedSession]) -> Section:

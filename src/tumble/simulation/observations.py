@@ -32,19 +32,10 @@ from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.planning.inertial_turns import inertial_turns
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.observations import (
-    ACCEL_FLOOR,
-    AHEAD,
-    GYRO_FLOOR,
-    TURN_FLOOR,
-    VELOCITY_FLOOR,
-    VELOCITY_STEP,
-    Observations,
-    Rests,
-    TurnReadings,
-    Turns,
-    TurnSamples,
-)
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
+from tumble.reduction.turn_samples import AHEAD, TurnSamples
+from tumble.reduction.turns import TURN_FLOOR, VELOCITY_FLOOR, VELOCITY_STEP, TurnReadings, Turns
 from tumble.rotation import onto_body, rotation_matrix, skew
 from tumble.sensors.instrument import readings
 from tumble.sensors.model import Block

@@ -15,7 +15,8 @@ from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.planning.setup import Setup
 from tumble.programme.positions import BUILT_IN, Programme
-from tumble.recording.session import Session, session_of, write_session
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_of, write_session
 from tumble.sensors.model import Block
 from tumble.simulation.climate import Climate
 from tumble.simulation.recording import Recording, record

@@ -27,6 +27,7 @@ from tumble.calibration.further import (
 )
 from tumble.calibration.launches import difference_percent
 from tumble.calibration.results import Parameter
+from tumble.estimation.diagnosis.site_gravity import gravity_said
 from tumble.terminal.table import add_numbers, plain_table
 from tumble.terminal.text import shown_units
 from tumble.units import G_STANDARD, engineering, rounded
@@ -217,6 +218,8 @@ def calibration_report(
         parts.append(Text(predicted(whole.prediction)))
     if decided := decided_by_priors(whole):
         parts.append(Text(decided))
+    if calibration.site is not None and not calibration.site.gravity_is_unit:
+        parts.append(Text(gravity_said(calibration.site)))
     parts += [Text(note) for note in (*without_expanded(calibration.parameters), *calibration.notes)]
     parts += [Text(f"remark: {remark}") for remark in calibration.outcome.remarks]
     parts += [Text(""), *map(Text, verdicts(calibration))]

@@ -14,7 +14,6 @@ from tumble.units import G_STANDARD, Array
 MEMORIES = (10.0, 60.0, 300.0)
 """Time constants of a memory that are tried, s."""
 
-
 PLAY = 0.05 * G_STANDARD
 """Half the width of the play of a hysteresis: a change of the own force by twice as much takes it across."""
 

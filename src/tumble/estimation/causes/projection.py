@@ -19,7 +19,6 @@ from tumble.units import Array
 NO_HEADING = 100.0
 """rad: how well every angle of an attitude is known beforehand, so that a heading that nothing shows has a row."""
 
-
 SEEN_HEADING = 0.05
 """rad: a heading that the gyros at rest know better is where the rows were linearised."""
 

@@ -18,18 +18,14 @@ from tumble.units import DEGREE, GYRO_UNITS, TIME_UNITS, Array
 CARRIED = 0.25
 """rad: the turns of nominal gyros miss the vertical by less at the mean, unless a unit, a sign or a column is wrong."""
 
-
 EVIDENT = 0.5
 """rad: no half turn of nominal gyros misses the vertical by as much: bias, scale and axis errors of 5 % leave less."""
-
 
 SMALL_SCALE_ERROR = 0.1
 """Scale-factor errors that a calibration is for."""
 
-
 FASTEST_TURN = 10.0
 """rad/s: by hand or on a table."""
-
 
 BIAS_LIMIT = 100.0
 """rad/s: what no gyro measures, let alone as its bias."""

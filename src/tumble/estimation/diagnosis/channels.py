@@ -13,14 +13,11 @@ from tumble.units import G_STANDARD, Array
 REST_SHARE = 0.2
 """At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
 
-
 IMPOSSIBLE = 1e10
 """SI: no sensor reads as much, in whatever unit its log is taken to be."""
 
-
 CHANCE = 1e-9
 """Probability below which a row of equal samples is no accident."""
-
 
 LEAPING = 0.3 * G_STANDARD
 """From one sample to the others of its 0.1 s, most of the time: no vibration that a device rests in is as large."""

@@ -19,15 +19,23 @@ def gravity_difference(site: Site) -> float | None:
     return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
 
 
-def gravity_said(site: Site) -> str | None:
-    """Gravity against normal gravity, in words; None where the latitude is not known."""
+def gravity_said(site: Site) -> str:
+    """Gravity, and where the latitude is known how far from normal gravity."""
     difference = gravity_difference(site)
-    if difference is None:
-        return None
-    said = f"gravity {site.gravity:.6f} m/s^2 is {difference / MILLIGAL:+.0f} mGal from normal gravity"
-    if abs(difference) <= GRAVITY_DOUBTED:
-        return said
-    return f"{said}, more than {GRAVITY_DOUBTED / MILLIGAL:.0f}: look at gravity, latitude_deg and height_m in [site]"
+    against = "" if difference is None else f", {difference / MILLIGAL:+z.0f} mGal from normal gravity"
+    return f"gravity {site.gravity:.6f} m/s^2{against}"
+
+
+def gravity_doubted(site: Site) -> tuple[str, ...]:
+    """Gravity that few places have, as a note."""
+    difference = gravity_difference(site)
+    if difference is None or abs(difference) <= GRAVITY_DOUBTED:
+        return ()
+    return (
+        f"{gravity_said(site)}, more than {GRAVITY_DOUBTED / MILLIGAL:.0f}: look at gravity, latitude_deg and height_m "
+        f"in [site]; if that is wrong, the scale factors of the accelerometers are off by "
+        f"{difference / site.gravity * 1e6:+.0f} ppm",
+    )
 
 
 def gravity_refused(site: Site) -> Iterator[str]:
@@ -35,7 +43,6 @@ def gravity_refused(site: Site) -> Iterator[str]:
     difference = gravity_difference(site)
     if difference is not None and abs(difference) > GRAVITY_REFUSED:
         yield (
-            f"gravity {site.gravity:.6f} m/s^2 is {difference / MILLIGAL:+.0f} mGal from normal gravity, more than "
-            f"{GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the accelerometers would be wrong with it; "
-            "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true"
+            f"{gravity_said(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
+            "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true"
         )

@@ -39,7 +39,8 @@ from tumble.estimation.methods.paper.four_stages import (
     gyro_matrix_pass,
 )
 from tumble.estimation.methods.paper.levelling import vertical
-from tumble.reduction.observations import Observations, Turns
+from tumble.reduction.observations import Observations
+from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import group_name

@@ -22,7 +22,8 @@ from tumble.estimation.estimate import (
 from tumble.estimation.gauss_newton import gauss_newton
 from tumble.estimation.methods.staged.accelerometers import Accelerometers
 from tumble.estimation.methods.staged.gyro_rows import GyroRows, GyroScatter, gyro_rows
-from tumble.reduction.observations import Observations, Turns
+from tumble.reduction.observations import Observations
+from tumble.reduction.turns import Turns
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import limits_of
 from tumble.units import Array

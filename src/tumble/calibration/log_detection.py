@@ -1,0 +1,198 @@
+"""What files of text or Parquet are: how they are written, and which columns are those of which sensors."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers
+from tumble.calibration.respelled import respelled
+from tumble.calibration.sensor_rows import files_by_sensor
+from tumble.calibration.sensors_apart import of_sensors_apart
+from tumble.errors import InputError
+from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
+from tumble.recording.formats.columns import ACCEL, columns_by_name, time_unit
+from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
+from tumble.recording.log_source import readable
+from tumble.recording.readers import ENDINGS, source_of
+from tumble.recording.text_pieces import opened
+
+_SEEN_BYTES = 1 << 18
+
+
+def files_of(log: Path) -> list[Path]:
+    """The files that a path means: itself, those of a folder, or those that a pattern fits."""
+    if log.is_dir():
+        if (log / "metadata.yaml").is_file():
+            return [log]
+        found = [file for file in log.iterdir() if file.is_file() and not file.name.startswith(".")]
+        found = [
+            file for file in found if file.suffix.lower() not in (".toml", ".json", ".md", ".pdf", ".png", ".html")
+        ]
+        if not found:
+            raise InputError(f"{log}: expected a folder with logs, found none in it")
+        return sorted(found, key=_natural)
+    if not log.exists() and set(log.name) & set("*?["):
+        found = sorted(log.parent.glob(log.name), key=_natural)
+        if not found:
+            raise InputError(f"{log}: expected files that fit this pattern, found none")
+        return found
+    if not log.exists():
+        raise InputError(f"{log}: expected a log, found no such file")
+    return [log]
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Names in the order of the numbers in them: pos2 before pos10."""
+    return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in re.split(r"([0-9]+)", path.name)]
+
+
+def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
+    """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
+    parts = [part for file in files for part in files_by_sensor(file, folder) or [file]]
+    logs, left = _those_with_rows(parts, folder)
+    if len(logs) > 1 and not any(log.columns.triads for log in logs):
+        apart = of_sensors_apart(logs, folder)
+        return replace(apart, said=(*apart.said, *left))
+    logs = [_by_data(log) if ACCEL not in log.columns.triads else _with_time(log) for log in logs]
+    first = logs[0]
+    for log in logs[1:]:
+        if (
+            log.keys != first.keys
+            or log.columns.triads != first.columns.triads
+            or log.columns.time != first.columns.time
+        ):
+            raise InputError(
+                f"{log.files[0]}: expected a log written as {first.files[0].name} is, found another; give them to "
+                "sessions of their own"
+            )
+    check_has_accelerometers(first)
+    said = first.said + ((f"{len(logs)} files, each a recording of its own",) if len(logs) > 1 else ()) + left
+    return replace(first, files=tuple(file for log in logs for file in log.files), said=said)
+
+
+class _NoRowsError(InputError):
+    """A text file without rows of readings."""
+
+
+def _those_with_rows(files: Sequence[Path], folder: Path) -> tuple[list[FoundLog], tuple[str, ...]]:
+    """What the files are, and what is said of those left out: text without rows of readings beside logs that have
+    some, as the metadata that a phone writes."""
+    logs: list[FoundLog] = []
+    without: list[_NoRowsError] = []
+    said: list[str] = []
+    for file in files:
+        try:
+            logs.append(_found(file, folder))
+        except _NoRowsError as error:
+            without.append(error)
+            said.append(f"{file.name} has no rows of readings and is left out")
+    if not logs:
+        raise without[0]
+    return logs, tuple(said)
+
+
+def _found(file: Path, folder: Path) -> FoundLog:
+    if file.suffix.lower() == ".parquet":
+        return FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))
+    with readable(file), opened(file) as stream:
+        seen = stream.read(_SEEN_BYTES)
+    if not seen:
+        raise InputError(f"{file}: expected a log, found an empty file")
+    copied = respelled(file, seen, folder)
+    if copied is not None:
+        log = _found(copied[0], folder)
+        return replace(log, said=(copied[1], *log.said))
+    dialect_and_top = dialect_of(seen)
+    if dialect_and_top is None:
+        if max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]:
+            raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
+        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
+    return _found_text(file, seen, *dialect_and_top)
+
+
+def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog:
+    plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
+    lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
+    rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
+    if len(rows) < 2:
+        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
+    cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
+    log = FoundLog(
+        files=(file,),
+        keys={} if plain else _keys(dialect),
+        columns=columns_by_name([name for name in top.names if top.names.count(name) == 1]),
+        remarks=top.remarks,
+        cells=cells,
+        said=() if plain else (_described(dialect, top),),
+        dialect=None if plain else dialect,
+    )
+    if log.columns.time is None:
+        clock = next((name for name in cells if log.is_clock(name)), None)
+        log = replace(log, columns=replace(log.columns, time=clock))
+    return log
+
+
+def _keys(dialect: Dialect) -> dict[str, Any]:
+    """What differs from a plain CSV file, and the delimiter."""
+    keys: dict[str, Any] = {"delimiter": dialect.delimiter}
+    for key in ("decimal", "comment", "header", "encoding"):
+        if getattr(dialect, key) != getattr(Dialect(), key):
+            keys[key] = getattr(dialect, key)
+    return keys
+
+
+_DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
+
+
+def _described(dialect: Dialect, top: Top) -> str:
+    parts = [f"{_DELIMITER_WORDS[dialect.delimiter]} between the values"]
+    parts += ["decimal commas"] if dialect.decimal == "," else []
+    parts += [dialect.encoding] if dialect.encoding != "utf-8" else []
+    parts += ["columns without names"] if not dialect.header else []
+    parts += [f"{top.lines} lines above the numbers"] if top.lines > 1 else []
+    return f"text: {', '.join(parts)}"
+
+
+def _numeric(log: FoundLog) -> list[str]:
+    """Columns of numbers."""
+    if not log.cells:
+        schema = pl.scan_parquet(log.files[0], glob=False).collect_schema()
+        return [name for name, kind in schema.items() if kind.is_numeric()]
+    is_number = (log.dialect or Dialect()).is_number
+    return [name for name, cells in log.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
+
+
+def _by_data(log: FoundLog) -> FoundLog:
+    """A log whose sensors are told by their numbers, if they can be."""
+    names = list(next(iter(log.sources())).names)
+    numeric = [name for name in _numeric(log) if names.count(name) == 1]
+    if len(numeric) < 3:
+        return log
+    found = columns_by_data(numeric, log.read(numeric, rows=LONGEST // 10))
+    time, unit = log.columns.time, log.columns.time_unit
+    columns = replace(found, time=time or found.time, time_unit=unit, counter=log.columns.counter)
+    if ACCEL not in found.triads:
+        return log
+    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in found.triads.items()]
+    return replace(log, columns=columns, said=(*log.said, *said))
+
+
+def _with_time(log: FoundLog) -> FoundLog:
+    """A log whose time, if no name says which column it is, is one that grows as times do."""
+    if log.columns.time is not None:
+        return log
+    known = {log.columns.counter, *(c for triad in log.columns.triads.values() for c in triad.columns)}
+    names = [name for name in _numeric(log) if name not in known]
+    if not names:
+        return log
+    time = time_by_data(names, log.read(names, rows=LONGEST // 10))
+    if time is None:
+        return log
+    said = f"time: column {time!r}, by its numbers (a guess)"
+    return replace(log, columns=replace(log.columns, time=time, time_unit=time_unit(time)), said=(*log.said, said))

@@ -1,0 +1,163 @@
+"""What a session file cannot say about a log is mended in a copy of it, in the session's folder.
+
+So are numbers of 16 bits that were read without their sign, times in ticks, samples that a counter shows to be missing,
+and positions that follow each other without a turn between them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from tumble.calibration.found_log import SAMPLE_ROWS, FoundLog
+from tumble.calibration.log_times import overflow_of, times_without_column, unwound
+from tumble.calibration.positions_apart import positions_apart
+from tumble.calibration.raw_scale import unwrapped, wrapped
+from tumble.errors import InputError
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER
+from tumble.recording.formats.message import TIME
+from tumble.recording.log_source import LogSource
+from tumble.recording.writer import write_tables
+
+_TICK = 1e-4  # s, of an Xsens SampleTimeFine
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Mending:
+    """What of a log a session file cannot say: the kinds of sensors whose 16 bits were read `unsigned`, a column and
+    what makes its numbers seconds, at which number its time stamps start anew, the first and last + 1 rows of positions
+    without turns between them, and all that in words."""
+
+    unsigned: tuple[str, ...] = ()
+    time: tuple[str, float] | None = None
+    overflow: float | None = None
+    positions: Sequence[tuple[int, int]] | None = None
+    said: tuple[str, ...] = ()
+
+
+def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
+    """A log, or the copy of one of which a session file cannot say what it needs."""
+    for kind, sensors in log.columns.triads.items():
+        if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
+            raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
+    mending = _with_positions(_with_time(_with_signs(_Mending(), log), log, rate), log)
+    return _copied(log, folder, mending) if mending.said else log
+
+
+def _with_signs(mending: _Mending, log: FoundLog) -> _Mending:
+    triads = log.columns.triads
+    unsigned = tuple(kind for kind in (ACCEL, GYRO) if kind in triads and wrapped(log.read(triads[kind].columns)))
+    if not unsigned:
+        return mending
+    named = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
+    said = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
+    return replace(mending, unsigned=unsigned, said=(*mending.said, said))
+
+
+def _with_time(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending:
+    """With what a column of ticks or a counter of samples needs; `rate` as given, Hz, which stands for time stamps."""
+    column, said = log.columns.time, list(mending.said)
+    if column is None:
+        counter = _counting(log)
+        if counter is None:
+            return mending
+        said.append(f"time: none, but column {counter!r} counts the samples and shows some to be missing")
+        per_second = rate or times_without_column(None, log.remarks).rate
+        return replace(mending, time=(counter, 1.0 / per_second), said=tuple(said))
+    tick, overflow = (_tick(log), _overflow(log)) if rate is None else (None, None)
+    if tick is not None:
+        said.append(f"time: column {column!r} in ticks of {tick:g} s, made seconds")
+    if overflow is not None:
+        said.append(f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does")
+    time = None if tick is None else (column, tick)
+    return replace(mending, time=time, overflow=overflow, said=tuple(said))
+
+
+def _with_positions(mending: _Mending, log: FoundLog) -> _Mending:
+    positions = positions_apart(log, unsigned=ACCEL in mending.unsigned)
+    if positions is None:
+        return mending
+    said = f"{len(positions)} positions one below the other without turns: a file each"
+    return replace(mending, positions=positions, said=(*mending.said, said))
+
+
+def _copied(log: FoundLog, folder: Path, mending: _Mending) -> FoundLog:
+    """The columns that matter, mended, as Parquet files in a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files: list[Path] = []
+    if mending.positions is not None:
+        whole = pl.concat(_tables(next(iter(log.sources())), log, mending))
+        for number, (start, stop) in enumerate(mending.positions, 1):
+            files.append(folder / f"position-{number:02d}.parquet")
+            write_tables(files[-1], iter([whole.slice(start, stop - start)]))
+    else:
+        for number, source in enumerate(log.sources(), 1):
+            files.append(folder / ("log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"))
+            write_tables(files[-1], _tables(source, log, mending))
+    columns = log.columns
+    if mending.time is not None:
+        columns = replace(columns, time=TIME, time_unit="s")
+    elif _clock(log) is not None:
+        columns = replace(columns, time_unit="s")
+    said = (*log.said, *mending.said, f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}")
+    return FoundLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=said)
+
+
+def _clock(log: FoundLog) -> str | None:
+    """The column of times of day, where there is one."""
+    column = log.columns.time
+    return column if column is not None and log.is_clock(column) else None
+
+
+def _tables(source: LogSource, log: FoundLog, mending: _Mending) -> Iterator[pl.DataFrame]:
+    """The rows of a file that have a time, mended."""
+    triads, time = log.columns.triads, mending.time
+    column = log.columns.time if time is None else time[0]
+    sensors = [c for triad in triads.values() for c in triad.columns]
+    used = [c for c in (column, *sensors, *dict.fromkeys(log.columns.temperatures)) if c is not None]
+    unsigned = [c for kind in mending.unsigned for c in triads[kind].columns]
+    last: float | None = None
+    for read, _ in source.tables(used, _clock(log)):
+        table = read.with_columns(pl.Series(c, unwrapped(read[c].to_numpy())) for c in unsigned)
+        if mending.overflow is not None and column is not None:
+            stamps = unwound(read[column].to_numpy(), mending.overflow, last)
+            last = next((float(t) for t in stamps[::-1] if np.isfinite(t)), last)
+            table = table.with_columns(pl.Series(column, stamps))
+        if time is not None:
+            table = table.rename({time[0]: TIME}).with_columns(pl.col(TIME) * time[1])
+        stamp = column if time is None else TIME
+        yield table if stamp is None else table.filter(pl.col(stamp).is_finite())
+
+
+def _overflow(log: FoundLog) -> float | None:
+    """The number at which the counter behind the time stamps starts anew, where it does."""
+    column = log.columns.time
+    return None if column is None or log.is_clock(column) else overflow_of(log.read([column])[:, 0])
+
+
+def _tick(log: FoundLog) -> float | None:
+    """The unit, s, of an Xsens SampleTimeFine: microseconds where steps are thousands."""
+    column = log.columns.time
+    if (
+        column is None
+        or log.columns.time_unit is not None
+        or "sampletimefine" not in re.sub(r"\W|_", "", column.lower())
+    ):
+        return None
+    step = float(np.nanmedian(np.diff(log.read([column], rows=10_000)[:, 0])))
+    return _TICK if step < 2000.0 else None
+
+
+def _counting(log: FoundLog) -> str | None:
+    """A column that counts the samples and jumps here and there."""
+    column = log.columns.counter
+    if column is None:
+        return None
+    steps = np.diff(log.read([column])[:, 0])
+    steps = steps[np.isfinite(steps)]
+    return column if len(steps) and (steps >= 1.0).all() and np.median(steps) == 1.0 and (steps > 1.0).any() else None

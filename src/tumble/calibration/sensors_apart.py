@@ -1,0 +1,77 @@
+"""Sensors that come in files of their own, as of phones, put together into one log."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from tumble.calibration.found_log import SHOWN, FoundLog, check_has_accelerometers
+from tumble.calibration.log_times import times_of_column
+from tumble.errors import InputError
+from tumble.recording import formats
+from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name
+from tumble.recording.formats.message import TIME, Message, Sensors
+from tumble.units import TIME_UNITS
+
+_UNCALIBRATED = re.compile(r"acc.*uncal", re.IGNORECASE)
+_NOT_ACCEL = re.compile(r"linear|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
+
+
+def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
+    """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
+    by_kind: dict[str, FoundLog] = {}
+    for log in logs:
+        name = log.files[0].stem
+        kind = next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
+        if kind is not None and not (kind == ACCEL and _NOT_ACCEL.search(name)):
+            by_kind.setdefault(kind, log)
+    uncalibrated = next((log for log in logs if _UNCALIBRATED.search(log.files[0].stem)), None)
+    if ACCEL not in by_kind and uncalibrated is not None:
+        by_kind[ACCEL] = uncalibrated
+    if ACCEL not in by_kind:
+        check_has_accelerometers(logs[0])
+    accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None
+    folder.mkdir(parents=True, exist_ok=True)
+    formats.as_log(folder / "log.parquet", accel, gyro)
+    triads = {ACCEL: accel.accel, GYRO: gyro.gyro if gyro is not None else None}
+    named = " and ".join(log.files[0].name for log in by_kind.values())
+    columns = Columns(
+        time=TIME,
+        time_unit="s",
+        triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
+        temperatures=(),
+        others=(),
+    )
+    said = f"{named}: one log at the times of the gyros, written to {folder / 'log.parquet'}"
+    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said,))
+
+
+def _message(log: FoundLog, kind: str) -> Message:
+    """The three columns of the one kind of sensors in a log, with their times, s."""
+    renamed = {name: f"{'a' if kind == ACCEL else 'g'} {name.split()[0] if name else name}" for name in log.cells}
+    known = columns_by_name(renamed.values())
+    named = {new: old for old, new in renamed.items()}
+    stamps, sensors = log.stamps(), known.triads.get(kind)
+    times = None if stamps is None else times_of_column(stamps)
+    if sensors is None or stamps is None or times is None:
+        raise InputError(
+            f"{log.files[0]}: expected a time and columns x, y and z, found {', '.join(list(log.cells)[:SHOWN])}; "
+            "rename them"
+        )
+    source = [named[column] for column in sensors.columns]
+    unit = columns_by_name([f"{'acc' if kind == ACCEL else 'gyro'} {n}" for n in source]).triads[kind].unit
+    x, y, z = (f"{kind}_{axis}" for axis in "xyz")
+    read = log.read([stamps.column, *source], clock=stamps.column if stamps.clock else None)
+    read[:, 0] *= 1.0 if stamps.clock else TIME_UNITS[times.keys.get("time_unit", "s")]
+    found = Sensors(columns=(x, y, z), unit=unit)
+    return Message(
+        name=log.files[0].name,
+        count=len(read),
+        accel=found if kind == ACCEL else None,
+        gyro=found if kind == GYRO else None,
+        rows=lambda: iter([pl.DataFrame(read[np.isfinite(read).all(axis=1)], schema=[TIME, x, y, z], orient="row")]),
+    )

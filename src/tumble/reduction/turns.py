@@ -1,0 +1,193 @@
+"""Turns: rotation and velocity from rest to rest, their sensitivities, and covariances from the noise of the rests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
+
+import numpy as np
+
+from tumble.recording.gaps import Gap
+from tumble.reduction.blocks import Reduction
+from tumble.reduction.coloured_noise import ColouredNoise
+from tumble.reduction.moments import (
+    BlockCompensation,
+    Compensation,
+    Moments,
+    integrate,
+    moments_of,
+)
+from tumble.reduction.motion_samples import MotionSamples
+from tumble.reduction.rests import gyro_of
+from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.turn_samples import TurnSamples
+from tumble.sensors.model import Block, SensorModel
+from tumble.units import Array, IntArray
+
+PATH_STEPS = 32
+VELOCITY_FLOOR = 1e-8  # m/s
+VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: what the integration errs by
+TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
+
+_BODY = Block(kind="gyro", axes=np.eye(3))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Turns:
+    """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
+    M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
+    velocity increment (K, 3), m/s, its covariance (K, 3, 3) from accelerometer noise, and `jumps` (K,), m²/s², the sum
+    of the squares of what the force jumps by from sample to sample times the interval (A3). All are resolved in the
+    non-rotating frame that is the body at the start of the turn."""
+
+    first: IntArray
+    last: IntArray
+    duration: Array
+    C: Array
+    M: Array
+    B: Array
+    covariance: Array
+    velocity: Array
+    velocity_covariance: Array
+    jumps: Array
+
+    def __len__(self) -> int:
+        return len(self.duration)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TurnReadings:
+    """Integrals (K, n) of the gyro readings over the turns, rad, and their covariance (K, n, n) from noise: what a
+    redundant block says beyond the rotation of the body."""
+
+    integral: Array
+    covariance: Array
+
+
+def linear_compensation(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: SensorModel) -> Compensation:
+    """Compensation by the linear models."""
+    return Compensation(
+        gyro=BlockCompensation.of(gyro.axes, gyro_model),
+        accel=BlockCompensation.of(accel.axes, accel_model),
+        g_sensitivity=np.zeros((3, 3)),
+        delay=0.0,
+    )
+
+
+def reduced_turns(
+    reduction: Reduction,
+    stored: MotionSamples,
+    spans: tuple[RestSpan, ...],
+    accel_noise: tuple[Block, ColouredNoise],
+    gyro_noise: tuple[Block, ColouredNoise],
+) -> tuple[Turns, TurnSamples]:
+    """The turns between consecutive rests, those that were recorded as a whole, integrated with nominal gyros."""
+    first, last = np.array(_recorded(spans, reduction.gaps), dtype=int).reshape(-1, 2).T
+    by_file, block_seconds = reduction.by_file, reduction.block_seconds
+    start = np.array([by_file[spans[i].file].sample_at(spans[i].last) for i in first], dtype=int)
+    stop = np.array([by_file[spans[j].file].sample_at(spans[j].first) for j in last], dtype=int)
+    duration = np.array([spans[j].start - spans[i].stop for i, j in zip(first, last, strict=True)])
+    samples = TurnSamples(samples=stored, start=start, stop=stop)
+    (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
+    moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
+    long = np.maximum(duration, block_seconds)
+    density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
+    velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
+    turns = Turns(
+        first=first,
+        last=last,
+        duration=duration,
+        C=moments.C,
+        M=moments.Phi[..., 1:4],
+        B=moments.Phi[..., 0],
+        covariance=_carried(samples, density) + TURN_FLOOR**2 * np.eye(3),
+        velocity=moments.V,
+        velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
+        jumps=moments.jumps,
+    )
+    return turns, samples
+
+
+def _recorded(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> list[tuple[int, int]]:
+    """The rests before and after each turn that was recorded as a whole, in one file."""
+    return [
+        (i, i + 1)
+        for i, (before, after) in enumerate(pairwise(spans))
+        if before.file == after.file and _tear(before, after, gaps) is None
+    ]
+
+
+def torn_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
+    """The turns that were not recorded as a whole, and why, as notes."""
+    torn = [(i, _tear(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
+    return tuple(
+        f"turn from rest {i} to rest {i + 1} is left out: {gap.why}" for i, gap in torn if gap is not None and gap.why
+    )
+
+
+def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | None:
+    """The last gap between two rests of a file across which no turn is known."""
+    return next(
+        (
+            gap
+            for gap in reversed(gaps)
+            if not gap.integrable
+            and gap.file == before.file == after.file
+            and gap.time < after.start
+            and gap.stop > before.stop
+        ),
+        None,
+    )
+
+
+def velocity_floor(moments: Moments, samples: IntArray) -> Array:
+    """Standard deviation (K,), m/s, of the velocities of turns of so many samples (K,) from rounding and from the error
+    of the integration, which is of third order in the angle of a step (A1)."""
+    mean_square = (moments.body_rates[:, [0, 3, 5]]).sum(axis=1) * moments.T
+    step = np.sqrt(mean_square) / np.maximum(samples, 1)
+    return np.asarray(VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * step**3)
+
+
+def _of_mean(block: Block, noise: ColouredNoise, blocks: float) -> Array:
+    """Covariance (3, 3) of a mean over so many blocks, in the body."""
+    to_body = np.linalg.pinv(block.axes)
+    return np.asarray(to_body @ noise.covariance_of_mean(blocks) @ to_body.T)
+
+
+def turn_readings(
+    reduction: Reduction, spans: tuple[RestSpan, ...], turns: Turns, noise: ColouredNoise
+) -> TurnReadings:
+    """The readings of every gyro between the rests, from the blocks."""
+    channels, by_file, block_seconds = noise.autocovariance.shape[0], reduction.by_file, reduction.block_seconds
+    integral, covariance = np.zeros((len(turns), channels)), np.zeros((len(turns), channels, channels))
+    for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
+        blocks, between = by_file[spans[i].file], slice(spans[i].last, spans[j].first)
+        integral[k] = np.diff(blocks.edges)[between] @ gyro_of(blocks)[between]
+        covariance[k] = T**2 * noise.covariance_of_mean(max(T / block_seconds, 1.0))
+    return TurnReadings(integral=integral, covariance=covariance + TURN_FLOOR**2 * np.eye(channels))
+
+
+def _carried(samples: TurnSamples, density: Array) -> Array:
+    """∫ C N Cᵀ dt (K, 3, 3), rad², of the turns and the density N (K, 3, 3), rad²/s, of their gyro noise, by the
+    trapezoidal rule over PATH_STEPS steps a piece."""
+    C = np.broadcast_to(np.eye(3), density.shape).copy()
+    out = np.zeros_like(density)
+    nominal = linear_compensation(_BODY, _BODY.nominal(), _BODY, _BODY.nominal())
+    for pieces in samples.pieces():
+        passed = np.concatenate([[0.0], np.cumsum(pieces.intervals)])
+        cuts = [
+            np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))
+            for a, b in zip(pieces.start, pieces.stop, strict=True)
+        ]
+        steps = moments_of(
+            replace(pieces, start=np.concatenate([c[:-1] for c in cuts]), stop=np.concatenate([c[1:] for c in cuts])),
+            nominal,
+        ).C
+        at = 0
+        for k, edges in zip(pieces.turn, cuts, strict=True):
+            path = np.array(list(accumulate(steps[at : at + len(edges) - 1], np.matmul, initial=C[k])))
+            at += len(edges) - 1
+            rotated = path @ density[k] @ np.swapaxes(path, 1, 2)
+            out[k] += 0.5 * np.tensordot(np.diff(passed[edges]), rotated[1:] + rotated[:-1], axes=1)
+            C[k] = path[-1]
+    return out
