@@ -44,5 +44,6 @@ def gravity_refused(site: Site) -> Iterator[str]:
     if difference is not None and abs(difference) > GRAVITY_REFUSED:
         yield (
             f"{gravity_said(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
-            "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true"
+            "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
+            "gravity_confirmed = true"
         )
