@@ -11,12 +11,13 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble.cli import main
+from tumble.earth import EARTH_RATE
 from tumble.planning.setup import Setup
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name, temperature_unit
 from tumble.recording.session import Session
 from tumble.recording.session_file import read_session
 from tumble.simulation.session import simulate_session
-from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
+from tumble.units import ACCEL_UNITS, DEGREE, DEGREE_PER_HOUR, GYRO_UNITS, Array
 
 
 def named(*stems: str, unit: str = "") -> list[str]:
@@ -348,3 +349,41 @@ def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, t
         assert said in result.stderr
         assert result.stderr.count("\n") == 1
         assert not (tmp_path / "n").exists()
+
+
+def still_gyros(folder: Path, worth: float, bias: Array) -> list[str]:
+    """Two minutes at 25 Hz with the X axis up and two with it down, at 50° north, of gyros with this bias, rad/s, whose
+    unit is worth so many rad/s; and what `tumble new` reads."""
+    rng, paths = np.random.default_rng(4), []
+    for side, sign in (("up", 1.0), ("down", -1.0)):
+        attitude = np.diag([sign, sign, 1.0])  # up, north, east in the body
+        rate = attitude @ (EARTH_RATE * np.array([np.sin(50.0 * DEGREE), np.cos(50.0 * DEGREE), 0.0])) + bias
+        gyro = (rate + 1e-5 * rng.standard_normal((3000, 3))) / worth
+        accel = 9.81 * attitude[0] + 1e-3 * rng.standard_normal((3000, 3))
+        columns = [np.arange(3000) / 25.0, *accel.T, *gyro.T]
+        paths.append(folder / f"{side}.csv")
+        pl.DataFrame(dict(zip(["t", *named("a", "g")], columns, strict=True))).write_csv(paths[-1])
+    return [argument for path in paths for argument in ("--log", str(path))]
+
+
+@pytest.mark.parametrize("latitude", [[], ["--latitude", "50"]])
+@pytest.mark.parametrize(("unit", "worth"), [("rad/s", 1.0), ("deg/s", DEGREE), ("deg/h", DEGREE_PER_HOUR)])
+def test_gyros_that_nothing_turned_have_the_unit_in_which_they_read_the_earth(
+    unit: str, worth: float, latitude: list[str], tmp_path: Path
+) -> None:
+    logs = still_gyros(tmp_path, worth, 3e-6 * np.array([1.0, -1.0, 1.0]))
+    made = CliRunner().invoke(main, ["new", str(tmp_path / "s"), *logs, *latitude])
+    assert read_session(tmp_path / "s").log.gyro.unit_name == unit  # type: ignore[union-attr]
+    assert f"gyros: in {unit}: at rest they read 15." in made.output
+    assert "a guess" in made.output
+
+
+@pytest.mark.parametrize("latitude", [[], ["--latitude", "50"]])
+def test_biases_that_are_as_large_as_the_earths_rate_in_another_unit_are_not_taken_for_it(
+    latitude: list[str], tmp_path: Path
+) -> None:
+    """Gyros in rad/s with a bias of 0.24 °/s: in deg/s it would be the Earth's rate."""
+    logs = still_gyros(tmp_path, 1.0, EARTH_RATE / DEGREE * np.array([0.766, 0.643, 0.0]))
+    made = CliRunner().invoke(main, ["new", str(tmp_path / "s"), *logs, *latitude])
+    assert read_session(tmp_path / "s").log.gyro.unit_name == "rad/s"  # type: ignore[union-attr]
+    assert "Earth" not in made.output

@@ -243,12 +243,12 @@ def test_sensors_of_two_topics_become_one_log_at_the_times_of_the_gyros(record: 
     force[:, :3] = np.arange(len(record))[:, None] * [1.0, 2.0, 3.0]  # linear in time: interpolation is exact
     force[:, 3:], rate[:, :3] = 0.0, 0.0
     write_bag2(tmp_path / "two", record, {"/accel/sample": force, "/gyro/sample": rate[5:-5]})
-    found = messages(tmp_path / "two")
-    assert [(m.name, bool(m.accel), bool(m.gyro)) for m in found] == [
+    accel, gyro = messages(tmp_path / "two")
+    assert [(m.name, bool(m.accel), bool(m.gyro)) for m in (accel, gyro)] == [
         ("/accel/sample", True, False),
         ("/gyro/sample", False, True),
     ]
-    as_log(tmp_path / "log.parquet", *found)
+    as_log(tmp_path / "log.parquet", accel, gyro)
     table = pl.read_parquet(tmp_path / "log.parquet")
     assert table.height == len(record) - 10
     np.testing.assert_allclose(table["accel_z"].to_numpy(), 3.0 * RATE * table["t"].to_numpy(), rtol=1e-12, atol=1e-9)
@@ -374,3 +374,13 @@ def test_of_several_topics_with_temperatures_that_beside_the_imu_is_taken(at_res
     np.testing.assert_allclose(temperatures, 30.0)
     draft, _ = new_session(tmp_path / "again", tmp_path / "two")
     assert "other thermometers, not used: /baro/temperature" in draft.said
+
+
+def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_rest: Array, tmp_path: Path) -> None:
+    names = ("/imu/gyro/temperature", "/imu/temperature", "/imu/accel_temp")
+    write_bag2(tmp_path / "each", at_rest, warmth=np.full(300, 40.0), thermometers=names)
+    draft, _ = new_session(tmp_path / "session", tmp_path / "each")
+    assert draft.content["log"]["temperature"]["columns"] == ["accel_temperature", "gyro_temperature"]
+    log = pl.read_parquet(tmp_path / "session" / "log.parquet")
+    np.testing.assert_allclose(log.select("accel_temperature", "gyro_temperature").to_numpy(), [[20.0, 40.0]] * 3000)
+    assert "other thermometers, not used: /imu/temperature" in draft.said

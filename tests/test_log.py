@@ -787,6 +787,46 @@ def test_regular_rows_have_the_times_of_their_number(tmp_path: Path) -> None:
     assert set(samples["dt"]) == {1.0 / log.rate}
 
 
+INCREMENTS = {"columns": ["ax", "ay", "az"], "unit": "m/s"}
+
+
+def stamped(stamps: Array) -> pl.DataFrame:
+    """Rows with these time stamps and what is read a second, times the interval."""
+    readings = {name: INTERVAL * first * np.ones(len(stamps)) for name, (first, _) in RAMP.items()}
+    return pl.DataFrame({"t": stamps, **readings})
+
+
+@pytest.mark.parametrize("rounding", ["thousandths", "32 bits", "thousandths, in Unix time"])
+def test_increments_with_rounded_stamps_have_the_times_of_even_rows(tmp_path: Path, rounding: str) -> None:
+    """Lost rows are found as ever, by their stamps."""
+    start = 1.7e9 if "Unix" in rounding else 0.0
+    true = start + 300.0 + np.delete(np.arange(3000.0), [700, 701, 2000]) * 0.0100713
+    stamps = np.asarray(true.astype(np.float32), dtype=float) if rounding == "32 bits" else np.round(true, 3)
+    log = parquet_log(tmp_path, stamped(stamps), accel=INCREMENTS)
+    samples = whole(log)
+    assert log.rate == pytest.approx(1.0 / 0.0100713, rel=1e-6)
+    assert [(gap.row, gap.samples) for gap in log.gaps] == [(701, 2), (1999, 1)]
+    even = start + 300.0 + np.arange(3000.0) * 0.0100713
+    np.testing.assert_allclose(samples["time"], even, rtol=0, atol=6e-5)
+    np.testing.assert_allclose(samples["dt"][1:], 0.0100713, rtol=1e-4)
+
+
+@pytest.mark.parametrize("departure", ["jitter", "a slow clock", "a long row"])
+def test_increments_keep_stamps_that_no_even_rows_round_to(tmp_path: Path, departure: str) -> None:
+    true = np.arange(1.0, 3001.0) * INTERVAL
+    true += {"jitter": 1e-3 * np.sin(true * 77.0), "a slow clock": 1e-5 * true**2, "a long row": 2e-3 * (true > 9.0)}[
+        departure
+    ]
+    stamps = np.round(true, 3)
+    samples = whole(parquet_log(tmp_path, stamped(stamps), accel=INCREMENTS))
+    np.testing.assert_array_equal(samples["time"], stamps)
+
+
+def test_rates_keep_their_stamps(tmp_path: Path) -> None:
+    stamps = np.round(np.arange(1.0, 3001.0) * 0.0100713, 3)
+    np.testing.assert_array_equal(whole(parquet_log(tmp_path, stamped(stamps)))["time"], stamps)
+
+
 # -------------------- the cut of the stream does not matter --------------------
 
 

@@ -466,18 +466,39 @@ def test_own_axis_columns_are_the_derivatives_of_a_simulated_turn(array: str) ->
             np.testing.assert_allclose(found[1], V[0, :, 0], atol=tolerance * np.abs(V).max())
 
 
+STILL = np.zeros((1, 3)), np.zeros((1, 3))
+ARM = np.array([[0.03, -0.02, 0.01], [0.01, 0.04, -0.02], [0.0, 0.0, 0.0]])
+
+
 @pytest.mark.parametrize("array", sorted(ARRAYS))
 def test_lever_columns_are_the_derivatives_of_a_simulated_turn(array: str) -> None:
     axes = ARRAYS[array]
     start = perfect(TRIAD, axes)
     moments = moments_of(recorded(start, CALM, HERTZ), nominal(TRIAD, axes))
-    columns = lever_columns(moments, np.linalg.pinv(axes), axes)[0].reshape(3, len(axes), 3)
+    columns = lever_columns(moments, np.linalg.pinv(axes), axes, STILL)[0].reshape(3, len(axes), 3)
     for p in range(len(axes)):
         for k in range(3):
             lever = np.zeros((len(axes), 3))
             lever[p, k] = 1.0
             _, V = by_simulation(lambda x, r=lever: replace(start, levers=x * r), 1e-2, CALM, HERTZ)  # type: ignore[misc]
             np.testing.assert_allclose(V, columns[:, p, k], atol=1.4e-4 * np.abs(columns).max())
+
+
+def test_lever_columns_are_the_derivatives_of_a_turn_that_begins_and_ends_while_all_else_turns() -> None:
+    """As every turn on the Earth does: what an arm turns with at its ends is in the integral of ω̇ × r."""
+    first, stop = round(7.0 * HERTZ), round(13.0 * HERTZ)
+    rates = CALM.attitude(np.array([first, stop]) / HERTZ)[1]
+    cut = np.array([first + 2]), np.array([stop + 2])
+    out, back = (
+        moments_of(
+            replace(recorded(replace(perfect(TRIAD, TRIAD), levers=x), CALM, HERTZ), start=cut[0], stop=cut[1]),
+            nominal(),
+        )
+        for x in (ARM, -ARM)
+    )
+    columns = lever_columns(out, np.eye(3), TRIAD, (rates[:1], rates[1:]))[0]
+    expected = 0.5 * (back.V - out.V)[0]
+    np.testing.assert_allclose(columns @ ARM.ravel(), expected, atol=1.4e-4 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("array", sorted(ARRAYS))
@@ -581,7 +602,7 @@ def test_a_lever_common_to_all_is_not_seen(array: str) -> None:
     compensation = some_compensation(rng, axes)
     moments = moments_of(pieces_of(wandering(rng, 900), *ranges(400, 500)), compensation)
     s = np.linalg.solve(compensation.accel.left_inverse @ axes, compensation.accel.left_inverse)
-    columns = lever_columns(moments, s, axes).reshape(2, 3, len(axes), 3)
+    columns = lever_columns(moments, s, axes, STILL).reshape(2, 3, len(axes), 3)
     assert np.abs(columns.sum(axis=2)).max() < 1e-13 * np.abs(columns).max()
 
 
@@ -593,7 +614,7 @@ def test_levers_have_a_gauge_of_three_given_enough_turns(array: str, turns: int,
     rng = np.random.default_rng(9)
     rates, forces, intervals = wandering(rng, 200 * turns)
     moments = moments_of(pieces_of((rates, forces, intervals), *ranges(*[200] * turns)), nominal(TRIAD, ARRAYS[array]))
-    columns = lever_columns(moments, np.linalg.pinv(ARRAYS[array]), ARRAYS[array]).reshape(3 * turns, -1)
+    columns = lever_columns(moments, np.linalg.pinv(ARRAYS[array]), ARRAYS[array], STILL).reshape(3 * turns, -1)
     values = np.linalg.svd(columns, compute_uv=False)
     assert int(np.sum(values > 1e-9 * values[0])) == rank
 

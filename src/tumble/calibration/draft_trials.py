@@ -1,7 +1,7 @@
 """What a look at the recording says of a draft: the scales of counts, the unit of gyros, the rate, and what is wrong.
 
 Accelerometers at rest read gravity, which tells their scale; gyros must carry the vertical from rest to rest, which
-tells theirs, their unit, and the rate of a log without times.
+tells theirs, their unit, and the rate of a log without times. Where nothing turned, the Earth may tell their unit.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tumble.calibration.draft import Draft
+from tumble.calibration.gyro_unit_by_earth import RATES, reads_the_earth
 from tumble.calibration.observed import Progress, inspect_session
 from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor, known_unit
 from tumble.errors import TumbleError
@@ -139,8 +140,13 @@ def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
 
 
 def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
-    """A draft with the gyros' unit in which they carry the vertical from rest to rest, and the faults left."""
-    unit, faults = _looked_at(draft.content, progress)
+    """A draft with the gyros' unit in which they carry the vertical from rest to rest, or, where nothing turned, read
+    the rate of the Earth; and the faults left."""
+    unit, faults, turned = _looked_at(draft.content, progress)
+    if draft.gyro_unknown and not turned and unit is None:
+        still = _by_the_earth(draft, progress)
+        if still is not draft:
+            return still, _looked_at(still.content, progress)[1]
     if faults and draft.gyro_unknown and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
         return _in_counts(draft, faults, progress)
     gyro = draft.content["log"].get("gyro")
@@ -151,6 +157,20 @@ def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
         return draft, faults
     said = f"gyros: in {unit}, not {gyro['unit']}: so they carry the vertical from rest to rest"
     return replace(draft, content=trial, said=(*draft.said, said)), []
+
+
+def _by_the_earth(draft: Draft, progress: Progress) -> Draft:
+    """A draft with the unit in which gyros that nothing has turned read the rate of the Earth."""
+    if draft.content["log"]["gyro"]["unit"] not in RATES:
+        return draft
+    latitude_deg = draft.content.get("site", {}).get("latitude_deg")
+    for unit in RATES:
+        trial = _with_gyro_unit(draft.content, unit)
+        observations = _observed(trial, progress)
+        said = None if observations is None else reads_the_earth(observations, latitude_deg)
+        if said is not None:
+            return replace(draft, content=trial, said=(*draft.said, f"gyros: in {unit}: {said}"))
+    return draft
 
 
 def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
@@ -168,7 +188,7 @@ def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
         "offset": 0.0,
     }
     trial = {**draft.content, "log": {**log, "gyro": gyro}}
-    _, left = _looked_at(trial, progress)
+    left = _looked_at(trial, progress)[1]
     if left:
         return draft, faults
     said = f"gyros: not in rad/s but in counts: {scale.said}: so they carry the vertical from rest to rest"
@@ -180,13 +200,15 @@ def _with_gyro_unit(content: Mapping[str, Any], unit: str) -> dict[str, Any]:
     return {**content, "log": {**log, "gyro": {**log["gyro"], "unit": unit}}}
 
 
-def _looked_at(content: Mapping[str, Any], progress: Progress) -> tuple[str | None, list[str]]:
-    """The unit of the gyros that would fit better than the stated one, and what a look at the recording finds wrong
-    with a session of this content."""
+def _looked_at(content: Mapping[str, Any], progress: Progress) -> tuple[str | None, list[str], bool]:
+    """The unit of the gyros that would fit better than the stated one, what a look at the recording finds wrong with a
+    session of this content, and whether there are turns in it, as far as can be told."""
     try:
         found = inspect_session(session_of(content), progress=progress)
     except TumbleError as error:
-        return None, [str(error)]
-    if found.trial is None or not found.faults:
-        return None, list(found.faults)
-    return fitting_gyro_unit(found.trial, found.session, found.rate), list(found.faults)
+        return None, [str(error)], False
+    turned = found.observations is not None and bool(found.observations.turns)
+    unit = None
+    if found.trial is not None and found.faults:
+        unit = fitting_gyro_unit(found.trial, found.session, found.rate)
+    return unit, list(found.faults), turned

@@ -141,12 +141,12 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     log = folder / "log.parquet"
     folder.mkdir(parents=True, exist_ok=True)
-    apart = [] if _temperatures(accel, gyro, None) else [m for m in found if m.thermometer]
-    thermometer = max(apart, key=lambda m: _shared(m.name, accel.name), default=None)
-    formats.as_log(log, accel, gyro, thermometer)
+    apart = [] if _temperatures(accel, gyro) else [m for m in found if m.thermometer]
+    thermometers = _thermometers_of(accel, gyro, apart)
+    formats.as_log(log, accel, gyro, thermometers)
     said = [f"{recording.name}: message {accel.name}, written to {log}"]
-    said += [] if thermometer is None else [f"temperature from {thermometer.name}, interpolated"]
-    unused = [m.name for m in apart if m is not thermometer]
+    said += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
+    unused = [m.name for m in apart if m not in thermometers]
     said += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
     if gyro is not None and gyro is not accel:
         said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
@@ -159,7 +159,7 @@ def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
         time=TIME if accel.timed else None,
         time_unit=None,
         triads={kind: sensors for kind, sensors in triads.items() if sensors is not None},
-        temperatures=_temperatures(accel, gyro, thermometer),
+        temperatures=_temperatures(accel, gyro) or tuple(t for m in thermometers for t in m.temperatures),
         others=(),
     )
     written = mended(FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), folder, given.rate)
@@ -174,12 +174,21 @@ def _shared(name: str, other: str) -> int:
     return next((i for i, same in enumerate(alike) if not same), len(alike))
 
 
-def _temperatures(accel: Message, gyro: Message | None, thermometer: Message | None) -> tuple[str, ...]:
-    """The columns of the temperatures: beside the accelerometers and beside the gyros, or in a message of its own."""
+def _thermometers_of(accel: Message, gyro: Message | None, apart: Sequence[Message]) -> list[Message]:
+    """Of messages with nothing but temperatures, that of the accelerometers and that of the gyros, where each have one,
+    else that whose name is most like that of the accelerometers."""
+    near = sorted(apart, key=lambda m: _shared(m.name, accel.name), reverse=True)
+    own = [next((m for m in near if m.temperatures == (f"{kind}_temperature",)), None) for kind in (ACCEL, GYRO)]
+    both = [m for m in own if m is not None]
+    return both if gyro is not None and len(both) == 2 else near[:1]
+
+
+def _temperatures(accel: Message, gyro: Message | None) -> tuple[str, ...]:
+    """The columns of the temperatures beside the accelerometers and beside the gyros."""
     beside = [m.temperatures for m in {id(m): m for m in (accel, gyro) if m is not None}.values() if m.temperatures]
     if len(beside) == 2 and max(map(len, beside)) == 1:
         return beside[0] + beside[1]
-    return next(iter(beside), () if thermometer is None else thermometer.temperatures)
+    return next(iter(beside), ())
 
 
 def _named(found: list[Message], name: str | None, recording: Path) -> Message:

@@ -29,7 +29,7 @@ from tumble.reduction.moments import (
 )
 from tumble.reduction.observations import Observations
 from tumble.rotation import rotation_vector
-from tumble.sensors.compensation import specific_force
+from tumble.sensors.compensation import angular_rate, specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE, Motion
@@ -89,7 +89,8 @@ class TurnsAbout:
         turns = observations.turns
         assert turns is not None
         resting = specific_force(instrument, values, observations.rests.accel)
-        ends = resting[turns.first], resting[turns.last]
+        turning = angular_rate(instrument, values, observations.rests.gyro, resting)
+        ends = (resting[turns.first], resting[turns.last]), (turning[turns.first], turning[turns.last])
         growing = observations.growing_moments_about(about) if warms(instrument) else None
         about_turns = TurnsAbout.from_moments(moments, accel, (rate, force, late), lefts, ends, growing)
         if instrument.in_motion("lever") is None:
@@ -103,13 +104,13 @@ class TurnsAbout:
         accel: Block,
         about: tuple[Array, Array, float],
         lefts: tuple[Array, Array],
-        ends: tuple[Array, Array],
+        ends: tuple[tuple[Array, Array], tuple[Array, Array]],
         growing: tuple[Array, Array] | None = None,
     ) -> TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
-        accelerometers, and the specific forces (K, 3) at rest at their `ends`; `growing` are the moments of what grows
-        within the turns."""
-        to_rate, to_force = lefts
+        accelerometers, and the specific forces, then the rates (K, 3), at rest at their `ends`; `growing` are the
+        moments of what grows within the turns."""
+        (to_rate, to_force), (forces, rates) = lefts, ends
         by_force = _paths(moments.Phi, to_force)
         by_phi, by_velocity = _paths(moments.Phi, to_rate), _paths(moments.Psi, to_rate)
         for by, own, to_body in (
@@ -128,9 +129,9 @@ class TurnsAbout:
             by_velocity=by_velocity,
             by_force=by_force,
             in_motion={
-                "lever": -lever_columns(moments, to_force, accel.axes)[:, :, _lever_order(accel)],
+                "lever": -lever_columns(moments, to_force, accel.axes, rates)[:, :, _lever_order(accel)],
                 "delay": -delay_column(moments)[:, :, None],
-                "single delay": -single_delay_columns(moments, to_force, accel.axes, ends)[:, :, accel.channels[:-1]],
+                "single delay": -single_delay_columns(moments, to_force, accel.axes, forces)[:, :, accel.channels[:-1]],
             },
             to_rate=to_rate,
             growing=None if growing is None else _growing(growing, lefts),

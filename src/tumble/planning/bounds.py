@@ -298,7 +298,8 @@ def _turns_about(course: Course, setup: Setup, instrument: Instrument, still: Ar
     moments, grown = steady_moments(vector, course.seconds, start, setup, own_axes(instrument), still)
     values = np.zeros(len(instrument.names))
     rate, force = (instrument.coefficients(block, values) for block in (instrument.gyro, instrument.accel))
-    ends = setup.gravity * start[:, 1], setup.gravity * end[:, 1]
+    earth = np.array(earth_rate(setup.latitude))
+    ends = (setup.gravity * start[:, 1], setup.gravity * end[:, 1]), (earth @ start, earth @ end)
     lefts, about = (np.eye(3), np.eye(3)), (rate, force, 0.0)
     growing = grown if warms(instrument) else None
     return TurnsAbout.from_moments(moments, instrument.accel, about, lefts, ends, growing)

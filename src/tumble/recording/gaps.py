@@ -143,15 +143,21 @@ class LogRows:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grid:
-    """Times of rows that are equally spaced: the first, s, and the interval, s."""
+    """Times of rows that are equally spaced: the first, s, and the interval, s. Rows are counted, or, where their
+    stamps are times of the grid that were `rounded`, have the time that is nearest to their stamp."""
 
     start: float
     interval: float
+    rounded: bool = False
+
+    def nearest(self, time: Array) -> Array:
+        """The times of the grid that are nearest to times, s."""
+        return np.asarray(self.start + self.interval * np.rint((time - self.start) / self.interval))
 
 
 def rows_of(source: LogSource, spec: LogSpec, file: int, grid: Grid | None, gaps: list[Gap]) -> Iterator[LogRows]:
-    """The rows of a file that have a time; on a grid, row k, counted from 0, has its k-th time. Lines that are left out
-    are added to `gaps`."""
+    """The rows of a file that have a time; on a grid, row k, counted from 0, has its k-th time, or the one nearest to
+    its stamp. Lines that are left out are added to `gaps`."""
     groups = [spec.accel.columns]
     groups += [spec.gyro.columns] if spec.gyro else []
     groups += [spec.magnetometer.columns] if spec.magnetometer else []
@@ -202,10 +208,10 @@ class _Sieve:
 
     def _untimed(self, unread: Unread) -> bool:
         """Whether a row has lost the time that it had."""
-        return self.grid is None and (unread.column is None or unread.column == self.spec.time)
+        return (self.grid is None or self.grid.rounded) and (unread.column is None or unread.column == self.spec.time)
 
     def _timed(self, rows: LogRows) -> LogRows:
-        if self.grid is not None:
+        if self.grid is not None and not self.grid.rounded:
             number = np.arange(self.count, self.count + len(rows.time), dtype=float)
             return replace(rows, time=np.asarray(self.grid.start + self.grid.interval * number, dtype=float))
         if self.spec.clock and len(rows.time):
@@ -213,6 +219,8 @@ class _Sieve:
             passed = np.cumsum(np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0]) < -_HALF_DAY)
             self.shift += 2.0 * _HALF_DAY * float(passed[-1])
             rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
+        if self.grid is not None:
+            rows = replace(rows, time=self.grid.nearest(rows.time))
         again = np.diff(rows.time, prepend=self.last) == 0.0
         if not again.any():
             return rows

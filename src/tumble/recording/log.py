@@ -18,8 +18,9 @@ import numpy as np
 from tumble.errors import LogError, did_you_mean
 from tumble.recording.circumstances import date_of_unix
 from tumble.recording.dialect import LINE_BYTES
-from tumble.recording.gaps import Bridge, Gap, Grid, check_head, is_reading, rows_of
-from tumble.recording.log_source import Kind, LogSource, readable
+from tumble.recording.even_times import regular_grid, rounded_grid
+from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
+from tumble.recording.log_source import LogSource, readable
 from tumble.recording.readers import source_of
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec, Session
@@ -101,7 +102,7 @@ class Log:
         spec = self.session.log
         source, grid = self._sources[file], self._grids[file]
         bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=self._gaps)
-        rows = rows_of(source, spec, file, grid if spec.time is None or spec.regular else None, self._gaps)
+        rows = rows_of(source, spec, file, grid if spec.unstamped or grid.rounded else None, self._gaps)
         for time, dt, values in bridge.samples(rows):
             yield Chunk(
                 file=file,
@@ -184,7 +185,7 @@ def _check_columns(source: LogSource, spec: LogSpec) -> None:
 
 def _grid(source: LogSource, spec: LogSpec) -> Grid:
     """The first time of a file and the interval of its samples, s: the median over its first rows, that of the nominal
-    rate, or, of regular rows, the mean over all of them."""
+    rate, or, of regular rows, and where increments have stamps that are rounded, the mean over all of them."""
     head = source.head(spec.time or spec.accel.columns[0], _HEAD_ROWS, clock=spec.clock)
     if not len(head):
         raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
@@ -193,30 +194,8 @@ def _grid(source: LogSource, spec: LogSpec) -> Grid:
     if spec.rate is not None:
         return Grid(start=1.0 / spec.rate, interval=1.0 / spec.rate)
     if spec.regular:
-        return _regular_grid(source, spec)
+        return regular_grid(source, spec)
     time = check_head(source, spec, head * spec.time_factor)
-    return Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
-
-
-def _regular_grid(source: LogSource, spec: LogSpec) -> Grid:
-    """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution
-    and their delays."""
-    assert spec.time is not None
-    first, count, start = 1, 0, None
-    sums = np.zeros(5)  # of 1, k, t, k², k t
-    for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
-        keep = np.ones(table.height, dtype=bool)
-        keep[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
-        first += table.height
-        time = table[spec.time].to_numpy()[keep] * spec.time_factor
-        k = np.arange(count, count + len(time), dtype=float)
-        count += len(time)
-        sound = is_reading(time)
-        start = float(time[sound][0]) if start is None and sound.any() else start
-        k, t = k[sound], time[sound] - (start or 0.0)
-        sums += [len(k), k.sum(), t.sum(), (k * k).sum(), (k * t).sum()]
-    ones, k1, t1, k2, kt = sums.tolist()
-    interval = (ones * kt - k1 * t1) / (ones * k2 - k1 * k1)
-    if not interval > 0.0:
-        raise LogError(f"{source.path}: expected times that grow, found rows {interval:.3g} s apart; check log.time")
-    return Grid(start=(start or 0.0) + (t1 - interval * k1) / ones, interval=interval)
+    found = Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
+    integrals = any(channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro))
+    return (rounded_grid(source, spec, found.interval) or found) if integrals else found

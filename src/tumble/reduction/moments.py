@@ -374,19 +374,24 @@ def accel_own_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
     return -_contracted(moments.Phi_accel, weights)
 
 
-def lever_columns(moments: Moments, left_inverse: Array, axes: Array) -> Array:
+def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tuple[Array, Array]) -> Array:
     """∂V = −A_r (K, 3, 3 n), s⁻¹, of the lever arms r_p (three numbers a sensor) of accelerometers, by parts:
 
-        A_r = ∫ C (s_p a_pᵀ [ω×] − [ω×] s_p a_pᵀ) [ω×] dt                                                Eq. (6)
+        A_r = ∫ C (s_p a_pᵀ [ω×] − [ω×] s_p a_pᵀ) [ω×] dt + [C s_p a_pᵀ [ω×]]                            Eq. (6)
 
-    with s_p a_pᵀ for e_p e_pᵀ, so that it holds for any axes."""
+    with s_p a_pᵀ for e_p e_pᵀ, so that it holds for any axes, and with the `rates` (K, 3) in the body at the start and
+    at the end, which at rest are the Earth's. 0 of what takes no time."""
     along = np.einsum("jp,pa->pja", left_inverse, axes)
     first, second = (np.array([_GENERATORS[list(pair)[side]] for pair in _PAIRS]) for side in (0, 1))
     weights = np.zeros((3, len(_PAIRS), len(axes), 3))
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):
         kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)
         weights[:, which] += kernel[:, which]
-    return -_contracted(moments.W, weights.reshape(3, len(_PAIRS), -1))
+    columns = -_contracted(moments.W, weights.reshape(3, len(_PAIRS), -1))
+    first, last = (
+        np.einsum("pja,kab->kjpb", along, _skews(rate)).reshape(len(rate), *columns.shape[1:]) for rate in rates
+    )
+    return np.asarray(columns - (moments.C @ last - first) * np.sign(moments.T)[:, None, None])
 
 
 def delay_column(moments: Moments) -> Array:

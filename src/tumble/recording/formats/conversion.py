@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +13,17 @@ from tumble.recording.formats.message import TIME, Message
 from tumble.recording.writer import write_tables
 
 
-def as_log(path: Path, accel: Message, gyro: Message | None, thermometer: Message | None = None) -> None:
+def as_log(path: Path, accel: Message, gyro: Message | None, thermometers: Sequence[Message] = ()) -> None:
     """Write the rows of a message with accelerometers, and where its gyros are in another one those of both, into a
     Parquet file, whole or not at all.
 
     Two messages come at times of their own: the accelerometers (and the temperatures beside them) are interpolated
     linearly at the times of the gyros, which are what is integrated, over the time that both cover. The temperatures of
-    a thermometer of its own are interpolated too, and before and after it has the nearest."""
+    thermometers of their own are interpolated too, and before and after they have the nearest."""
     tables = _together(accel, gyro) if gyro is not None and gyro is not accel else accel.rows()
-    write_tables(path, tables if thermometer is None else _with_temperature(tables, thermometer))
+    for thermometer in thermometers:
+        tables = _with_temperature(tables, thermometer)
+    write_tables(path, tables)
 
 
 def _with_temperature(tables: Iterator[pl.DataFrame], thermometer: Message) -> Iterator[pl.DataFrame]:

@@ -8,6 +8,7 @@ other: sensors whose first readings are all exactly zero are taken as absent.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import islice
@@ -20,12 +21,14 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from tumble.recording.formats.message import AXES, TIME, Message, triad
+from tumble.recording.formats.thermometers import thermometer
 
 NOTHING = "no topic of type sensor_msgs/Imu"
 
 _IMU, _FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
 _TEMPERATURE = "sensor_msgs/msg/Temperature"
 _KINDS = (_IMU, _FIELD, _TEMPERATURE)
+_CELSIUS = "temperature"
 _ROWS = 1 << 15
 _LOOK = 100
 _MICROTESLA = 1e6  # in a tesla
@@ -49,7 +52,9 @@ def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Mess
     if kind == _FIELD:
         return Message(name=topic, count=count, accel=None, gyro=None, magnetometer=triad("field", "uT"), rows=rows)
     if kind == _TEMPERATURE:
-        return Message(name=topic, count=count, accel=None, gyro=None, temperatures=("temperature",), rows=rows)
+        column = _column_of(topic)
+        named = partial(_renamed, rows, column)
+        return Message(name=topic, count=count, accel=None, gyro=None, temperatures=(column,), rows=named)
     look = next(_tables(islice(_readings(path, origin, topic), _LOOK)))
     accel = bool(look.select("accel_x", "accel_y", "accel_z").to_numpy().any())
     gyro = bool(look.select("gyro_x", "gyro_y", "gyro_z").to_numpy().any())
@@ -60,6 +65,16 @@ def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Mess
         gyro=triad("gyro", "rad/s") if gyro else None,
         rows=rows,
     )
+
+
+def _column_of(topic: str) -> str:
+    """What the temperatures of a topic are called: by the sensors, where its name says whose they are."""
+    whose, _ = thermometer(re.findall("[a-z]+", topic.lower())) or ("", "")
+    return f"{whose}_{_CELSIUS}" if whose else _CELSIUS
+
+
+def _renamed(rows: Callable[[], Iterator[pl.DataFrame]], column: str) -> Iterator[pl.DataFrame]:
+    return (table.rename({_CELSIUS: column}) for table in rows())
 
 
 def _rows(path: Path, origin: int, topic: str) -> Iterator[pl.DataFrame]:
@@ -92,7 +107,7 @@ def _field(message: Any) -> dict[str, float]:
 
 
 def _temperature(message: Any) -> dict[str, float]:
-    return {"temperature": message.temperature}  # °C by the definition of the message
+    return {_CELSIUS: message.temperature}  # °C by the definition of the message
 
 
 _READINGS: Mapping[str, Callable[[Any], dict[str, float]]] = {_IMU: _imu, _FIELD: _field, _TEMPERATURE: _temperature}
