@@ -47,9 +47,9 @@ class Parameter:
         return stated_factor(self.dof)
 
 
-FEWEST_DEGREES = 1.0
-"""Degrees of freedom without which no U is stated: t is then beyond that of two readings, 14, and soon beyond any use,
-and says less of the value than of how little is known of u."""
+FEWEST_DEGREES = 0.99
+"""Degrees of freedom without which no U is stated, those of two readings, one, but for its rounding: t is then beyond
+14, and soon beyond any use, and says less of the value than of how little is known of u."""
 
 
 def stated_factor(degrees: float | None) -> float | None:
