@@ -23,6 +23,7 @@ from tumble.estimation.likelihood import (
     noise_of,
     weights,
 )
+from tumble.estimation.methods.joint.iteration import heading_information
 from tumble.estimation.step import left, solve, variance_slopes
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
@@ -291,6 +292,20 @@ def test_slopes_of_the_variances_are_derivatives(axes: Array) -> None:
         )
         numeric = (more - less) / (2.0 * change[a])
         assert slopes == pytest.approx(numeric, rel=1e-4, abs=1e-6 * np.abs(numeric).max())
+
+
+def test_rests_and_turns_say_of_a_heading_by_how_much_their_rows_change_with_it() -> None:
+    """All attitudes turn about the vertical by ε: the rows of the accelerometers stay, the others change by the Earth's
+    rate, those of the turns by the more the longer they last."""
+    problem, point, about = problem_at(scenario(), 0.0)
+    weight, turn = weights(problem, linearise(problem, point, about), Scatter()), 1e-4
+    angles = np.zeros((len(point.attitudes), 3))
+    angles[:, 2] = turn
+    here, there = (linearise(problem, p, about) for p in (point, point.moved(np.zeros(1 + len(point.values)), angles)))
+    found = heading_information(problem, solve(problem, here, weight))
+    first = problem.observations.turns.first  # type: ignore[union-attr]
+    changed = weight.merged @ (there.merged(first) - here.merged(first))[..., -1:] / turn
+    np.testing.assert_allclose(found[first], (changed**2).sum(axis=(1, 2)), rtol=1e-3)
 
 
 def test_bound_is_that_of_section_8() -> None:

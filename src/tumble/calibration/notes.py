@@ -10,13 +10,13 @@ from tumble.calibration.case import CaseAlignment
 from tumble.estimation.estimate import Estimate
 from tumble.recording.gaps import Gap
 from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_vector
 from tumble.sensors.parameters import group_name
 from tumble.units import DEGREE
 
 _GAPS_SHOWN = 5
-ONE_RATE = 1.2
-"""The largest mean rate of the turns, in parts of the smallest, where they count as one rate."""
+ONE_RATE = 1.3
+"""The largest rate of the turns, root mean square, in parts of the smallest, where they count as one rate: at rest,
+scale factors that change with the square of the rate would be known seven times worse than at it."""
 
 
 def bridged_in(found: Sequence[Gap]) -> tuple[str, ...]:
@@ -52,8 +52,11 @@ def one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
     turns = observations.turns
     if estimate.method != "joint" or turns is None or any(group_name(name) == "gyro.cubic" for name in estimate.names):
         return ()
+    about = None if estimate.linearised is None else estimate.linearised.about
+    if about is None:
+        return ()
     made = turns.duration > 0.0  # between the parts of a rest nothing is turned
-    rates = np.linalg.norm(rotation_vector(turns.C[made]), axis=1) / turns.duration[made]
+    rates = np.sqrt(about.moments.body_rates[made][:, [0, 3, 5]].sum(axis=1) / turns.duration[made])
     if not len(rates) or not rates.max() < ONE_RATE * rates.min():
         return ()
     return (

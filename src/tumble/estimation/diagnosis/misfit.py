@@ -10,7 +10,7 @@ the 21 parameters by more than DAMAGE of its u, for then the error is not random
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -165,7 +165,9 @@ def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concern
     if ratios.get("turn", 0.0) <= TURNS_MORE * ratios.get("gyro", 0.0):
         return standing
     lost = [c for c in likely if c.name == "lost samples"]
-    random = [_movement(), *lost] if lost and lost[0].probability > LOST_PROBABILITY else [*lost, _movement()]
+    random = (
+        [_movement(), *map(_untold, lost)] if lost and lost[0].probability > LOST_PROBABILITY else [*lost, _movement()]
+    )
     return random + [c for c in standing if c not in lost]
 
 
@@ -246,6 +248,15 @@ def _standing_loss(linearised: Linearised) -> Cause | None:
 
 def _damaging(cause: Cause) -> str:
     return f"{cause.sentence}; without it parameters err by up to {cause.damage:.2g} times their u"
+
+
+def _untold(lost: Cause) -> Cause:
+    """Lost samples of which the turns say nothing by how they err."""
+    return replace(
+        lost,
+        sentence="or samples that are missing or held in the log, which these turns do not tell from movement: "
+        "record with time stamps",
+    )
 
 
 def _movement() -> Cause:

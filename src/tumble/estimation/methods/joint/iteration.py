@@ -121,19 +121,20 @@ def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     parameters. Chains whose heading is hardly seen keep it."""
     share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
     angles = share * step.angles
-    seen = np.bincount(problem.chain, _heading_information(problem, step))
+    seen = np.bincount(problem.chain, heading_information(problem, step))
     mean = np.bincount(problem.chain, angles[:, 2]) / np.bincount(problem.chain)
     angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[problem.chain]
     return point.moved(share * step.parameters, angles, share * step.own), share * step.parameters[1:]
 
 
-def _heading_information(problem: Problem, step: Step) -> Array:
-    """What the gyros of each rest (N,) say of its heading, rad⁻²."""
+def heading_information(problem: Problem, step: Step) -> Array:
+    """What the gyros of each rest (N,) and of the turn after it say of the heading of both, rad⁻²."""
     rest, merged = step.whitened
-    n, r = problem.observations.accel_block.size, rest.shape[1]
+    n = problem.observations.accel_block.size
     own = (rest[:, n:, 2] ** 2).sum(axis=1)
     linked = problem.link >= 0
-    own[linked] = (merged[problem.link[linked], n:r, 2] ** 2).sum(axis=1)
+    of_both = merged[problem.link[linked], n:, 2] + merged[problem.link[linked], n:, 5]
+    own[linked] = (of_both**2).sum(axis=1)
     return np.asarray(own)
 
 
