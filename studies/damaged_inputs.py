@@ -1,9 +1,9 @@
 """What becomes of a damaged input file: the fuzzer of the project.
 
-Every case damages one input file of a small set (session, logs, table of readings, calibration, truth, limits,
-campaign, manifest, certificate, export of a registry, MATLAB and HDF5 recordings), or gives an absurd value to an
-option, and runs one command in this process. Case n of a seed is always the same, whatever ran before. A case is a
-finding where
+Every case damages one input file of a small set (sessions, with thermometers, priors and what is left out too, logs,
+table of readings, calibrations, truth, limits, campaign, manifest, certificate, export of a registry, MATLAB and HDF5
+recordings), or another one beside it, or gives an absurd value to an option, or the options in another order, and runs
+one command in this process. Case n of a seed is always the same, whatever ran before. A case is a finding where
 
 * an exception comes through, or an exit status that is not 0, 1 or 2;
 * exit status 2 comes with anything else than one line on standard error, or leaves a file behind;
@@ -55,6 +55,7 @@ from tumble.cli import main as tumble
 from tumble.errors import TumbleError
 from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
+from tumble.simulation.temperature_profile import temperature_profile
 
 SHORT, LONG = 80, 1_000_000
 LONGEST, MOST, BEGUN = 20.0, 1 << 30, 5.0
@@ -64,8 +65,11 @@ OFF = 3.0
 SETUP = replace(
     Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=20.0, terms="linear"), first_rest=6.0
 )
-LOOKED_AT = 400
+LOOKED_AT = 160
 """Rows of the logs of which it is only found out what they are."""
+TWO, SHUFFLED = 0.05, 0.2
+"""The parts of the cases in which another file is damaged too, and of those with absurd options in which the words
+stand in any order."""
 IN_MEMORY = Path("/dev/shm")
 
 Rng = np.random.Generator
@@ -150,12 +154,14 @@ def lines_changed(text: bytes, rng: Rng) -> bytes:
     return b"".join(rest[:to] + stretch + rest[to:])
 
 
-def _places(content: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    keys: list[Any] = list(content) if isinstance(content, dict) else list(range(min(len(content), 40)))
+def _places(content: Any) -> list[tuple[Any, Any]]:
+    """Every table or list of a tree with each of its keys; of a list the first 40."""
+    keys = list(content) if isinstance(content, dict) else range(min(len(content), 40))
+    found = [(content, key) for key in keys]
     for key in keys:
-        yield (*path, key)
         if isinstance(content[key], dict | list):
-            yield from _places(content[key], (*path, key))
+            found += _places(content[key])
+    return found
 
 
 def tree_changed(content: Any, rng: Rng) -> Any:
@@ -164,10 +170,7 @@ def tree_changed(content: Any, rng: Rng) -> Any:
         places = list(_places(content)) if isinstance(content, dict | list) else []
         if not places:
             return content
-        *way, key = places[rng.integers(len(places))]
-        part = content
-        for step in way:
-            part = part[step]
+        part, key = places[rng.integers(len(places))]
         kind = rng.integers(0, 5)
         if kind == 0:
             del part[key]
@@ -209,7 +212,7 @@ TREE = {".json": json_changed, ".jsonl": json_changed, ".toml": toml_changed}
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
     """An input file, below the folder of inputs, and the commands that read it, in words; {} is that folder, {out} an
-    empty one. Of a `log` an accepted result is compared with that of the whole one."""
+    empty one, {kept} a registry with records. Of a `log` an accepted result is compared with that of the whole one."""
 
     file: str
     commands: tuple[str, ...]
@@ -254,6 +257,29 @@ TARGETS = (
             "noise {}/csv/log.csv --accel ax,ay,az --time t",
         ),
     ),
+    Target(
+        file="warm/session.toml",
+        commands=(
+            "inspect {}/warm",
+            "calibrate {}/warm --terms linear --out {out}/c.json",
+            "calibrate {}/warm --out {out}/c.json",
+            "apply {}/warm.json {}/warm -o {out}/a.csv",
+            "verify {}/warm.json {}/warm",
+        ),
+    ),
+    Target(
+        file="warm.json",
+        weight=0.5,
+        commands=(
+            "compare {}/warm.json {}/calibration.json",
+            "apply {}/warm.json {}/warm -o {out}/a.csv",
+            "verify {}/warm.json {}/warm",
+            "export {}/warm.json --to px4 -o {out}/e",
+            "export {}/warm.json --to csv -o {out}/e",
+            "export {}/warm.json --to c -o {out}/e",
+            "registry add {}/warm.json --registry {kept}",
+        ),
+    ),
     Target(file="messung.txt", weight=0.5, commands=("new {out}/new {}/messung.txt --latitude 50",)),
     Target(file="parquet/log.parquet", commands=("inspect {}/parquet", "new {out}/new {}/parquet/log.parquet")),
     Target(file="imu.mat", weight=0.6, commands=("new {out}/new {}/imu.mat",)),
@@ -271,7 +297,7 @@ TARGETS = (
             *(f"export {{}}/calibration.json --to {to} -o {{out}}/e" for to in EXPORTS),
             "export {}/calibration.json --to kalibr --noise {}/csv -o {out}/e",
             CERTIFY,
-            "registry add {}/calibration.json --registry {out}/r.sqlite",
+            "registry add {}/calibration.json --registry {kept}",
             "calibrate {}/passport --terms linear --out {out}/c.json",
         ),
     ),
@@ -282,7 +308,17 @@ TARGETS = (
         commands=("calibrate {}/csv --terms linear --truth {}/csv/truth.json --out {out}/c.json",),
     ),
     Target(
-        file="limits.toml", weight=2.0, commands=("registry limits BCHE-501 {}/limits.toml --registry {out}/r.sqlite",)
+        file="limits.toml",
+        weight=2.0,
+        commands=(
+            "registry limits BCHE-501 {}/limits.toml --registry {out}/r.sqlite",
+            *("registry limits BCHE-501 {}/limits.toml --registry {kept}",) * 3,
+        ),
+    ),
+    Target(
+        file="warm-limits.toml",
+        weight=0.5,
+        commands=("registry limits mems {}/warm-limits.toml --registry {kept}",),
     ),
     Target(file="certificate.toml", commands=(CERTIFY,)),
     Target(file="campaign.toml", weight=0.25, commands=("campaign {}/campaign.toml --in-process -o {out}/campaign",)),
@@ -297,7 +333,11 @@ TARGETS = (
         ),
     ),
     Target(
-        file="registry.jsonl", weight=1.0, commands=("registry import {}/registry.jsonl --registry {out}/r.sqlite",)
+        file="registry.jsonl",
+        commands=(
+            "registry import {}/registry.jsonl --registry {out}/r.sqlite",
+            *("registry import {}/registry.jsonl --registry {kept}",) * 3,
+        ),
     ),
 )
 OPTIONS = (
@@ -330,6 +370,25 @@ interval_months = 12
 [periodic]
 "gyro.bias" = "5 deg/s"
 """
+WARM_LIMITS = """format = 1
+temperature_degC = [12, 28]
+systematic = "warm.json"
+[incoming]
+"accel.bias" = "50 mg"
+[periodic]
+"accel.scale" = { min = "-1 %", max = "1 %" }
+"""
+WARM: dict[str, dict[str, Any]] = {
+    "device": {
+        "prior": {
+            "accel_quadratic": "20 ug/g^2",
+            "accel_temperature": {"bias": "0.1 mg/K", "scale": "50 ppm/K"},
+        }
+    },
+    "session": {"conditions": {"temperature_degC": 22.5, "temperature_u": 0.5}},
+}
+EXCLUDED = [{"rest": 3, "reason": "touched"}, {"start": 20.0, "stop": 20.5}]
+"""What the session with a thermometer has beside what is simulated."""
 CAMPAIGN = """seed = 1
 trials = 2
 [grid]
@@ -356,6 +415,9 @@ name = "A. Person"
 """
 
 
+TEXTS = {"limits": LIMITS, "warm-limits": WARM_LIMITS, "campaign": CAMPAIGN, "certificate": CERTIFICATE}
+
+
 def write_inputs(folder: Path) -> None:
     """All inputs, below a folder."""
     for name, launch, seed in (("csv", 1, 7), ("other", 2, 7), ("parquet", 1, 8)):
@@ -373,25 +435,50 @@ def write_inputs(folder: Path) -> None:
     shutil.copytree(folder / "csv", folder / "passport")
     passport = session | {"device": session["device"] | {"systematic": "../calibration.json"}}
     (folder / "passport/session.toml").write_text(tomli_w.dumps(passport), encoding="utf-8")
+    _write_warm(folder)
     head = log.head(LOOKED_AT)
     rounded = head.with_columns(pl.all().round(5))
     rounded.write_csv(folder / "messung.txt", separator=";", decimal_comma=True)
-    savemat(folder / "imu.mat", {"data": head.to_numpy()})
+    savemat(folder / "imu.mat", {"data": log.head(400).to_numpy()})  # without names: it takes some rests to tell
     _written_h5(folder / "imu.h5", head)
     for ending in ("gz", "zst"):
         head.lazy().sink_csv(folder / f"log.csv.{ending}", compression={"gz": "gzip", "zst": "zstd"}[ending])
     rests = read_calibration(folder / "calibration.json").rests
     means = np.array([rest.accel.mean for rest in rests if rest.accel is not None])
     pl.DataFrame(means, schema=["ax", "ay", "az"]).write_csv(folder / "readings.csv")
-    for name, text in (("limits", LIMITS), ("campaign", CAMPAIGN), ("certificate", CERTIFICATE)):
+    for name, text in TEXTS.items():
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
-    (folder / "manifest.csv").write_text("session,who\ncsv,a\nparquet,b\n", encoding="utf-8")
-    (folder / "manifest.txt").write_text("# a comment\ncsv\n", encoding="utf-8")
+    _of_accelerometers(folder / "csv", folder / "still")
+    (folder / "manifest.csv").write_text("session,who\nstill,a\nparquet,b\n", encoding="utf-8")
+    (folder / "manifest.txt").write_text("# a comment\nstill\n", encoding="utf-8")
     registry = f"--registry {folder}/r.sqlite"
     _invoked(f"registry limits BCHE-501 {folder}/limits.toml {registry}")
     for name in ("calibration", "other"):
         _invoked(f"registry add {folder}/{name}.json {registry}")
     (folder / "registry.jsonl").write_text(_invoked(f"registry export {registry}").stdout, encoding="utf-8")
+
+
+def _write_warm(folder: Path) -> None:
+    """A session with thermometers, priors of the data sheet and what is left out, and its calibration."""
+    by_hand = replace(SETUP, by_hand=20)
+    simulate_session(folder / "warm", by_hand, seed=9, temperature=temperature_profile("10:30"), log_format="csv")
+    path = folder / "warm/session.toml"
+    session = _of_accelerometers(folder / "warm", folder / "warm")
+    session["log"]["temperature"]["columns"] *= 3
+    merged = {key: session.get(key, {}) | more for key, more in WARM.items()}
+    path.write_text(tomli_w.dumps(session | merged | {"exclude": EXCLUDED}), encoding="utf-8")
+    _invoked(f"calibrate {folder}/warm --out {folder}/warm.json")
+
+
+def _of_accelerometers(source: Path, target: Path) -> dict[str, Any]:
+    """Write a session without its gyros, and return what its file says."""
+    session = tomllib.loads((source / "session.toml").read_text(encoding="utf-8"))
+    del session["log"]["gyro"]
+    log = pl.read_csv(source / "log.csv").drop("gx", "gy", "gz")
+    target.mkdir(exist_ok=True)
+    log.write_csv(target / "log.csv")
+    (target / "session.toml").write_text(tomli_w.dumps(session), encoding="utf-8")
+    return session
 
 
 def _written_h5(path: Path, log: pl.DataFrame) -> None:
@@ -472,7 +559,7 @@ class Inputs:
     """The inputs, in a folder; one of them is damaged at a time, and put right again."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.out = folder / "in", folder / "out"
+        self.folder, self.out, self.kept = folder / "in", folder / "out", folder / "kept"
         self.folder.mkdir()
         write_inputs(self.folder)
         self.clean = {target.file: (self.folder / target.file).read_bytes() for target in TARGETS}
@@ -491,7 +578,14 @@ class Inputs:
         self.out.mkdir()
 
     def _words(self, command: str) -> list[str]:
-        return [word.replace("{out}", str(self.out)).replace("{}", str(self.folder)) for word in command.split()]
+        if "{kept}" in command:
+            shutil.rmtree(self.kept, ignore_errors=True)
+            self.kept.mkdir()
+            shutil.copy(self.folder / "r.sqlite", self.kept)
+        places = {"{out}": self.out, "{kept}": self.kept / "r.sqlite", "{}": self.folder}
+        for name, place in places.items():
+            command = command.replace(name, str(place))
+        return command.split()
 
     def case(self, seed: int, number: int, verbose: bool = False) -> Finding | None:
         """A case, and what was found in it."""
@@ -502,15 +596,25 @@ class Inputs:
             return self._run(number, _options(self._words(OPTIONS[rng.integers(len(OPTIONS))]), rng), None, verbose)
         target = TARGETS[at]
         words = self._words(target.commands[rng.integers(len(target.commands))])
-        damaged = self._damaged(target, rng)
-        path = self.folder / target.file
-        if verbose:
-            print(path, damaged[:3000])
-        path.write_bytes(damaged)
+        damaged = [target]
+        others = [t for t in TARGETS if t.file != target.file and self._reads(words, t.file)]
+        if others and rng.random() < TWO:
+            damaged.append(others[rng.integers(len(others))])
+        for each in damaged:
+            text = self._damaged(each, rng)
+            if verbose:
+                print(each.file, text[:3000])
+            (self.folder / each.file).write_bytes(text)
         try:
             return self._run(number, words, target, verbose)
         finally:
-            path.write_bytes(self.clean[target.file])
+            for each in damaged:
+                (self.folder / each.file).write_bytes(self.clean[each.file])
+
+    def _reads(self, words: list[str], file: str) -> bool:
+        """Whether a command is given an input file, or its folder."""
+        path = self.folder / file
+        return str(path) in words or (path.parent != self.folder and str(path.parent) in words)
 
     def _damaged(self, target: Target, rng: Rng) -> bytes:
         text = self.clean[target.file]
@@ -606,7 +710,8 @@ def _options(words: list[str], rng: Rng) -> list[str]:
         choice = (ABSURD_NUMBERS, ABSURD_TEXTS)[rng.choice(2, p=(0.8, 0.2))]
         return choice[rng.integers(len(choice))][:2000].decode("utf-8", "replace").replace("\0", "")
 
-    return [re.sub("_", lambda _: value(), word) if re.search(r"(^|[=,@])_", word) else word for word in words]
+    words = [re.sub("_", lambda _: value(), word) if re.search(r"(^|[=,@])_", word) else word for word in words]
+    return words if rng.random() > SHUFFLED else [words[0], *rng.permutation(words[1:]).tolist()]
 
 
 def _innermost(stack: traceback.StackSummary) -> str:

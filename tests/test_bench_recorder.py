@@ -394,7 +394,10 @@ def test_the_virtual_table_sends_a_unit_in_si(folder: Path) -> None:
     assert table.moving
 
 
-@pytest.mark.parametrize("text", ["udp:x", "serial:/dev/ttyX", "replay:nowhere@0x", "what", "tcp:70000", "file:"])
+@pytest.mark.parametrize(
+    "text",
+    ["udp:x", "udp:²", "serial:/dev/ttyX", "serial:/dev/ttyX:²", "replay:nowhere@0x", "what", "tcp:70000", "file:"],
+)
 def test_a_source_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(InputError):
         source_of(text)

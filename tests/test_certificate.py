@@ -18,6 +18,7 @@ from click.testing import CliRunner
 from test_report import Page, opened, pdf_text
 
 from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.coverage import expanded
 from tumble.calibration.observed import inspect_session
 from tumble.cli import main
 from tumble.errors import InputError
@@ -74,8 +75,9 @@ def files(folder: Path, *, at: float = 0.5, certificate: str = CERTIFICATE) -> P
     first = made.parameters[0]
     before = replace(made, parameters=(replace(first, value=first.value + 0.01), *made.parameters[1:]))
     before.write(folder / "before.json")
-    assert first.u is not None
-    limit = f'"{first.name}" = {{ max = "{first.value + at * first.k * first.u!r} m/s^2" }}'
+    U = expanded(first)
+    assert U is not None
+    limit = f'"{first.name}" = {{ max = "{first.value + at * U!r} m/s^2" }}'
     (folder / "limits.toml").write_text(f"format = 1\n[periodic]\n{limit}\n", "utf-8")
     (folder / "lab").mkdir()
     (folder / "lab" / "laboratory.toml").write_text(LABORATORY, "utf-8")

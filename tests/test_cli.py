@@ -180,6 +180,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["simulate", "new", "--programme", "rough_table"], "found 'rough_table'; did you mean 'rough-table'?"),
         (["simulate", "new", "--programme", "cube14"], "did you mean 'cube-14'?"),
         (["simulate", "new", "--positions", "0"], "positions: expected at least 1, found 0"),
+        (["simulate", "new", "--positions", "1" * 400], "positions: expected at most 100000, found 1.11111e+399"),
         (["simulate", "new", "--positions", "-3"], "positions: expected at least 1, found -3"),
         (["simulate", "new", "--positions", "2.5"], "'2.5' is not a valid integer"),
         (["simulate", "new", "--rest", "-1"], "rest: expected at least two samples"),

@@ -19,6 +19,7 @@ from tumble.calibration.coverage import (
     degrees_of_mean,
     degrees_through,
     expanded,
+    expanded_of,
     remarks,
     welch_satterthwaite,
     with_degrees,
@@ -28,8 +29,9 @@ from tumble.calibration.readings_table import ReadingsTable, nominal, read_table
 from tumble.calibration.results import coverage_factor
 from tumble.estimation.estimate import Fit
 from tumble.export import export_calibration
-from tumble.registry.limits import parse_limits
+from tumble.registry.limits import judge_value, parse_limits
 from tumble.report.content import Source, document
+from tumble.report.numbers import with_expanded
 from tumble.units import Array
 
 NAMESPACES = {"si": "https://ptb.de/si", "dcc": "https://ptb.de/dcc"}
@@ -88,6 +90,25 @@ def test_five_degrees_need_k_of_two_point_six_and_known_noise_two() -> None:
     assert made["accel.bias.x"].k == pytest.approx(2.649, abs=5e-4)
     assert made["gyro.bias.x"].k == 2.0
     assert expanded(made["gyro.bias.x"]) == 2.0 * (made["gyro.bias.x"].u or 0.0)
+
+
+def test_no_expanded_uncertainty_is_stated_with_less_than_one_degree_of_freedom() -> None:
+    made = of_groups(accelerometers=scattered(0.24), gyro_rests=scattered(30.0, scatter=0.0))
+    few, known = made["accel.bias.x"], made["gyro.bias.x"]
+    assert (few.k, expanded(few), expanded_of(few.u or 0.0, few.dof)) == (None, None, None)
+    assert few.u
+    assert few.dof == 0.24
+    assert expanded(known)
+    said = next(each for each in remarks(made) if "no U is stated" in each)
+    assert "no U is stated of 9 parameters, first accel.bias.x: 0.2 degrees of freedom stand behind u" in said
+    assert with_expanded(few, 1.0)[1] == "—"
+    certificate = certified(made)
+    assert certificate.findtext(".//dcc:quantity[@id='accel.bias.x']//si:valueStandardMU", "", NAMESPACES) == repr(
+        few.u
+    )
+    assert certificate.find(".//dcc:quantity[@id='accel.bias.x']//si:expandedMU", NAMESPACES) is None
+    assert certificate.find(".//si:coverageFactorXMLList", NAMESPACES) is None
+    assert judge_value(0.0, 1.0, -1e9, 1e9, dof=0.24) == "undecided"
 
 
 def test_gyros_have_the_fewer_degrees_of_rests_and_turns_that_scatter() -> None:

@@ -62,6 +62,11 @@ def test_a_serial_number_is_printable(serial: str) -> None:
     assert str(caught.value).isprintable()
 
 
+REST = {"start": 0.0, "stop": 1.0, "residual": 0.0}
+READ = {"columns": ["x", "y", "z"], "unit": "m/s^2", "increments": False, "scale": [1.0] * 3, "offset": [0.0] * 3}
+TURN = {"first": 0, "last": 1, "duration": 1.0, "angle": None, "programmed": None, "sigmas": 0.0}
+
+
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
@@ -81,6 +86,10 @@ def test_a_serial_number_is_printable(serial: str) -> None:
         ("method", "joint\x1b[2J", "method: expected 1 to 200 printable characters, found"),
         ("launches", [{}], "found no key 'parameters' in launches[1]"),
         ("rests", [{"start": 0, "stop": True, "residual": 0}], "found True in place of a number at rests[1].stop"),
+        ("rests", [REST | {"file": 3}, REST], "rests[2].file: expected 3 or a later file, found 0"),
+        ("rests", [REST, REST | {"file": 10**6}], "rests[2].file: expected 0 or a later file, found 1000000"),
+        ("turns", [TURN], "turns[1]: expected two of 0 rests, in their order and counted from 0, found 0 and 1"),
+        ("readings", {"accel": READ | {"scale": [1.0, 1e-300, 1.0]}}, "readings.accel: expected a scale, not zero"),
         ("provenance/created", 7, "found 7 in place of a text at provenance.created"),
         ("device/imu", {"gyro_number": 0}, "found 0 in place of a larger number at device.imu.gyro_number"),
         ("device/imu", {"accel_id": "7"}, "found '7' in place of a whole number at device.imu.accel_id"),

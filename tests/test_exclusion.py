@@ -77,6 +77,8 @@ def test_times_shorten_a_rest_and_its_longer_part_remains(whole: Path) -> None:
 def test_a_turn_by_number_is_left_out(whole: Path) -> None:
     found = _calibrated(whole, "turn = 2")
     assert [turn.first for turn in found.turns] == [0, *range(2, RESTS - 1)]
+    assert "left out by session.toml: turn 2" in found.notes
+    assert not any("samples are lost" in note for note in found.notes)
     assert len(found.rests) == RESTS
 
 

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.coverage import expanded
 from tumble.calibration.launches import Run, mean_of_launches
 from tumble.calibration.results import Parameter
 from tumble.calibration.type_spread import KnownLaunches, TypeSpread
@@ -155,7 +156,7 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
     same = mean_of_launches(runs[:2], alike=replace(alike, known=(own,)))
     for p, q, unchanged in zip(alone.parameters, better.parameters, same.parameters, strict=True):
         assert (q.value, q.run_to_run) == (p.value, p.run_to_run)
-        assert q.k * (q.u or 0.0) <= p.k * (p.u or 0.0) * (1.0 + 1e-9)
+        assert (expanded(q) or 0.0) <= (expanded(p) or 0.0) * (1.0 + 1e-9)
         assert (unchanged.u, unchanged.dof) == (p.u, p.dof)
     assert "by all launches of the type mems in the registry, 50 degrees of freedom" in better.notes[-1]
 

@@ -526,6 +526,7 @@ def test_a_byte_order_mark_blank_lines_and_spaces_do_no_harm(tmp_path: Path) -> 
         (["--sensor", "gyro", "--modulus", "1", "--frame", "paper"], "--frame: expected accelerometer"),
         (["--position", "15=1,0,0"], "--position: expected a position from 1 to 14 of the table, found 15"),
         (["--position", "1=1,0"], "--position: expected N=X,Y,Z, the number of a position and a direction"),
+        (["--position", "²=1,0,0"], "--position: expected N=X,Y,Z"),
         (["--position", "x=1,0,0"], "--position: expected N=X,Y,Z"),
         (["--position", "1=0,0,0"], "--position: expected N=X,Y,Z"),
     ],

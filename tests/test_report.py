@@ -743,7 +743,7 @@ def test_methods_on_one_log_are_compared(file: Path, other_method: Path, tmp_pat
             p = calibration[row["parameter"]]
             assert p.u is not None
             assert number(value) == pytest.approx(p.value / size, abs=0.5001 * last_digit(value))
-            assert number(expanded) == pytest.approx(p.k * p.u / size, rel=0.051)
+            assert number(expanded) == pytest.approx((p.k or 0.0) * p.u / size, rel=0.051)
     assert "Methods compared" in page.whole
     assert page.headings.count("1 Result") == 2
     named = [attributes["id"] for _, attributes in page.elements if "id" in attributes]

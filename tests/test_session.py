@@ -133,6 +133,14 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         "site.gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found 1.0",
     ),
     "gravity_u negative": ({"site": {"gravity_u": -1e-6}}, "site.gravity_u: expected a number from 0 to 0.1"),
+    "gravity_u next to nothing": (
+        {"site": {"gravity": 9.81, "gravity_u": 1e-320}},
+        "site.gravity_u: expected 0 or at least 1e-15 m/s^2, found 9.99989e-321",
+    ),
+    "prior next to nothing": (
+        {"device": {"serial": "A", "prior": {"accel_quadratic": "1e-300 ug/g^2"}}},
+        "accel_quadratic: expected a positive number and one of",
+    ),
     "gravity_u of nothing": (
         {"site": {"gravity_u": 1e-6}},
         "site.gravity_u: expected site.gravity or site.latitude_deg with it, found neither",

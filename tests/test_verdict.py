@@ -18,6 +18,7 @@ import polars as pl
 import pytest
 
 from tumble.calibration.calibrate import Terms, calibrate
+from tumble.calibration.calibration_file import Calibration
 from tumble.estimation.causes.chances import weighted_chance
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.diagnosis.misfit import misfit
@@ -100,28 +101,49 @@ def test_lost_samples_are_refused() -> None:
     assert any("lost or held samples" in reason for reason in outcome.reasons)
 
 
-@pytest.fixture(scope="module")
-def unstamped(tmp_path_factory: pytest.TempPathFactory) -> Samples:
+def _unstamped(folder: Path, seed: int) -> Samples:
     """Twelve positions by hand at 20 Hz, without time stamps."""
     setup = Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=20.0)
-    folder = tmp_path_factory.mktemp("unstamped") / "session"
-    log = pl.read_parquet(simulate_session(folder, replace(setup, first_rest=6.0), seed=7, launch=1) / "log.parquet")
+    log = pl.read_parquet(simulate_session(folder, replace(setup, first_rest=6.0), seed=seed, launch=1) / "log.parquet")
     return log.select("ax", "ay", "az").to_numpy(), log.select("gx", "gy", "gz").to_numpy()
+
+
+def _lost_in_turn(samples: Samples, turn: int, rows: int, terms: Terms = "linear") -> tuple[Calibration, Calibration]:
+    """The result of a log without time stamps, and of the same without rows at the start of a turn."""
+    accel, gyro = samples
+    whole = calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
+    start = round(whole.rests[whole.turns[turn].first].stop * 20.0)
+    moving = start + int(np.argmax(np.linalg.norm(gyro[start:], axis=1) > 0.05))
+    accel, gyro = (np.delete(each, range(moving, moving + rows), axis=0) for each in samples)
+    return whole, calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
+
+
+@pytest.fixture(scope="module")
+def unstamped(tmp_path_factory: pytest.TempPathFactory) -> Samples:
+    return _unstamped(tmp_path_factory.mktemp("unstamped") / "session", 7)
 
 
 @pytest.mark.parametrize("terms", ["linear", "full"])
 def test_rows_lost_at_the_start_of_a_turn_are_named(unstamped: Samples, terms: Terms) -> None:
     """What the other turns of a short session cannot contradict: its velocity does."""
-    accel, gyro = unstamped
-    whole = calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
+    whole, lost = _lost_in_turn(unstamped, 8, 2, terms)
     assert whole.outcome.verdict == "accepted"
-    turn = whole.turns[8]
-    start = round(whole.rests[turn.first].stop * 20.0)
-    moving = start + int(np.argmax(np.linalg.norm(gyro[start:], axis=1) > 0.05))
-    accel, gyro = (np.delete(each, [moving, moving + 1], axis=0) for each in unstamped)
-    lost = calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
     assert lost.outcome.verdict == "not accepted"
     assert any("the turn from rest 9 to rest 10" in reason for reason in lost.outcome.reasons)
+
+
+def test_a_loss_that_does_little_harm_is_named(tmp_path: Path) -> None:
+    """One row: its turn stands out, and no parameter errs by three times its u."""
+    whole, lost = _lost_in_turn(_unstamped(tmp_path / "session", 10), 2, 1)
+    assert whole.outcome.verdict == "accepted"
+    assert lost.outcome.verdict == "accepted with scatter"
+    assert any("the turn from rest 3 to rest 4" in remark for remark in lost.outcome.remarks)
+
+
+def test_a_loss_is_looked_for_beside_a_warm_up(tmp_path: Path) -> None:
+    """The estimate of all groups takes what was lost for a warm-up as well."""
+    _, lost = _lost_in_turn(_unstamped(tmp_path / "session", 8), 0, 1)
+    assert lost.outcome.remarks
 
 
 def test_gyros_that_are_not_linear_leave_the_accelerometers() -> None:

@@ -28,6 +28,11 @@ _WORDS = re.compile(rf"\S{{{_LONGEST_WORD + 1},}}")
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
+def whole_number(text: str) -> int | None:
+    """The number, from 0, that up to nine digits 0 to 9 say; None of anything else, "²" and 5,000 digits too."""
+    return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
+
+
 def text_of_document(path: Path) -> str:
     """The text of a document. Raises OSError, UnicodeDecodeError, and InputError for one that is too large."""
     if "\0" in str(path):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from tumble.bench import folder as folders
 from tumble.bench.faults import Fault
+from tumble.documents import whole_number
 from tumble.recording.session import Exclusion
 
 _HERE = ("knock", "movement")
@@ -72,10 +73,11 @@ class Answers:
 
     def leave_out_rest(self, number: str, rests: int) -> str:
         """Leave out one of so many rests."""
-        if not number.isdigit() or not 0 < int(number) <= rests:
+        rest = whole_number(number)
+        if rest is None or not 0 < rest <= rests:
             return f"expected the number of a rest from 1 to {rests}"
-        self._add(Exclusion(rest=int(number), reason="left out at the bench"))
-        return f"rest {number} is left out"
+        self._add(Exclusion(rest=rest, reason="left out at the bench"))
+        return f"rest {rest} is left out"
 
     def take_back(self) -> str:
         """Take in again what was left out last."""

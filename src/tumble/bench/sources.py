@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tumble.bench.lines import MOTIONCAL_COLUMNS
+from tumble.documents import whole_number
 from tumble.errors import InputError, needs_extra
 from tumble.recording.session import LogSpec
 from tumble.recording.session_file import read_session
@@ -375,13 +376,15 @@ def _speed(text: str, speed: str) -> float:
 
 def _address(text: str, rest: str) -> tuple[str, int]:
     host, _, port = rest.rpartition(":")
-    if not port.isdigit() or int(port) > 65535:
+    number = whole_number(port)
+    if number is None or number > 65535:
         raise InputError(f"--listen {text}: expected a port from 0 to 65535, found {port!r}")
-    return host or LOOPBACK, int(port)
+    return host or LOOPBACK, number
 
 
 def _line(text: str, rest: str) -> tuple[str, int]:
     device, _, baud = rest.rpartition(":")
-    if not device or not baud.isdigit():
+    rate = whole_number(baud)
+    if not device or rate is None:
         raise InputError(f"--listen {text}: expected serial:DEVICE:BAUD, e.g. serial:/dev/ttyUSB0:115200")
-    return device, int(baud)
+    return device, rate

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.documents import whole_number
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.programme.positions import Programme, programme
@@ -118,8 +119,10 @@ class VirtualTable:
         """Do what is said: "N+90" or "to 3", "knock", "lose" or "stick"; nothing for anything else."""
         if what in ("knock", "lose", "stick"):
             getattr(self, what)()
-        elif what.startswith("to ") and what[3:].isdigit() and 0 < int(what[3:]) <= len(self.programme.positions):
-            self.go_to(int(what[3:]) - 1)
+        elif what.startswith("to "):
+            number = whole_number(what[3:])
+            if number is not None and 0 < number <= len(self.programme.positions):
+                self.go_to(number - 1)
         elif what[:1] in AXES:
             with contextlib.suppress(ValueError):
                 self.turn(what[0], float(what[1:]))

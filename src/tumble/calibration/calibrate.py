@@ -199,8 +199,9 @@ def estimated(
     try:
         estimate = _with_time_base(method(observations), observations)
         if terms == "linear" and estimate.linearised is not None and unstamped:
-            lost = lost_by_velocities(replace(observations, usual=_usual(session, observations, "full")[0]))
-            estimate = replace(estimate, reasons=(*estimate.reasons, *lost))
+            known = replace(observations, usual=_usual(session, observations, "full")[0])
+            reasons, remarks = lost_by_velocities(estimate.linearised, known)
+            estimate = replace(estimate, reasons=(*estimate.reasons, *reasons), remarks=remarks)
         return estimate, observations
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"

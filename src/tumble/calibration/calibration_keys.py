@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from datetime import date, datetime
+from itertools import pairwise
 from math import inf, isfinite
 from typing import Annotated, Any, Literal, Self
 
@@ -256,7 +257,8 @@ class _ReadingsKeys(_Keys):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if not len(self.columns) == len(self.scale) == len(self.offset) or not all(self.scale):
+        seen = all(abs(scale) >= LEAST for scale in self.scale)
+        if not len(self.columns) == len(self.scale) == len(self.offset) or not seen:
             raise ValueError("expected a scale, not zero, and an offset for every column, found others")
         return self
 
@@ -285,6 +287,19 @@ class _ResultKeys(_Keys):
         for name, count in Counter(parameter.name for parameter in self.parameters).items():
             if count > 1:
                 raise ValueError(f"parameters: expected every name once, found {name!r} twice")
+        return self
+
+    @model_validator(mode="after")
+    def _check_rests(self) -> Self:
+        for number, (rest, following) in enumerate(pairwise(self.rests), 2):
+            if not rest.file <= following.file < MOST_RESTS:
+                raise ValueError(f"rests[{number}].file: expected {rest.file} or a later file, found {following.file}")
+        for number, turn in enumerate(self.turns, 1):
+            if not turn.first < turn.last < len(self.rests):
+                raise ValueError(
+                    f"turns[{number}]: expected two of {len(self.rests)} rests, in their order and counted from 0, "
+                    f"found {turn.first} and {turn.last}"
+                )
         return self
 
 

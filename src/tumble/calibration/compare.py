@@ -55,8 +55,9 @@ class Difference:
 
     @property
     def e_n(self) -> float | None:
-        """The E_n number; None without uncertainties."""
-        return self.value / expanded_of(self.u, self.dof) if self.u else None
+        """The E_n number; None without uncertainties that have one."""
+        expanded = expanded_of(self.u, self.dof) if self.u else None
+        return None if expanded is None else self.value / expanded
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

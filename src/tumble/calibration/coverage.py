@@ -25,7 +25,7 @@ Source: JCGM 100:2008 (GUM), annex G.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import erfc, inf, sqrt
 from typing import TYPE_CHECKING
@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
-from tumble.calibration.results import Parameter, coverage_factor
+from tumble.calibration.results import Parameter, coverage_factor, stated_factor
 from tumble.estimation.estimate import Fit
 from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
@@ -51,6 +51,9 @@ MANY_DEGREES = 1e5
 UNSEEN = 0.05
 """A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
 
+MOST_NAMED = 6
+"""Parameters without U that are named one by one."""
+
 COUNTED = 4.0
 """cᵀ C⁻¹ c above which a covariance is taken not to have the uncertainty of gravity."""
 
@@ -63,13 +66,14 @@ def degrees_of_freedom(parameter: Parameter) -> float:
 
 
 def expanded(parameter: Parameter) -> float | None:
-    """U = k u; None where the parameter has no u."""
-    return None if parameter.u is None else parameter.k * parameter.u
+    """U = k u; None where the parameter has no u, or one with too few degrees of freedom for a U."""
+    return None if parameter.u is None else expanded_of(parameter.u, parameter.dof)
 
 
-def expanded_of(u: float, degrees: float | None) -> float:
-    """U of a standard uncertainty with so many degrees of freedom; None: it is known."""
-    return coverage_factor(inf if degrees is None else degrees) * u
+def expanded_of(u: float, degrees: float | None) -> float | None:
+    """U of a standard uncertainty with so many degrees of freedom, None: it is known; None where they are too few."""
+    k = stated_factor(degrees)
+    return None if k is None else k * u
 
 
 def welch_satterthwaite(parts: Iterable[tuple[float, float | None]]) -> float | None:
@@ -119,7 +123,8 @@ def degrees_of_mean(
     L = len(parts)
     between, within = run_to_run**2 / L, sum(variance for variance, _ in parts) / L**2
     of_within = welch_satterthwaite((variance / L**2, degrees) for variance, degrees in parts)
-    U = max(expanded_of(sqrt(between), L - 1.0 if degrees is None else degrees), expanded_of(sqrt(within), of_within))
+    factors = (coverage_factor(inf if d is None else d) for d in (L - 1.0 if degrees is None else degrees, of_within))
+    U = max(k * sqrt(variance) for k, variance in zip(factors, (between, within), strict=True))
     square = max(between, within)
     of_square = _degrees_behind(U / sqrt(square)) if square > 0.0 else None
     return sqrt(square + common**2), welch_satterthwaite([(square, of_square), (common**2, None)])
@@ -167,11 +172,11 @@ def shared_gravity(first: Site | None, second: Site | None) -> bool:
 
 
 def remarks(calibration: Calibration) -> tuple[str, ...]:
-    """For each kind of sensor whose U is of known noise although few residuals could have shown a scatter: how large
-    one may be there unseen."""
+    """Of which parameters no U is stated; and, for each kind of sensor whose U is of known noise although few residuals
+    could have shown a scatter, how large one may be there unseen."""
+    found = list(without_expanded(calibration.parameters))
     if calibration.launches:
-        return ()
-    found = []
+        return tuple(found)
     for kind, sensors in _KINDS.items():
         groups = [fit for name, fit in calibration.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
         hidden = max(((_hidden(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
@@ -182,6 +187,17 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
                 "there unseen"
             )
     return tuple(found)
+
+
+def without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
+    """Of which parameters no U is stated, their u having too few degrees of freedom."""
+    few = {p.name: p.dof for p in parameters if p.dof is not None and p.k is None}
+    if few:
+        named = ", ".join(few) if len(few) <= MOST_NAMED else f"{len(few)} parameters, first {next(iter(few))}"
+        yield (
+            f"no U is stated of {named}: {min(few.values()):.1g} degrees of freedom stand behind u, fewer than one; "
+            "more rests or turns would give them"
+        )
 
 
 def _hidden(fit: Fit) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration, SensingAxes
 from tumble.calibration.case import CaseAlignment, estimate_in
 from tumble.calibration.coverage import MANY_DEGREES, with_degrees
-from tumble.calibration.notes import case_found, one_rate, torn_turns, unchecked
+from tumble.calibration.notes import case_found, one_rate, unchecked
 from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.rests_and_turns import rest_results, turn_results
 from tumble.calibration.results import Parameter, Readings
@@ -60,7 +60,6 @@ def result_of(
         programme=None if observations.programme is None else observations.programme.name,
         readings=readings_of_session(session),
         notes=bridged
-        + torn_turns(observations)
         + exclusion.said(session.excluded)
         + observations.notes
         + gravity_doubted(observations.site)

@@ -154,4 +154,4 @@ def verdicts(calibration: Calibration) -> tuple[str, ...]:
 
 def other_factors(parameters: Sequence[Parameter]) -> bool:
     """Whether the coverage factor of any parameter is another than 2."""
-    return any(abs(p.k - 2.0) > OTHER_THAN_TWO for p in parameters if p.u)
+    return any(p.k is None or abs(p.k - 2.0) > OTHER_THAN_TWO for p in parameters if p.u)

@@ -39,22 +39,6 @@ def bridged_in(found: Sequence[Gap]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def torn_turns(observations: Observations) -> tuple[str, ...]:
-    """The turns that were not recorded as a whole, as notes."""
-    if observations.turns is None:
-        return ()
-    file, known = observations.rests.file, set(observations.turns.first.tolist())
-    if observations.together is not None:
-        return ()
-    missing = [i for i in range(len(file) - 1) if file[i] == file[i + 1] and i not in known]
-    left_out = [f"turn from rest {i + 1} to rest {i + 2} is left out" for i in missing]
-    return tuple(
-        f"{said}: samples are lost in it"
-        for said in left_out
-        if not any(note.startswith(said) for note in observations.notes)
-    )
-
-
 def unchecked(estimate: Estimate) -> tuple[str, ...]:
     """What no redundancy checks, as notes."""
     fit = estimate.fits["accelerometers"]

@@ -32,6 +32,7 @@ from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
+from tumble.reduction.turns import torn_turns
 from tumble.units import IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
@@ -132,10 +133,10 @@ def observations_for_calibration(observed: Observed) -> Observations | Outcome:
     if isinstance(found, Outcome):
         return found
     reduction, match, said = found
-    session = observed.session
-    whole = match.rests == observed.segmentation.rests and not session.excluded and not said
+    whole = match.rests == observed.segmentation.rests and reduction is observed.reduction
     if observed.observations is not None and whole:
-        return replace(observed.observations, programme=match.programme, position=match.position)
+        notes = (*observed.observations.notes, *said)
+        return replace(observed.observations, programme=match.programme, position=match.position, notes=notes)
     observations = _observed_again(observed, reduction, match)
     return replace(observations, notes=(*observations.notes, *said))
 
@@ -160,7 +161,7 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
 
 def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | Outcome:
     """The rests of a session's programme, or all, the reduction without the turns that are left out, and notes of those
-    that are left out because gyros are clipped."""
+    that were not recorded as a whole."""
     if observed.faults:
         return Outcome(reasons=observed.faults)
     session = observed.session
@@ -171,5 +172,5 @@ def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | O
     match = exclusion.without_rests(match, session.excluded)
     if session.gyro_block is None or session.log.gyro is None:
         return reduction, match, ()
-    reduction, said = without_clipped_turns(reduction, match, session.gyro_block, session.log.gyro)
-    return reduction, match, said
+    reduction = without_clipped_turns(reduction, match, session.gyro_block, session.log.gyro)
+    return reduction, match, torn_turns(match.rests, reduction.gaps)

@@ -41,9 +41,21 @@ class Parameter:
     """How much of the prior's variance the session has taken off, 0 to 1."""
 
     @property
-    def k(self) -> float:
-        """The coverage factor of U = k u, of 95.45 %: Student's t for `dof`."""
-        return coverage_factor(inf if self.dof is None else self.dof)
+    def k(self) -> float | None:
+        """The coverage factor of U = k u, of 95.45 %: Student's t for `dof`; None where there are fewer than
+        FEWEST_DEGREES."""
+        return stated_factor(self.dof)
+
+
+FEWEST_DEGREES = 0.99
+"""Degrees of freedom without which no U is stated, those of two readings, one, but for its rounding: t is then beyond
+14, and soon beyond any use, and says less of the value than of how little is known of u."""
+
+
+def stated_factor(degrees: float | None) -> float | None:
+    """The coverage factor for so many degrees of freedom, infinite where None; None where they are too few for a U."""
+    known = inf if degrees is None else degrees
+    return None if known < FEWEST_DEGREES else coverage_factor(known)
 
 
 def coverage_factor(degrees: float) -> float:

@@ -59,11 +59,11 @@ def _more(calibration: Calibration) -> list[tuple[str, Callable[[Parameter, floa
 
 
 def _factor(parameter: Parameter, size: float) -> str:  # noqa: ARG001
-    return f"{parameter.k:.2f}"
+    return "" if parameter.k is None else f"{parameter.k:.2f}"
 
 
 def _degrees(parameter: Parameter, size: float) -> str:  # noqa: ARG001
-    return "" if parameter.dof is None else f"{parameter.dof:.0f}"
+    return "" if parameter.dof is None else f"{parameter.dof:.0f}" if parameter.k else f"{parameter.dof:.1g}"
 
 
 def _prior(parameter: Parameter, size: float) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tumble.commands.arguments import FILE, JSON, say, warn
+from tumble.documents import whole_number
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -114,7 +115,8 @@ def _position(text: str) -> tuple[int, Array]:
     import numpy as np
 
     number, _, direction = text.partition("=")
+    position = whole_number(number.strip())
     vector = np.array(_numbers("--position", direction)) if direction else np.zeros(0)
-    if not number.strip().isdigit() or vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+    if position is None or vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise InputError(f"--position: expected N=X,Y,Z, the number of a position and a direction, found {text!r}")
-    return int(number), vector
+    return position, vector

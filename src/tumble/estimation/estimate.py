@@ -192,6 +192,8 @@ class Estimate:
     converged: bool
     reasons: tuple[str, ...] = ()
     """What the method itself has against the result."""
+    remarks: tuple[str, ...] = ()
+    """What it says of residuals that the noise does not explain."""
     instrument: Instrument | None = None
     """The instrument whose parameters these are, where it has groups beyond the linear model."""
     groups: tuple[GroupFinding, ...] = ()

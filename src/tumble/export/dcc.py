@@ -25,7 +25,7 @@ from scipy.special import chdtri, fdtri
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import PROBABILITY, degrees_of_freedom
-from tumble.calibration.results import coverage_factor
+from tumble.calibration.results import FEWEST_DEGREES, stated_factor
 from tumble.errors import InputError
 from tumble.export.certificate import RELATES, STATES, Certificate, Party
 from tumble.export.exported import Exported, example, models, one_line, origin, shown
@@ -314,13 +314,19 @@ def _parameters(data: ET.Element, calibration: Calibration, judged: Sequence[Ver
 
 
 def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degrees: float) -> None:
-    """A value with its expanded uncertainty, where it has one, of a u with so many degrees of freedom."""
+    """A value with its expanded uncertainty, where it has one, of a u with so many degrees of freedom; with u where
+    these are too few."""
     real = _child(quantity, "real", namespace=_SI)
     _child(real, "value", repr(float(value)), _SI)
     _child(real, "unit", d_si(unit), _SI)
-    if u is not None:
-        k = coverage_factor(degrees)
-        expanded = _child(_child(real, "measurementUncertaintyUnivariate", namespace=_SI), "expandedMU", namespace=_SI)
+    if u is None:
+        return
+    univariate, k = _child(real, "measurementUncertaintyUnivariate", namespace=_SI), stated_factor(degrees)
+    if k is None:
+        standard = _child(univariate, "standardMU", namespace=_SI)
+        _child(standard, "valueStandardMU", repr(float(u)), _SI)
+    else:
+        expanded = _child(univariate, "expandedMU", namespace=_SI)
         _child(expanded, "valueExpandedMU", repr(float(k * u)), _SI)
         _child(expanded, "coverageFactor", f"{k:.4g}", _SI)
         _child(expanded, "coverageProbability", f"{PROBABILITY:g}", _SI)
@@ -328,8 +334,13 @@ def _real(quantity: ET.Element, value: float, u: float | None, unit: str, degree
 
 
 def _covariance(data: ET.Element, calibration: Calibration, covariance: Array) -> None:
-    """All parameters in one list with the matrix of their covariances, column by column."""
-    quantity, parameters = _child(data, "quantity"), calibration.parameters
+    """All parameters in one list with the matrix of their covariances, column by column; nothing where too few degrees
+    of freedom stand behind it for a region of 95 %."""
+    parameters = calibration.parameters
+    fewest = min(degrees_of_freedom(p) for p in parameters)
+    if fewest < FEWEST_DEGREES:
+        return
+    quantity = _child(data, "quantity")
     _named(quantity, "name", "all parameters")
     units = [p.unit for p in parameters]
     entries = _list(quantity, [p.name for p in parameters], np.array([p.value for p in parameters]), units)
@@ -340,7 +351,6 @@ def _covariance(data: ET.Element, calibration: Calibration, covariance: Array) -
         column = _child(_child(matrix, "columnXMLList", namespace=_SI), "covarianceXMLList", namespace=_SI)
         _child(column, "valueXMLList", shown(covariance[:, j]), _SI)
         _child(column, "unitXMLList", " ".join(d_si(other, unit) for other in units), _SI)
-    fewest = min(degrees_of_freedom(p) for p in parameters)
     _child(region, "coverageFactorXMLList", f"{_region_factor(len(units), fewest):.6f}", _SI)
     _child(region, "coverageProbabilityXMLList", str(REGION_PROBABILITY), _SI)
 

@@ -54,6 +54,6 @@ def _known_before(parameters: Sequence[Parameter]) -> dict[str, Array]:
     return {
         "parameter_prior": np.array([np.nan if p.prior is None else p.prior for p in parameters]),
         "parameter_learned": np.array([np.nan if p.learned is None else p.learned for p in parameters]),
-        "parameter_k": np.array([p.k for p in parameters]),
+        "parameter_k": np.array([np.nan if p.k is None else p.k for p in parameters]),
         "parameter_dof": np.array([np.nan if p.dof is None else p.dof for p in parameters]),
     }

@@ -50,7 +50,8 @@ _HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
 class Gap:
     """Lost samples: how many, the time of the first, s, and what was found; 0 samples where a line was left out and
     nothing is missing. `row` is the first data row, counted from 1, that is lost or comes after missing ones. `stop` is
-    the time of the next sound sample, s. Across a gap that is not `integrable` no turn is known."""
+    the time of the next sound sample, s. Across a gap that is not `integrable` no turn is known; `why` says it of the
+    turn, and nothing where it is said elsewhere."""
 
     file: int
     row: int
@@ -59,6 +60,7 @@ class Gap:
     what: str
     stop: float = field(default=math.nan, compare=False)
     integrable: bool = True
+    why: str = "samples are lost in it"
 
 
 def is_reading(numbers: Array) -> BoolArray:

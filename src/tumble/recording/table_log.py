@@ -47,15 +47,17 @@ class TableLog:
         return tuple(self.types)
 
     def head(self, column: str, rows: int, *, clock: bool = False) -> Array:
+        scan = self._scan([column], column if clock else None)
         with readable(self.path), without_panic():
-            table = self._scan([column], column if clock else None).head(rows).collect()
+            table = scan.head(rows).collect()
         self._check_no_nulls(table, 1)
         return table[column].to_numpy()
 
     def first_date(self, column: str) -> str | None:
         if not isinstance(self.types[column], pl.Datetime):
             return None
-        first = self.scan().select(pl.col(column).first()).collect().item()
+        with readable(self.path), without_panic():
+            first = self.scan().select(pl.col(column).first()).collect().item()
         return None if first is None else str(first.isoformat(timespec="seconds"))
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
@@ -88,7 +90,8 @@ class TableLog:
 
     def _since_midnight(self, clock: str) -> pl.Expr:
         """Seconds of a column of dates with times, since midnight of the first."""
-        first = self.scan().select(pl.col(clock).dt.truncate("1d").first()).collect().item()
+        with readable(self.path), without_panic():
+            first = self.scan().select(pl.col(clock).dt.truncate("1d").first()).collect().item()
         return (pl.col(clock) - pl.lit(first)).dt.total_nanoseconds() * 1e-9
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:

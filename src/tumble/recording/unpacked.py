@@ -20,8 +20,8 @@ else:
     from backports import zstd
 
 LARGEST_RATIO = 100
-SMALL_BYTES = 1 << 26
-"""So much may come out of any archive."""
+SMALL_BYTES = 1 << 24
+"""So much may come out of any archive: rows of a few characters take twenty times as much memory."""
 
 _HEADER_BYTES = 18
 """The longest header of a frame of Zstandard."""

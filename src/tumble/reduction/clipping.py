@@ -8,6 +8,7 @@ converter is not known, are judged by whether they fit.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,15 +27,13 @@ FEWEST = 2
 """Samples of a turn: a single one at the end of the range may just have reached it."""
 
 
-def without_clipped_turns(
-    reduction: Reduction, match: Match, gyro: Block, channels: Channels
-) -> tuple[Reduction, tuple[str, ...]]:
-    """A reduction in which turns with clipped gyros were not recorded, and what is left out, as notes."""
+def without_clipped_turns(reduction: Reduction, match: Match, gyro: Block, channels: Channels) -> Reduction:
+    """A reduction in which turns with clipped gyros were not recorded."""
     limits, samples = _limits(reduction, channels), reduction.samples
     if samples is None or not np.isfinite(limits).any():
-        return reduction, ()
-    files, gaps, said = reduction.by_file, list[Gap](), list[str]()
-    for i, (before, after) in enumerate(zip(match.rests[:-1], match.rests[1:], strict=True)):
+        return reduction
+    files, gaps = reduction.by_file, list[Gap]()
+    for before, after in pairwise(match.rests):
         if before.file != after.file:
             continue
         of = files[before.file]
@@ -46,7 +45,6 @@ def without_clipped_turns(
         count = int(_clipped(read_by(gyro, rates, of_gyros), limits).sum())
         if count < FEWEST:
             continue
-        said.append(f"turn from rest {i + 1} to rest {i + 2} is left out: gyros are clipped in {count} of its samples")
         gap = Gap(
             file=before.file,
             row=0,
@@ -55,9 +53,10 @@ def without_clipped_turns(
             what="clipped",
             stop=after.start,
             integrable=False,
+            why=f"gyros are clipped in {count} of its samples",
         )
         gaps.append(gap)
-    return replace(reduction, gaps=(*reduction.gaps, *gaps)), tuple(said)
+    return replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
 
 
 def _limits(reduction: Reduction, channels: Channels) -> Array:

@@ -52,7 +52,14 @@ def _turn(match: Match, one: Exclusion) -> Gap:
     _expect(one, len(match.rests) - 1)
     before, after = match.rests[one.turn - 1], match.rests[one.turn]
     return Gap(
-        file=before.file, row=0, time=before.stop, samples=1, what="left out", stop=after.start, integrable=False
+        file=before.file,
+        row=0,
+        time=before.stop,
+        samples=1,
+        what="left out",
+        stop=after.start,
+        integrable=False,
+        why="",  # `said` tells it
     )
 
 

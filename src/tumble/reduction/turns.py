@@ -137,13 +137,34 @@ def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
 
 def _recorded(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> list[tuple[int, int]]:
     """The rests before and after each turn that was recorded as a whole, in one file."""
-    broken = [gap for gap in gaps if not gap.integrable]
     return [
         (i, i + 1)
         for i, (before, after) in enumerate(pairwise(spans))
-        if before.file == after.file
-        and not any(g.file == before.file and g.time < after.start and g.stop > before.stop for g in broken)
+        if before.file == after.file and _tear(before, after, gaps) is None
     ]
+
+
+def torn_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
+    """The turns that were not recorded as a whole, and why, as notes."""
+    torn = [(i, _tear(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
+    return tuple(
+        f"turn from rest {i} to rest {i + 1} is left out: {gap.why}" for i, gap in torn if gap is not None and gap.why
+    )
+
+
+def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | None:
+    """The last gap between two rests of a file across which no turn is known."""
+    return next(
+        (
+            gap
+            for gap in reversed(gaps)
+            if not gap.integrable
+            and gap.file == before.file == after.file
+            and gap.time < after.start
+            and gap.stop > before.stop
+        ),
+        None,
+    )
 
 
 def velocity_floor(moments: Moments, samples: IntArray) -> Array:

@@ -226,10 +226,10 @@ def _judged(row: ParameterRow, limits: tuple[float, float]) -> LimitJudgement:
 
 def judge_value(value: float, u: float | None, low: float, high: float, dof: float | None = None) -> Result:
     """The verdict on a value with its standard uncertainty and degrees of freedom (module docstring); undecided without
-    one, or where a limit is not a number."""
-    if u is None or math.isnan(low) or math.isnan(high):
+    one, with too few for a U, or where a limit is not a number."""
+    expanded = None if u is None else expanded_of(u, dof)
+    if expanded is None or math.isnan(low) or math.isnan(high):
         return "undecided"
-    expanded = expanded_of(u, dof)
     if low + expanded <= value <= high - expanded:
         return "pass"
     return "fail" if value < low - expanded or value > high + expanded else "undecided"

@@ -15,6 +15,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import expanded
 from tumble.calibration.further import by_group, linear_parameters
 from tumble.calibration.results import Parameter, RestResult, SensorsAtRest, TurnResult
 from tumble.estimation.estimate import FIT_SIGMAS
@@ -261,11 +262,10 @@ def _compared(
     means = [np.mean([own[name].value for own in found if name in own]) for name in members]
     for i, (title, own) in enumerate(zip(titles, found, strict=True)):
         values = [own[n].value - mean if n in own else np.nan for n, mean in zip(members, means, strict=True)]
-        expanded = [own[name].k * (own[name].u or 0.0) if name in own else 0.0 for name in members]
+        bars = np.array([(expanded(own[name]) or 0.0) if name in own else 0.0 for name in members]) / size
         beside = place + 0.5 * (i + 1) / (len(titles) + 1) - 0.25
         style: dict[str, Any] = {"fmt": "o", "markersize": 3, "linewidth": 0.9, "capsize": 1.5}
         label = drawable(title)
-        bars = np.array(expanded) / size
         axes.errorbar(beside, np.array(values) / size, bars, color=COLOURS[i % 6], label=label, **style)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     axes.set_xticks(place, [drawable(within_group(name)) for name in members])

@@ -32,7 +32,14 @@ def raised(exponent: int) -> str:
 
 def with_expanded(parameter: Parameter, size: float) -> tuple[str, str]:
     """Value and U of a parameter in a unit of this size, to the second significant digit of U."""
+    if parameter.k is None:
+        return with_standard(parameter, size)[0], NONE
     return _with(parameter, parameter.k, size)
+
+
+def factor(parameter: Parameter) -> str:
+    """The coverage factor, where U is stated."""
+    return NONE if parameter.k is None else fixed(parameter.k, 2)
 
 
 def with_standard(parameter: Parameter, size: float) -> tuple[str, str]:

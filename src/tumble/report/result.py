@@ -33,7 +33,7 @@ from tumble.report.blocks import (
     Text,
     Tone,
 )
-from tumble.report.numbers import NONE, as_value, fixed, significant, with_expanded, with_standard
+from tumble.report.numbers import NONE, as_value, factor, fixed, significant, with_expanded, with_standard
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind, within_kind
 from tumble.terminal.text import shown_units
@@ -104,7 +104,7 @@ def parameter_table(
         size, unit = units[p.name]
         row = [p.name, described(p.name), *with_expanded(p, size), unit]
         row += [as_value(before.get(p.name), p, size)] if before else []
-        row += [fixed(p.k, 2)] if factors else []
+        row += [factor(p)] if factors else []
         row += [outcomes.get(p.name, NONE)] if outcomes else []
         row += [as_value(p.run_to_run, p, size)] if launches else []
         row += [as_value(p.deviation, p, size)] if passport else []
@@ -150,7 +150,7 @@ def _further_table(parameters: Sequence[Parameter]) -> ReportTable:
         size, unit = units[p.name]
         prior = NONE if p.prior is None else significant(p.prior / size, 4)
         learned = NONE if p.learned is None else f"{100.0 * p.learned:.0f} %"
-        rows.append((p.name, *with_standard(p, size), fixed(p.k, 2), unit, prior, learned))
+        rows.append((p.name, *with_standard(p, size), factor(p), unit, prior, learned))
     return ReportTable(
         columns=("parameter", "value", "u", "k", "unit", "prior", "learned"),
         rows=tuple(rows),

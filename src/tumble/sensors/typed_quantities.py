@@ -7,6 +7,9 @@ import re
 from tumble.sensors.parameters import FURTHER, ParameterGroup, groups
 from tumble.units import quantity
 
+LEAST, LARGEST = 1e-60, 1e60
+"""SI: standard deviations between which squares and their inverses are numbers."""
+
 
 def prior_of(key: str, text: str) -> tuple[str, float]:
     """The group of a key of [device.prior], such as "accel_quadratic" or "accel_temperature.bias", and the standard
@@ -24,7 +27,7 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
             "accel_warmup_curvature, gyro_warmup_curvature, accel_launch, gyro_launch, temperature_lag"
         )
     found = _quantity(group, text)
-    if found is None or found <= 0.0:
+    if found is None or not LEAST <= found <= LARGEST:
         units = ", ".join(_typed_units(group))
         raise ValueError(f"{key}: expected a positive number and one of {units}, found {text!r}")
     return group.name, found

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
 
 import numpy as np
 
@@ -297,7 +298,9 @@ def _check(scenario: Scenario) -> None:
         if scenario.course.positions < 1:
             raise InputError(f"positions: expected at least 1, found {scenario.course.positions}")
         if scenario.course.positions > MOST_POSITIONS:
-            raise InputError(f"positions: expected at most {MOST_POSITIONS}, found {scenario.course.positions:.6g}")
+            raise InputError(
+                f"positions: expected at most {MOST_POSITIONS}, found {Decimal(scenario.course.positions):.6g}"
+            )
     else:
         _expect("table error", scenario.course.table_error / DEGREE, "deg", zero=True)
         _expect("mounting error", scenario.course.mounting_error / DEGREE, "deg", zero=True)

@@ -16,6 +16,7 @@ from rich.text import Text
 
 from tumble.calibration.calibrate import ITERATED_METHODS
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.coverage import without_expanded
 from tumble.calibration.further import (
     decided_by_priors,
     group_lines,
@@ -69,7 +70,8 @@ def _uncertainty(parameter: Parameter, size: float, *, expanded: bool) -> list[s
     if parameter.u is None:
         return [""] * (3 if expanded else 1)
     u, k = parameter.u / size, parameter.k
-    return [rounded(0.0, u)[1], *([f"{k:.2f}", rounded(0.0, k * u)[1]] if expanded else [])]
+    more = ["", ""] if k is None else [f"{k:.2f}", rounded(0.0, k * u)[1]]
+    return [rounded(0.0, u)[1], *(more if expanded else [])]
 
 
 def group_table(calibration: Calibration) -> Table:
@@ -218,7 +220,7 @@ def calibration_report(
         parts.append(Text(decided))
     if calibration.site is not None and not calibration.site.gravity_is_unit:
         parts.append(Text(gravity_said(calibration.site)))
-    parts += [Text(note) for note in calibration.notes]
+    parts += [Text(note) for note in (*without_expanded(calibration.parameters), *calibration.notes)]
     parts += [Text(f"remark: {remark}") for remark in calibration.outcome.remarks]
     parts += [Text(""), *map(Text, verdicts(calibration))]
     return Group(*parts)

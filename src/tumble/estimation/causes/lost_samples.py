@@ -23,7 +23,17 @@ from tumble.estimation.causes.cause import UNSEEN, Cause
 from tumble.estimation.causes.chances import fall_chance, ratio_chance, sum_of_squares
 from tumble.estimation.causes.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.estimation.causes.projection import Projection
-from tumble.estimation.likelihood import Linearised
+from tumble.estimation.likelihood import (
+    Linearised,
+    Point,
+    Problem,
+    Scatter,
+    instruments_of,
+    noise_of,
+)
+from tumble.estimation.linearisation import linearise
+from tumble.estimation.turns_about import TurnsAbout
+from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
@@ -42,6 +52,25 @@ def lost_samples(session: LinearisedSession, projection: Projection) -> Iterator
         if session.observations.unstamped and (one := lost_in_a_turn(session.linearised, projection)) is not None:
             found.append(one)
         yield min(found, key=lambda cause: cause.probability)
+
+
+def with_all_groups(linear: Linearised, observations: Observations) -> Linearised:
+    """The likelihood of all groups of parameters whose usual size the observations know, without scatter, at the
+    estimate of the linear model: one step from its solution."""
+    instrument, own = instruments_of(observations)
+    problem = Problem.of(observations, instrument=instrument, own=own, usual=observations.usual)
+    values, first = problem.measured[0][1:].copy(), instrument.linear_count
+    values[:first] = linear.point.values[:first]
+    point = Point(
+        values=values,
+        gravity=linear.point.gravity,
+        attitudes=linear.point.attitudes,
+        own=np.zeros((len(problem.parts), len(problem.own_known))),
+    )
+    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
+    rows = linearise(problem, point, about)
+    noise = noise_of(problem, rows)
+    return Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, scatter=Scatter())
 
 
 def lost_in_a_turn(linearised: Linearised, projection: Projection) -> Cause | None:

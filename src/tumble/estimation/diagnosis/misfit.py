@@ -17,7 +17,7 @@ import numpy as np
 from tumble.estimation.by_session import each_session
 from tumble.estimation.causes.cause import UNITS, WORDS, Cause, Concerns
 from tumble.estimation.causes.chances import variance_chance
-from tumble.estimation.causes.lost_samples import lost_in_a_turn
+from tumble.estimation.causes.lost_samples import lost_in_a_turn, with_all_groups
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.causes.ranking import causes
 from tumble.estimation.estimate import Estimate
@@ -248,14 +248,25 @@ def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Conc
     )
 
 
-def lost_by_velocities(observations: Observations) -> tuple[str, ...]:
-    """The turn that lacks samples, as a reason, where an estimate of all groups of parameters shows it: the velocities
-    of turns, which the linear model does without, tell more of it than their rotations."""
-    linearised = joint(observations).linearised
-    assert linearised is not None
+def lost_by_velocities(linear: Linearised, observations: Observations) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The turn that lacks samples, as a reason, or where it does little harm as a remark, where an estimate of all
+    groups of parameters shows it: the velocities of turns, which the linear model does without, tell more of it than
+    their rotations. That estimate is made where the noise alone does not explain the velocities about the linear
+    one."""
+    if _standing_loss(with_all_groups(linear, observations)) is None:
+        return (), ()
+    whole = joint(observations).linearised
+    assert whole is not None
+    found = _standing_loss(next(each_session(whole)))
+    if found is None:
+        return (), ()
+    return ((_damaging(found),), ()) if found.damage > DAMAGE else ((), (f"fits: {found.sentence}",))
+
+
+def _standing_loss(linearised: Linearised) -> Cause | None:
+    """The turn that lacks samples most likely, where it stands out."""
     found = lost_in_a_turn(linearised, Projection(linearised, linearised.scatter))
-    stands = found is not None and found.probability < CAUSE_PROBABILITY and found.damage > DAMAGE
-    return (_damaging(found),) if found is not None and stands else ()
+    return found if found is not None and found.probability < CAUSE_PROBABILITY else None
 
 
 def _damaging(cause: Cause) -> str:

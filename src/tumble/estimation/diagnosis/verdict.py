@@ -38,12 +38,13 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     reasons += (("both", said) for said in _misfits(estimate, observations))
     reasons += judged.reasons
     reasons = first + sorted(reasons, key=lambda reason: _ORDER.index(reason[0]))
+    remarks = (*(("both", remark) for remark in estimate.remarks), *judged.remarks)
     of_accel, of_gyro = (
-        tuple(said for concerns, said in (*reasons, *judged.remarks) if concerns == kind) for kind in ("accel", "gyro")
+        tuple(said for concerns, said in (*reasons, *remarks) if concerns == kind) for kind in ("accel", "gyro")
     )
     return Outcome(
         reasons=tuple(said for _, said in reasons),
-        remarks=tuple(said for _, said in judged.remarks),
+        remarks=tuple(said for _, said in remarks),
         unobservable=missing,
         of_accel=of_accel,
         of_gyro=of_gyro,

@@ -8,6 +8,9 @@ from pydantic import Field, model_validator
 
 from tumble.recording.session_keys.table import SessionTable
 
+LEAST_GRAVITY_U = 1e-15
+"""m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
+
 _TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4}
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
 
@@ -26,6 +29,8 @@ class SiteTable(SessionTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if self.gravity_u is not None and 0.0 < self.gravity_u < LEAST_GRAVITY_U:
+            raise ValueError(f"gravity_u: expected 0 or at least {LEAST_GRAVITY_U:g} m/s^2, found {self.gravity_u:g}")
         if self.gravity_u is not None and self.gravity is None and self.latitude_deg is None:
             raise ValueError("gravity_u: expected site.gravity or site.latitude_deg with it, found neither")
         return self
