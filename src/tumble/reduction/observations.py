@@ -150,7 +150,6 @@ class Observations:
             C=moments.C,
             M=moments.Phi[..., 1:4],
             B=moments.Phi[..., 0],
-            velocity=moments.V,
             jumps=moments.jumps,
         )
 

@@ -39,10 +39,11 @@ _BODY = Block(kind="gyro", axes=np.eye(3))
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Turns:
     """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
-    M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
-    velocity increment (K, 3), m/s, its covariance (K, 3, 3) from accelerometer noise, and `jumps` (K,), m²/s², the sum
-    of the squares of what the force jumps by from sample to sample times the interval (A3). All are resolved in the
-    non-rotating frame that is the body at the start of the turn. `aliased` (K,), rad², is the variance of the rotation
+    M (K, 3, 3, 3) rad and B (K, 3, 3) s, the covariance (K, 3, 3) of the rotation from gyro noise, rad², and
+    `arising` (K,), when in the turn it arose: `ColouredNoise.arising`; the covariance (K, 3, 3) of the velocity
+    increment from accelerometer noise, m²/s², and `jumps` (K,), m²/s², the sum of the squares of what the force jumps
+    by from sample to sample times the interval (A3). All are resolved in the non-rotating frame that is the body at the
+    start of the turn. `aliased` (K,), rad², is the variance of the rotation
     if what changes in the rate from sample to sample were independent, which it is in samples that are no means."""
 
     first: IntArray
@@ -52,7 +53,7 @@ class Turns:
     M: Array
     B: Array
     covariance: Array
-    velocity: Array
+    arising: Array
     velocity_covariance: Array
     jumps: Array
     aliased: Array
@@ -108,7 +109,7 @@ def reduced_turns(
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=covariance,
-        velocity=moments.V,
+        arising=np.array([of_gyro.arising(T / block_seconds) for T in long]),
         velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
         aliased=aliased_rotations(samples, covariance),
