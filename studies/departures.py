@@ -28,6 +28,7 @@ from tumble.estimation.methods.joint.method import joint
 from tumble.programme.positions import programme
 from tumble.recording.session import Site
 from tumble.reduction.blocks import ChannelState
+from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.moments import BlockCompensation, Compensation, integrate
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
@@ -375,7 +376,7 @@ def observed(setting: Setting, samples: Samples) -> Observations:
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=covariance,
-        velocity=moments.V,
+        arising=np.full(count - 1, WHITE),
         velocity_covariance=white[1] * T[:, None, None] * np.eye(3),
         jumps=moments.jumps,
         aliased=aliased_rotations(turn_samples, covariance),

@@ -30,6 +30,7 @@ from tumble.estimation.methods.paper.four_stages import (
 )
 from tumble.estimation.methods.paper.indirect import RecordedTurn, known_turns, programme_matrix
 from tumble.programme.positions import programme
+from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import SensorModel
@@ -109,7 +110,7 @@ class Launches:
             M=M.reshape(n, k, 3, 3, 3),
             B=B.reshape(n, k, 3, 3),
             covariance=np.zeros((k, 3, 3)),
-            velocity=np.zeros((k, 3)),
+            arising=np.full(k, WHITE),
             velocity_covariance=np.zeros((k, 3, 3)),
             jumps=np.zeros(k),
             aliased=np.zeros(k),

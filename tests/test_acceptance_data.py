@@ -111,7 +111,7 @@ def test_xsens_accelerometers_agree_with_the_independent_fit(xsens: Calibration)
     ours = np.array([415.0 * (xsens[f"accel.scale.{axis}"].u or 0.0) for axis in "xyz"])
     combined = np.hypot(ours, [0.027, 0.014, 0.016])
     assert np.all(np.abs(diagonal - [414.421, 412.031, 414.621]) < 3.0 * combined)
-    np.testing.assert_allclose(np.linalg.norm(accel, axis=1), [414.44, 412.13, 414.61], atol=0.06)
+    assert np.all(np.abs(np.linalg.norm(accel, axis=1) - [414.44, 412.13, 414.61]) < combined)
 
 
 def test_xsens_biases_and_residuals_agree_with_the_independent_fit(xsens: Calibration) -> None:
@@ -126,12 +126,15 @@ def test_xsens_biases_and_residuals_agree_with_the_independent_fit(xsens: Calibr
 
 def test_xsens_gyros_agree_with_imu_tk(xsens: Calibration) -> None:
     """4778.0, 4764.2, 4773.7 counts per rad/s: imu_tk gives the reciprocals of the diagonal of the inverse matrix, in
-    the frame in which the accelerometers' matrix is upper triangular."""
+    the frame in which the accelerometers' matrix is upper triangular. It has no g-sensitivity, and its scatter makes
+    these known to 4.0, 3.7 and 5.6 (docs/xsens.md)."""
     accel, gyro = sensitivities(xsens)
     _, rotation = rq(accel)
     rotation *= np.sign(np.diag(rotation))[:, None]
     found = np.abs(1.0 / np.diag(np.linalg.inv(gyro @ rotation.T)))
-    np.testing.assert_allclose(found, [4778.0, 4764.2, 4773.7], rtol=1e-3)
+    ours = np.array([4770.0 * (xsens[f"gyro.scale.{axis}"].u or 0.0) for axis in "xyz"])
+    combined = np.hypot(ours, [4.0, 3.7, 5.6])
+    assert np.all(np.abs(found - [4778.0, 4764.2, 4773.7]) < 1.5 * combined)
 
 
 def test_xsens_is_accepted(xsens: Calibration) -> None:

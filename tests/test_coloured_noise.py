@@ -290,3 +290,23 @@ def test_autocovariances_are_continued_by_the_recursion_until_nothing_is_left() 
     np.testing.assert_allclose(np.convolve(found[: end + 1], prediction)[4 : end + 1], 0.0, atol=1e-15)
     assert 64 <= end < 1000
     assert np.abs(found[end - 3 : end + 1]).max() < NEGLIGIBLE
+
+
+@given(decay=st.floats(0.0, 0.99), blocks=st.integers(2, 60))
+def test_when_in_a_turn_noise_arose_is_that_of_sums_over_its_steps(decay: float, blocks: int) -> None:
+    """Steps of a hundredth of a block: white within a block, and as the autocovariance has it from block to block."""
+    steps, r = 100, decay ** np.arange(80.0)
+    lags = np.abs(np.arange(blocks)[:, None] - np.arange(blocks))
+    of_blocks = np.where(lags < len(r), r[np.minimum(lags, len(r) - 1)], 0.0)
+    means = (np.arange(blocks) + 0.5)[:, None] / blocks
+    within = (np.arange(steps) + 0.5) / steps / blocks - 0.5 / blocks
+    moment = means[:, 0] @ of_blocks @ means[:, 0] + blocks * np.mean(within**2)
+    noise = ColouredNoise(batch=1, autocovariance=np.array([r, r]), correlation=np.eye(2), level=np.ones((1, 2)))
+    assert noise.arising(float(blocks)) == pytest.approx(4.0 * moment / of_blocks.sum(), rel=1e-3)
+
+
+def test_noise_that_lasts_as_long_as_a_turn_arose_all_the_time() -> None:
+    lasting = ColouredNoise(batch=1, autocovariance=np.ones((1, 900)), correlation=np.eye(1), level=np.ones((1, 1)))
+    white = ColouredNoise(batch=1, autocovariance=np.eye(1, 900), correlation=np.eye(1), level=np.ones((1, 1)))
+    assert lasting.arising(800.0) == pytest.approx(1.0, abs=1e-5)
+    assert white.arising(800.0) == pytest.approx(4.0 / 3.0)

@@ -301,6 +301,23 @@ def test_rests_and_turns_say_of_a_heading_by_how_much_their_rows_change_with_it(
     np.testing.assert_allclose(found[first], (changed**2).sum(axis=(1, 2)), rtol=1e-3)
 
 
+def test_velocities_scatter_across_the_vertical_of_the_point_however_wrong_the_raw_gyros_are() -> None:
+    """Eq. (8): the noise of the gyros is in P_VV as ⅓ N² T (|V|² − V Vᵀ), V = g T up, so that along the vertical there
+    is that of the accelerometers alone. The gyros have biases of 0.01 rad/s, which in 20 s is 11°."""
+    problem, point, about = problem_at(scenario(full=True), 0.0)
+    turns = problem.observations.turns
+    assert turns is not None
+    noise = noise_of(problem, linearise(problem, point, about))
+    r = noise.rest.shape[1]
+    of_velocity = noise.merged[:, r + 3 : r + 6, r + 3 : r + 6] - turns.velocity_covariance
+    by_gyros = (point.gravity * turns.duration) ** 2 * np.trace(turns.covariance, axis1=1, axis2=2) / 9.0
+    east, up = (
+        np.einsum("ki,kij,kj->k", e, of_velocity, e) for e in np.moveaxis(point.attitudes[turns.first], 1, 0)[[2, 1]]
+    )
+    np.testing.assert_allclose(east, by_gyros, rtol=1e-3)
+    np.testing.assert_allclose(up / by_gyros, 0.0, atol=1e-5)
+
+
 def test_bound_is_that_of_section_8() -> None:
     """Published to three digits, of other set-ups of the table than the one drawn here; with the turns between the
     series too it depends on the way they go, which is not published."""

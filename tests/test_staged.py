@@ -24,6 +24,7 @@ from tumble.estimation.methods.staged import gyros as staged_gyros
 from tumble.estimation.methods.staged.method import staged
 from tumble.programme.positions import attitude, programme
 from tumble.recording.session import Site
+from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
@@ -194,7 +195,7 @@ def observations(
         M=np.zeros((N - 1, 3, 3, 3)),
         B=np.zeros((N - 1, 3, 3)),
         covariance=noise.gyro**2 * way.durations[:, None, None] * (to_body @ to_body.T) + floor,
-        velocity=np.zeros((N - 1, 3)),
+        arising=np.full(N - 1, WHITE),
         velocity_covariance=np.broadcast_to(np.eye(3), (N - 1, 3, 3)),
         jumps=np.zeros(N - 1),
         aliased=np.zeros(N - 1),
@@ -542,7 +543,7 @@ def missing_from(codes: Sequence[str], *, turns: int | None = None, noise: Noise
                 M=kept.M[:turns],
                 B=kept.B[:turns],
                 covariance=kept.covariance[:turns],
-                velocity=kept.velocity[:turns],
+                arising=kept.arising[:turns],
                 velocity_covariance=kept.velocity_covariance[:turns],
                 jumps=kept.jumps[:turns],
                 aliased=kept.aliased[:turns],

@@ -295,7 +295,7 @@ class _ResultKeys(_Keys):
             if not rest.file <= following.file < MOST_RESTS:
                 raise ValueError(f"rests[{number}].file: expected {rest.file} or a later file, found {following.file}")
         for number, turn in enumerate(self.turns, 1):
-            if not turn.first < turn.last < len(self.rests):
+            if self.rests and not turn.first < turn.last < len(self.rests):
                 raise ValueError(
                     f"turns[{number}]: expected two of {len(self.rests)} rests, in their order and counted from 0, "
                     f"found {turn.first} and {turn.last}"

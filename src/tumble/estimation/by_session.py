@@ -77,7 +77,13 @@ def _rows(rows: Rows, part: SessionSpan, others: Array, s: int, own_known: Array
     prior = np.zeros((p + q + 1, p + q + 1))
     prior[:p, :p], prior[:p, -1] = others[:p, :p], others[:p, -1]
     prior[np.arange(p, p + q), np.arange(p, p + q)], prior[p : p + q, -1] = 1.0 / own_known, rows.own[s]
-    return Rows(rest=rows.rest[part.rests], turn=rows.turn[part.turns], prior=prior, bias=rows.bias[part.turns])
+    return Rows(
+        rest=rows.rest[part.rests],
+        turn=rows.turn[part.turns],
+        prior=prior,
+        bias=rows.bias[part.turns],
+        gained=rows.gained[part.turns],
+    )
 
 
 def _turns(about: TurnsAbout | None, some: slice) -> TurnsAbout | None:

@@ -50,7 +50,6 @@ from tumble.estimation.session_spans import SessionSpan, session_spans
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations
-from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
@@ -145,12 +144,14 @@ class Rows:
     `tumble.estimation.elimination` has them with three unknowns a rest, the parameters being gravity and those of the
     instrument, and then what a session has of its own. `prior` (1 + p, 1 + p) is whitened, and a triangle; `own` (S, q)
     the whitened residuals of the priors of what each session has of its own. `bias` are the coefficients (K, t, n) of
-    the turns for a bias of the accelerometers, then of the gyros, in the turn."""
+    the turns for a bias of the accelerometers, then of the gyros, in the turn; `gained` (K, 3), m/s, is what gravity
+    gives the turns of velocity, in the body at their start."""
 
     rest: Array
     turn: Array
     prior: Array
     bias: Array
+    gained: Array
     own: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
     def merged(self, first: IntArray) -> Array:
@@ -430,21 +431,36 @@ def changing_with(observations: Observations, variables: tuple[Variable, ...]) -
 def noise_of(problem: Problem, rows: Rows) -> Noise:
     """Covariance of the rows without scatter, and the directions of the components of variance."""
     noise, r, stop = problem.noise, problem.noise.rest.shape[1], problem.noise.rest_directions[0].shape[2]
-    Z, component = noise.merged_directions
-    if len(Z):
-        Z = Z.copy()
-        Z[:, r:, :stop] = rows.bias
-    return replace(noise, merged_directions=(Z, component))
+    (Z, component), turns = noise.merged_directions, problem.observations.turns
+    if turns is None or not len(Z):
+        return noise
+    across, Z, merged = skew(-0.5 * rows.gained), Z.copy(), noise.merged.copy()
+    Z[:, r:, :stop] = rows.bias
+    if problem.instrument.in_velocities:
+        velocity = slice(r + 3, r + 6)
+        rotation, constant = merged[:, r : r + 3, r : r + 3], turns.duration[:, None, None] ** 2 * _unseen(problem)
+        by_rotation = across @ (rotation - constant * np.eye(3)) @ np.swapaxes(across, 1, 2)
+        merged[:, velocity, r : r + 3] = across @ rotation
+        merged[:, r : r + 3, velocity] = np.swapaxes(merged[:, velocity, r : r + 3], 1, 2)
+        merged[:, velocity, velocity] += turns.arising[:, None, None] * by_rotation
+        merged[:, velocity, velocity] += constant * across @ np.swapaxes(across, 1, 2)
+        Z[:, velocity, -3:] = across @ Z[:, r : r + 3, -3:]
+    return replace(noise, merged=merged, merged_directions=(Z, component))
+
+
+def _unseen(problem: Problem) -> float:
+    """The variance, rad²/s², of the Earth's rate along an axis where the latitude is not known."""
+    return EARTH_RATE**2 / 3.0 if problem.observations.site.latitude is None else 0.0
 
 
 def _noise_of_session(problem: Problem) -> Noise:
-    """All of it that does not change with the parameters: without what a bias does in the turn after a rest."""
+    """All of it that does not change with the parameters: without what a bias does in the turn after a rest, and what
+    an error of the rotation on the way does to the velocity."""
     observations, rests = problem.observations, problem.observations.rests
     gyro, n = observations.gyro_block, rests.accel.shape[1]
-    unseen = EARTH_RATE**2 / 3.0 if observations.site.latitude is None else 0.0
     blocks = [rests.accel_covariance]
     if gyro is not None:
-        blocks.append(rests.gyro_covariance + unseen * gyro.axes @ gyro.axes.T)
+        blocks.append(rests.gyro_covariance + _unseen(problem) * gyro.axes @ gyro.axes.T)
     if problem.prior.attitude is not None:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
     rest = _diagonal(blocks)
@@ -462,42 +478,28 @@ def _noise_of_session(problem: Problem) -> Noise:
     turned = turns.duration > 0.0  # between the parts of a rest nothing is
     Z[~turned, r : r + 3 + v, stop:] = 0.0
     Z[:, r + 3 : r + 3 + v, stop + t : -3] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
-    Z[:, r : r + 3 + v, -3:] = np.sqrt(turns.aliased)[:, None, None] * _turned_on_the_way(turns)[:, : 3 + v]
+    Z[:, r : r + 3, -3:] = np.sqrt(turns.aliased)[:, None, None] * np.eye(3)
     return Noise(
         rest=rest,
-        merged=_diagonal([rest[turns.first], _turn_noise(problem, unseen)]),
+        merged=_diagonal([rest[turns.first], _turn_noise(problem)]),
         rest_directions=at_rest,
         merged_directions=(Z, component),
     )
 
 
-def _turn_noise(problem: Problem, unseen: float) -> Array:
-    """Covariance (K, t, t) of the rows of the turns: Eq. (8) with the variance of a mean over the turn in place of that
-    of white noise (A3)."""
+def _turn_noise(problem: Problem) -> Array:
+    """Covariance (K, t, t) of the rows of the turns: (8) with the variance of a mean over the turn in place of that of
+    white noise (A3), without what rotations do to velocities."""
     turns, readings = problem.observations.turns, problem.observations.turn_readings
     assert turns is not None
-    T = turns.duration[:, None, None]
-    rotation = turns.covariance + T**2 * unseen * np.eye(3)
-    across = _turned_on_the_way(turns)[:, 3:]
-    by_rotation = across @ rotation @ np.swapaxes(across, 1, 2)
-    out = np.zeros((len(turns), 6, 6))
-    out[:, :3, :3] = rotation
-    out[:, 3:, :3] = across @ rotation
-    out[:, :3, 3:] = np.swapaxes(out[:, 3:, :3], 1, 2)
-    out[:, 3:, 3:] = turns.velocity_covariance + 4.0 / 3.0 * by_rotation
-    if not problem.instrument.in_velocities:
-        out = out[:, :3, :3]
-    if readings is None:
-        return out
-    assert problem.observations.gyro_block is not None
-    free = beyond_body(problem.observations.gyro_block.axes)
-    return _diagonal([out, free @ readings.covariance @ free.T])
-
-
-def _turned_on_the_way(turns: Turns) -> Array:
-    """What an error of the rotation that arose evenly within a turn is in its rotation and its velocity (K, 6, 3)."""
-    rotation = np.broadcast_to(np.eye(3), (len(turns), 3, 3))
-    return np.concatenate([rotation, skew(-0.5 * turns.velocity)], axis=1)
+    blocks = [turns.covariance + turns.duration[:, None, None] ** 2 * _unseen(problem) * np.eye(3)]
+    if problem.instrument.in_velocities:
+        blocks.append(turns.velocity_covariance)
+    if readings is not None:
+        assert problem.observations.gyro_block is not None
+        free = beyond_body(problem.observations.gyro_block.axes)
+        blocks.append(free @ readings.covariance @ free.T)
+    return _diagonal(blocks)
 
 
 def _diagonal(blocks: list[Array]) -> Array:

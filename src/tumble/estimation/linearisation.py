@@ -30,8 +30,17 @@ def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
         turn=turn,
         prior=priors(problem, point, about),
         bias=bias,
+        gained=_gained(problem, point),
         own=-point.own / problem.own_known,
     )
+
+
+def _gained(problem: Problem, point: Point) -> Array:
+    """The velocity (K, 3), m/s, that gravity gives the turns, in the body at their start."""
+    turns = problem.observations.turns
+    if turns is None:
+        return np.zeros((0, 3))
+    return np.asarray(point.gravity * turns.duration[:, None] * (UP @ point.attitudes[turns.first]))
 
 
 def with_priors(rows: Rows, problem: Problem, point: Point, about: TurnsAbout | None = None) -> Rows:

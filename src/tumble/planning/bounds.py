@@ -35,6 +35,7 @@ from tumble.planning.inertial_turns import inertial_turns
 from tumble.planning.setup import Setup, check_setup
 from tumble.planning.steady_turns import steady_moments
 from tumble.recording.session import Site
+from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.moments import Moments
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
@@ -353,7 +354,7 @@ def _turns(course: Course, setup: Setup, moments: Moments, still: Array | None) 
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=rotation[:, None, None] * np.eye(3),
-        velocity=moments.V,
+        arising=np.full(len(moments), WHITE),
         velocity_covariance=velocity[:, None, None] * np.eye(3),
         jumps=moments.jumps,
         aliased=np.zeros(len(moments)),

@@ -37,6 +37,8 @@ MAX_ORDER = 32
 LEVEL_SIGMAS = 5.0
 LONG = 2.0
 STRAIGHT_SIGMAS = 2.3
+WHITE = 4.0 / 3.0
+"""`ColouredNoise.arising` of white noise."""
 LEAST = 1e-3  # of what white noise of the same variance would give: quantisation gives more, rounding may give less
 NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 
@@ -56,6 +58,11 @@ class ColouredNoise:
     def variance_of_mean(self, blocks: float) -> Array:
         """Variance (c,) of the mean over so many blocks, at level 1."""
         return _variance_of_mean(self.autocovariance, blocks / self.batch)
+
+    def arising(self, blocks: float) -> float:
+        """Variance of ∫ (T − t) n dt over T, so many blocks, in parts of T²/4 times that of ∫ n dt, over all channels:
+        4/3 of white noise, 1 of noise that lasts as long."""
+        return _arising(self.autocovariance.sum(axis=0), blocks / self.batch)
 
     def covariance_of_mean(self, blocks: float, rest: int | None = None) -> Array:
         """Covariance (c, c) of the mean over so many blocks, at the level of a rest or at level 1."""
@@ -129,6 +136,16 @@ def _variance_of_mean(autocovariance: Array, batches: ArrayLike) -> Array:
     sums, moments = np.cumsum(r, axis=-1)[..., last], np.cumsum(np.arange(r.shape[-1]) * r, axis=-1)[..., last]
     variance = (2.0 * (sums - moments / K) - r[..., 0]) / K
     return np.asarray(np.maximum(variance, LEAST * r[..., 0] / K))
+
+
+def _arising(autocovariance: Array, batches: float) -> float:
+    """Of one autocovariance (L,) of batches, white within them: Σ_ij (i + ½)(j + ½) r_|i−j| in parts of K²/4 Σ_ij
+    r_|i−j|."""
+    lags = np.arange(1, min(len(autocovariance), int(batches)))
+    k, r = batches - lags, autocovariance[lags]
+    moments = autocovariance[0] * batches**3 / 3.0 + 2.0 * r @ (k * (4.0 * k**2 - 1.0) / 12.0 + 0.5 * lags * k**2)
+    sums = autocovariance[0] * batches + 2.0 * r @ k
+    return float(4.0 * moments / (batches**2 * sums)) if sums > LEAST * autocovariance[0] * batches else WHITE
 
 
 def _slope(n: int) -> Array:

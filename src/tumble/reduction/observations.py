@@ -150,7 +150,6 @@ class Observations:
             C=moments.C,
             M=moments.Phi[..., 1:4],
             B=moments.Phi[..., 0],
-            velocity=moments.V,
             jumps=moments.jumps,
         )
 
@@ -170,8 +169,8 @@ def observe(
     turns, samples, readings = None, None, None
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
-        turns, samples = reduced_turns(reduction, reduction.samples, spans, *noises)
-        readings = turn_readings(reduction, spans, turns, gyro_noise) if gyro.size > 3 else None
+        turns, samples = reduced_turns(reduction, reduction.samples, spans, *noises, rounded)
+        readings = turn_readings(reduction, spans, turns, gyro_noise, rounded["gyro"]) if gyro.size > 3 else None
         arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
     return Observations(
         accel_block=accel,

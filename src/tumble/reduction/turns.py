@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 
@@ -19,6 +20,7 @@ from tumble.reduction.moments import (
 )
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.rests import gyro_of
+from tumble.reduction.rounding import Rounding
 from tumble.reduction.segmentation import RestSpan
 from tumble.reduction.turn_samples import TurnSamples
 from tumble.sensors.model import Block, SensorModel
@@ -39,10 +41,11 @@ _BODY = Block(kind="gyro", axes=np.eye(3))
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Turns:
     """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
-    M (K, 3, 3, 3) rad and B (K, 3, 3) s, and the covariance (K, 3, 3) of the rotation from gyro noise, rad²; the
-    velocity increment (K, 3), m/s, its covariance (K, 3, 3) from accelerometer noise, and `jumps` (K,), m²/s², the sum
-    of the squares of what the force jumps by from sample to sample times the interval (A3). All are resolved in the
-    non-rotating frame that is the body at the start of the turn. `aliased` (K,), rad², is the variance of the rotation
+    M (K, 3, 3, 3) rad and B (K, 3, 3) s, the covariance (K, 3, 3) of the rotation from gyro noise, rad², and
+    `arising` (K,), when in the turn it arose: `ColouredNoise.arising`; the covariance (K, 3, 3) of the velocity
+    increment from accelerometer noise, m²/s², and `jumps` (K,), m²/s², the sum of the squares of what the force jumps
+    by from sample to sample times the interval (A3). All are resolved in the non-rotating frame that is the body at the
+    start of the turn. `aliased` (K,), rad², is the variance of the rotation
     if what changes in the rate from sample to sample were independent, which it is in samples that are no means."""
 
     first: IntArray
@@ -52,7 +55,7 @@ class Turns:
     M: Array
     B: Array
     covariance: Array
-    velocity: Array
+    arising: Array
     velocity_covariance: Array
     jumps: Array
     aliased: Array
@@ -86,8 +89,10 @@ def reduced_turns(
     spans: tuple[RestSpan, ...],
     accel_noise: tuple[Block, ColouredNoise],
     gyro_noise: tuple[Block, ColouredNoise],
+    rounded: Mapping[str, Rounding],
 ) -> tuple[Turns, TurnSamples]:
-    """The turns between consecutive rests, those that were recorded as a whole, integrated with nominal gyros."""
+    """The turns between consecutive rests, those that were recorded as a whole, integrated with nominal gyros. Samples
+    that are `rounded` err in turns by what their mean errs by at rest, but each by itself."""
     first, last = np.array(_recorded(spans, reduction.gaps), dtype=int).reshape(-1, 2).T
     by_file, block_seconds = reduction.by_file, reduction.block_seconds
     start = np.array([by_file[spans[i].file].sample_at(spans[i].last) for i in first], dtype=int)
@@ -97,8 +102,13 @@ def reduced_turns(
     (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
     moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
     long = np.maximum(duration, block_seconds)
+    by_rounding = [
+        _in_body(block, np.diag(rounded[block.kind].of_rest ** 2)) / reduction.rate for block in (accel, gyro)
+    ]
     density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
+    density += by_rounding[1]
     velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
+    velocity += long * np.trace(by_rounding[0]) / 3.0
     covariance = _carried(samples, density) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=first,
@@ -108,7 +118,7 @@ def reduced_turns(
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=covariance,
-        velocity=moments.V,
+        arising=np.array([of_gyro.arising(T / block_seconds) for T in long]),
         velocity_covariance=(velocity + velocity_floor(moments, stop - start) ** 2)[:, None, None] * np.eye(3),
         jumps=moments.jumps,
         aliased=aliased_rotations(samples, covariance),
@@ -177,12 +187,17 @@ def velocity_floor(moments: Moments, samples: IntArray) -> Array:
 
 def _of_mean(block: Block, noise: ColouredNoise, blocks: float) -> Array:
     """Covariance (3, 3) of a mean over so many blocks, in the body."""
+    return _in_body(block, noise.covariance_of_mean(blocks))
+
+
+def _in_body(block: Block, covariance: Array) -> Array:
+    """The covariance (3, 3) in the body of what has this one (n, n) in the sensors of a block."""
     to_body = np.linalg.pinv(block.axes)
-    return np.asarray(to_body @ noise.covariance_of_mean(blocks) @ to_body.T)
+    return np.asarray(to_body @ covariance @ to_body.T)
 
 
 def turn_readings(
-    reduction: Reduction, spans: tuple[RestSpan, ...], turns: Turns, noise: ColouredNoise
+    reduction: Reduction, spans: tuple[RestSpan, ...], turns: Turns, noise: ColouredNoise, rounded: Rounding
 ) -> TurnReadings:
     """The readings of every gyro between the rests, from the blocks."""
     channels, by_file, block_seconds = noise.autocovariance.shape[0], reduction.by_file, reduction.block_seconds
@@ -191,7 +206,8 @@ def turn_readings(
         blocks, between = by_file[spans[i].file], slice(spans[i].last, spans[j].first)
         integral[k] = np.diff(blocks.edges)[between] @ gyro_of(blocks)[between]
         covariance[k] = T**2 * noise.covariance_of_mean(max(T / block_seconds, 1.0))
-    return TurnReadings(integral=integral, covariance=covariance + TURN_FLOOR**2 * np.eye(channels))
+    by_rounding = turns.duration[:, None, None] * np.diag(rounded.of_rest**2) / reduction.rate
+    return TurnReadings(integral=integral, covariance=covariance + by_rounding + TURN_FLOOR**2 * np.eye(channels))
 
 
 def _carried(samples: TurnSamples, density: Array) -> Array:

@@ -31,6 +31,7 @@ import numpy.typing as npt
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.planning.inertial_turns import inertial_turns
+from tumble.reduction.coloured_noise import WHITE
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import ACCEL_FLOOR, GYRO_FLOOR, Rests
@@ -219,7 +220,7 @@ def _turns(
         M=np.zeros((K, 3, 3, 3)),
         B=np.zeros((K, 3, 3)),
         covariance=gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3),
-        velocity=np.zeros((K, 3)),
+        arising=np.full(K, WHITE),
         velocity_covariance=(accel.white**2 * T * spread + floor**2)[:, None, None] * np.eye(3),
         jumps=np.zeros(K),
         aliased=np.zeros(K),
