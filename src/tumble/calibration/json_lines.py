@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from tumble.calibration.spelling import LEAST_NUMBERS, Spelling, most_common
+from tumble.calibration.spelling import Spelling, of_named_values
 from tumble.recording.dialect import is_clock
 
 _LONGEST_LINE = 4096
@@ -16,15 +16,7 @@ _LONGEST_LINE = 4096
 
 def json_lines(lines: Sequence[str]) -> Spelling | None:
     """The objects that most lines are; None where they are none."""
-    names = most_common((tuple(_cells(line)) for line in lines), lines)
-    if names is None or len(names) < LEAST_NUMBERS:
-        return None
-
-    def values(line: str) -> list[str]:
-        cells = _cells(line)
-        return list(cells.values()) if tuple(cells) == names else []
-
-    return Spelling(names=names, values=values, said=f"objects of JSON ({', '.join(names)})")
+    return of_named_values(_cells, lines, "objects of JSON")
 
 
 def _cells(line: str) -> dict[str, str]:

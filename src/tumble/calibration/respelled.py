@@ -8,12 +8,12 @@ three numbers behind it is three columns. A line with other names is left as it 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from tumble.calibration.json_lines import json_lines
 from tumble.calibration.sentences import sentences
-from tumble.calibration.spelling import LEAST_NUMBERS, Spelling, most_common
+from tumble.calibration.spelling import Spelling, of_named_values
 from tumble.files import whole_file
 from tumble.recording.dialect import encoding_of, is_clock
 from tumble.recording.log_source import readable
@@ -33,7 +33,7 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
     encoding = encoding_of(seen)
     text = seen.decode(encoding, errors="replace")
     lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
-    spelling = sentences(lines) or json_lines(lines) or _named_numbers(lines)
+    spelling = sentences(lines) or json_lines(lines) or of_named_values(_cells, lines, "names before the numbers")
     if spelling is None and text.count("\r") > 2 and "\n" not in text:
         spelling = Spelling(names=(), values=lambda line: [line], said="lines that end in a carriage return")
     if spelling is None:
@@ -59,19 +59,6 @@ def _lines(pieces: Iterator[bytes]) -> Iterator[str]:
         rest = rest[:_LONGEST_LINE]
     if rest.strip():
         yield rest.decode(errors="replace")
-
-
-def _named_numbers(lines: Sequence[str]) -> Spelling | None:
-    """Lines with names before their numbers; None where most have none."""
-    names = most_common((tuple(_cells(line)) for line in lines), lines)
-    if names is None or len(names) < LEAST_NUMBERS:
-        return None
-
-    def values(line: str) -> list[str]:
-        cells = _cells(line)
-        return list(cells.values()) if tuple(cells) == names else []
-
-    return Spelling(names=names, values=values, said=f"names before the numbers ({', '.join(names)})")
 
 
 def _cells(line: str) -> dict[str, str]:

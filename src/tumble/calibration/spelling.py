@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -29,3 +29,17 @@ def most_common(of_lines: Iterable[T | None], lines: Sequence[str]) -> T | None:
         return None
     item, count = found.most_common(1)[0]
     return item if count > max(_SHARE * sum(bool(line.strip()) for line in lines), 1) else None
+
+
+def of_named_values(cells: Callable[[str], Mapping[str, str]], lines: Sequence[str], said: str) -> Spelling | None:
+    """The spelling of lines that name their values, of which `cells` gives names and values; None where most lines name
+    no or other ones."""
+    names = most_common((tuple(cells(line)) for line in lines), lines)
+    if names is None or len(names) < LEAST_NUMBERS:
+        return None
+
+    def values(line: str) -> Sequence[str]:
+        found = cells(line)
+        return list(found.values()) if tuple(found) == names else []
+
+    return Spelling(names=names, values=values, said=f"{said} ({', '.join(names)})")
