@@ -67,6 +67,12 @@ READ = {"columns": ["x", "y", "z"], "unit": "m/s^2", "increments": False, "scale
 TURN = {"first": 0, "last": 1, "duration": 1.0, "angle": None, "programmed": None, "sigmas": 0.0}
 
 
+def test_a_turn_between_rests_that_are_not_there_is_named() -> None:
+    whole = content() | {"rests": [REST], "turns": [TURN]}
+    with pytest.raises(CalibrationError, match=r"turns\[1\]: expected two of 1 rests, in their order"):
+        calibration_of(json.dumps(whole), "file")
+
+
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
@@ -88,7 +94,6 @@ TURN = {"first": 0, "last": 1, "duration": 1.0, "angle": None, "programmed": Non
         ("rests", [{"start": 0, "stop": True, "residual": 0}], "found True in place of a number at rests[1].stop"),
         ("rests", [REST | {"file": 3}, REST], "rests[2].file: expected 3 or a later file, found 0"),
         ("rests", [REST, REST | {"file": 10**6}], "rests[2].file: expected 0 or a later file, found 1000000"),
-        ("turns", [TURN], "turns[1]: expected two of 0 rests, in their order and counted from 0, found 0 and 1"),
         ("readings", {"accel": READ | {"scale": [1.0, 1e-300, 1.0]}}, "readings.accel: expected a scale, not zero"),
         ("provenance/created", 7, "found 7 in place of a text at provenance.created"),
         ("device/imu", {"gyro_number": 0}, "found 0 in place of a larger number at device.imu.gyro_number"),
