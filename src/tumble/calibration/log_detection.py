@@ -12,7 +12,7 @@ import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers
 from tumble.calibration.respelled import respelled
-from tumble.calibration.sensor_rows import files_by_sensor
+from tumble.calibration.sensor_rows import sensor_column, split_by_sensor
 from tumble.calibration.sensors_apart import of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
@@ -54,8 +54,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
-    parts = [part for file in files for part in files_by_sensor(file, folder) or [file]]
-    logs, left = _those_with_rows(parts, folder)
+    logs, left = _those_with_rows(files, folder)
     if len(logs) > 1 and not any(log.columns.triads for log in logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
@@ -88,7 +87,7 @@ def _those_with_rows(files: Sequence[Path], folder: Path) -> tuple[list[FoundLog
     said: list[str] = []
     for file in files:
         try:
-            logs.append(_found(file, folder))
+            logs += _found(file, folder)
         except _NoRowsError as error:
             without.append(error)
             said.append(f"{file.name} has no rows of readings and is left out")
@@ -97,23 +96,27 @@ def _those_with_rows(files: Sequence[Path], folder: Path) -> tuple[list[FoundLog
     return logs, tuple(said)
 
 
-def _found(file: Path, folder: Path) -> FoundLog:
+def _found(file: Path, folder: Path) -> list[FoundLog]:
+    """What a file is: one log, or where its rows are of single sensors one of each."""
     if file.suffix.lower() == ".parquet":
-        return FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))
+        return [FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
         raise InputError(f"{file}: expected a log, found an empty file")
     copied = respelled(file, seen, folder)
     if copied is not None:
-        log = _found(copied[0], folder)
-        return replace(log, said=(copied[1], *log.said))
+        return [replace(log, said=(copied[1], *log.said)) for log in _found(copied[0], folder)]
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None:
         if max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]:
             raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
         raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
-    return _found_text(file, seen, *dialect_and_top)
+    dialect, top = dialect_and_top
+    label = sensor_column(seen, dialect, top)
+    if label is None:
+        return [_found_text(file, seen, dialect, top)]
+    return [log for part in split_by_sensor(file, dialect, top, label, folder) for log in _found(part, folder)]
 
 
 def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog:

@@ -12,30 +12,17 @@ from pathlib import Path
 
 from tumble.errors import InputError
 from tumble.files import whole_file
-from tumble.recording.dialect import Dialect, Top, dialect_of, is_clock
+from tumble.recording.dialect import Dialect, Top, is_clock
 from tumble.recording.formats.columns import ACCEL, SENSOR_WORDS
 from tumble.recording.log_source import readable
 from tumble.recording.text_pieces import opened
 
-_SEEN_BYTES = 1 << 18
 _MOST_SENSORS = 20
 _LONGEST_LINE = 4096
 _UNNAMED = ("time", "x", "y", "z")
 
 
-def files_by_sensor(file: Path, folder: Path) -> list[Path]:
-    """The files written to a folder for the sensors of a log; none where its rows are not of single sensors."""
-    with readable(file), opened(file) as stream:
-        seen = stream.read(_SEEN_BYTES)
-    found = dialect_of(seen)
-    if found is None:
-        return []
-    dialect, top = found
-    label = _label(seen, dialect, top)
-    return [] if label is None else _split(file, dialect, top, label, folder)
-
-
-def _label(seen: bytes, dialect: Dialect, top: Top) -> int | None:
+def sensor_column(seen: bytes, dialect: Dialect, top: Top) -> int | None:
     """The column that says of which sensor a row is: few words, one of which is that of accelerometers, that change
     all the time."""
     lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
@@ -57,7 +44,7 @@ def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
     )
 
 
-def _split(file: Path, dialect: Dialect, top: Top, label: int, folder: Path) -> list[Path]:
+def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: Path) -> list[Path]:
     """The rows of each sensor in a file of its own, with all columns but the label."""
     columns = [j for j in range(len(top.names)) if j != label]
     names = [top.names[j] for j in columns] if dialect.header else list(_UNNAMED)

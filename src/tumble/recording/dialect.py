@@ -37,7 +37,6 @@ _COMMA = re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.I
 _CLOCK = re.compile(
     r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
 )
-_UNIT_CELL = re.compile(r"[\[(]?\s*[\w°µμ²/^*·%⋅. -]{0,12}\s*[\])]?")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

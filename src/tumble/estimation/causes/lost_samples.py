@@ -109,7 +109,7 @@ def lost_in_a_turn(linearised: Linearised, projection: Projection) -> Cause | No
 def _columns(linearised: Linearised, projection: Projection) -> Array:
     """The whitened columns (rows, K, q) of a loss in each turn: of the rotation, and, where velocities are seen, of
     what that does to them."""
-    about, rows, L = linearised.about, linearised.rows, linearised.point.attitudes
+    about, rows = linearised.about, linearised.rows
     assert about is not None
     path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
     size = np.linalg.norm(path, axis=1, keepdims=True)
@@ -118,8 +118,7 @@ def _columns(linearised: Linearised, projection: Projection) -> Array:
     turn = np.zeros((*rows.turn.shape[:2], q))
     turn[:, :3, 0] = axis
     if q == 2:
-        straight = (linearised.point.gravity * about.moments.T)[:, None] * L[projection.first, 1]
-        turn[:, 3:6, 1] = np.cross(axis, straight)
+        turn[:, 3:6, 1] = np.cross(axis, rows.gained)
     wide = projection.apart(np.zeros((*rows.rest.shape[:2], 0)), turn)
     return wide.reshape(len(wide), len(rows.rest), q)[:, projection.first]
 

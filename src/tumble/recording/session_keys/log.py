@@ -71,15 +71,8 @@ class LogTable(SessionTable):
             check_known("delimiter", self.delimiter, DELIMITERS)
         if self.decimal is not None:
             check_known("decimal", self.decimal, (".", ","))
-        if self.encoding is not None:
-            try:
-                known = "é".encode(self.encoding, errors="replace").decode(self.encoding) is not None
-            except (LookupError, UnicodeError, ValueError, TypeError):
-                known = False
-            if not known:
-                raise ValueError(
-                    f"encoding: expected a text encoding such as utf-16, found {as_written(self.encoding)}"
-                )
+        if self.encoding is not None and not _is_encoding(self.encoding):
+            raise ValueError(f"encoding: expected a text encoding such as utf-16, found {as_written(self.encoding)}")
 
     def _check_columns(self) -> None:
         keys = {
