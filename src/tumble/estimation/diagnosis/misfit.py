@@ -78,7 +78,7 @@ GROUPS = (
 )
 
 
-BESIDE = {"turn": ("apart",)}
+BESIDE = {"accel": ("accel_wandering",), "gyro": ("gyro_wandering",), "turn": ("apart",)}
 """Components of scatter whose residuals belong to the group of another."""
 
 
