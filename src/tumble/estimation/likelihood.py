@@ -32,7 +32,8 @@ Noise. Beside the noise within rests a session has components of variance (`Scat
 of the gyros that differs from rest to rest and lasts through the turn that follows, which makes the rows of a rest and
 of its turn dependent; a scatter of the rotations and of the velocities of the turns, and of what n > 3 gyros say beyond
 the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates that do.
-Of an array, sensors whose bias wanders more than that of the others of their kind have a component of their own.
+Of an array, sensors whose bias wanders more than that of the others of their kind have a component of their own. And
+where a device warms up, the biases are off their exponential course by a share of what is left of it.
 Rows of a rest and of the turn after it are therefore whitened together.
 """
 
@@ -57,7 +58,10 @@ from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of
 from tumble.units import Array, IntArray
 
-COMPONENTS = ("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "accel_wandering", "gyro_wandering")
+COMPONENTS = (
+    *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased"),
+    *("accel_wandering", "gyro_wandering", "unsettled"),
+)
 """The components of variance, in the order of `Scatter`."""
 OF_TURNS = slice(2, 7)
 """Those that concern turns alone."""
@@ -90,8 +94,8 @@ class Scatter:
     """Standard deviations on top of the noise within rests: of a bias of the accelerometers (m/s²) and gyros (rad/s)
     from rest to rest, of the rotations (rad) and velocities (m/s) of turns, of the integrals (rad) of gyros beyond the
     rotation of the body, c of (A3), the error of the integral over a jump between samples in parts of its size times
-    the interval, the error of a rotation in parts of what `aliased` samples would make it, and of a bias from rest to
-    rest of the accelerometers and gyros that wander more than the others."""
+    the interval, the error of a rotation in parts of what `aliased` samples would make it, of a bias from rest to rest
+    of the accelerometers and gyros that wander more than the others, and in parts of what is left of a warm-up."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -102,6 +106,7 @@ class Scatter:
     aliased: float = 0.0
     accel_wandering: float = 0.0
     gyro_wandering: float = 0.0
+    unsettled: float = 0.0
 
     @property
     def variances(self) -> Array:
@@ -231,6 +236,8 @@ class Problem:
     """Whether the lag is known, so that nothing else is said of it."""
     wandering: tuple[int, ...] = ()
     """The channels, accelerometers before gyros, whose bias wanders more than that of the others of their kind."""
+    unsettled: bool = False
+    """Whether biases may be off the course of a warm-up."""
 
     @staticmethod
     def of(
@@ -440,6 +447,33 @@ def changing_with(observations: Observations, variables: tuple[Variable, ...]) -
 
 def noise_of(problem: Problem, rows: Rows) -> Noise:
     """Covariance of the rows without scatter, and the directions of the components of variance."""
+    noise = _at_point(problem, rows)
+    return _with_warm_up(problem, rows, noise) if problem.unsettled else noise
+
+
+def _with_warm_up(problem: Problem, rows: Rows, noise: Noise) -> Noise:
+    """The same with how far biases are off the course of a warm-up: the directions of a bias from rest to rest, times
+    what is left of the warm-up in the readings of each sensor."""
+    (at_rest, of_rest), (merged, of_merged) = noise.rest_directions, noise.merged_directions
+    sensors, m = at_rest.shape[2], len(problem.instrument.names)
+    warmer = rows.rest[:, :sensors, 4 + m : -1] @ (-rows.own[0] * problem.own_known)
+    unsettled, turns = np.full(sensors, COMPONENTS.index("unsettled")), problem.observations.turns
+    at_turns = warmer[:0] if turns is None else warmer[turns.first]
+    return replace(
+        noise,
+        rest_directions=(
+            np.concatenate([at_rest, at_rest * warmer[:, None]], axis=2),
+            np.append(of_rest, unsettled),
+        ),
+        merged_directions=(
+            np.concatenate([merged, merged[:, :, :sensors] * at_turns[:, None]], axis=2),
+            np.append(of_merged, unsettled),
+        ),
+    )
+
+
+def _at_point(problem: Problem, rows: Rows) -> Noise:
+    """The same without what is off the course of a warm-up."""
     noise, r, stop = problem.noise, problem.noise.rest.shape[1], problem.noise.rest_directions[0].shape[2]
     (Z, component), turns = noise.merged_directions, problem.observations.turns
     if turns is None or not len(Z):

@@ -136,6 +136,7 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < limit]
     remarks = list(_settled(linearised))
     remarks += [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
+    remarks += _wandering(linearised)
     remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
     warm = ("warm-up",) if observations.warm_up is not None else ()
     return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=(*warm, *(cause.name for cause in named)))
@@ -155,11 +156,32 @@ def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
             settled = sum(values[members.start - first : members.stop - first] for members in found)
             largest = np.abs(settled).max() / size
             said.append(f"of the {words} {'' if said else 'settle '}by up to {largest:.2g} {unit}".replace(" °", "°"))
+    off = linearised.scatter.unsettled
+    course = f", off that course by {100.0 * off:.2g} % of what is left from rest to rest" if off > 0.0 else ""
     yield (
         "both",
-        f"warm-up after power-on: biases {' and '.join(said)}, with a time constant of {settling:.0f} s; "
+        f"warm-up after power-on: biases {' and '.join(said)}, with a time constant of {settling:.0f} s{course}; "
         "parameters are those of the settled device and u contains what is not known of it; switch on earlier",
     )
+
+
+def _wandering(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
+    """The sensors of an array that wander more than the others of their kind, where the estimate has such."""
+    problem, first = linearised.problem, 0
+    for block in problem.instrument.blocks:
+        kind = block.kind
+        own = [block.sensors[c - first] for c in problem.wandering if first <= c < first + block.size]
+        first += block.size
+        if own:
+            size, unit = UNITS[kind]
+            by, others = (getattr(linearised.scatter, name) / size for name in (f"{kind}_wandering", kind))
+            said = f"biases {', '.join(f'{kind}.bias.{sensor}' for sensor in own)} wander from rest to rest by {by:.2g}"
+            yield (
+                kind,
+                f"{said} {unit}, those of the other {WORDS[kind]} by {others:.2g} {unit}; u contains it".replace(
+                    " °", "°"
+                ),
+            )
 
 
 def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concerns]) -> list[Cause]:

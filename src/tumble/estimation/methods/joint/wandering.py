@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.estimation.causes.chances import weighted_chance
+from tumble.estimation.likelihood import Problem
 from tumble.estimation.methods.joint.fit import Fitted, fit_of
 from tumble.estimation.methods.joint.iteration import At
 from tumble.units import Array
@@ -28,46 +29,49 @@ FEW = 3
 
 
 def with_wandering(fitted: Fitted) -> Fitted:
-    """The solution in which the sensors that wander more than the others have a scatter of their own."""
+    """The solution in which the sensors that wander more than the others have a scatter of their own, and biases that
+    of being off the course of a warm-up."""
+    if fitted.problem.observations.warm_up is not None:
+        fitted = _again(fitted, replace(fitted.problem, unsettled=True))
     for _ in range(ROUNDS):
         found = tuple(sorted({*fitted.problem.wandering, *_wandering(fitted)}))
         if found == fitted.problem.wandering:
             break
-        parted = replace(fitted.problem, wandering=found)
-        fitted = fit_of(parted, At.of(parted, fitted.solved.point, fitted.solved.last.about, fitted.out))
+        fitted = _again(fitted, replace(fitted.problem, wandering=found))
     return fitted
+
+
+def _again(fitted: Fitted, problem: Problem) -> Fitted:
+    """The solution of the problem with other components of scatter, from one without."""
+    return fit_of(problem, At.of(problem, fitted.solved.point, fitted.solved.last.about, fitted.out))
 
 
 def _wandering(fitted: Fitted) -> Iterator[int]:
     """The channels that do, accelerometers before gyros, of the kinds that scatter."""
     scatter, rests = fitted.scatter, fitted.problem.observations.rests
     n = rests.accel.shape[1]
-    kinds = ((0, n, scatter.accel), (n, n + rests.gyro.shape[1], scatter.gyro))
-    kinds = tuple(kind for kind in kinds if kind[1] - kind[0] > FEW and kind[2] > 0.0)
-    if not kinds:
-        return
-    squares, weights = _squares(fitted)
-    for first, last, _ in kinds:
-        for channel in range(first, last):
+    last = n + rests.gyro.shape[1]
+    squares, weights = _squares(fitted, last)
+    for channels, size in ((range(n), scatter.accel), (range(n, last), scatter.gyro)):
+        if len(channels) <= FEW or size == 0.0:
+            continue
+        for channel in channels:
             chance = weighted_chance(float(squares[:, channel].sum()), weights[:, channel])
-            if (last - first) * chance < WANDERS:
+            if len(channels) * chance < WANDERS:
                 yield channel
 
 
-def _squares(fitted: Fitted) -> tuple[Array, Array]:
+def _squares(fitted: Fitted, sensors: int) -> tuple[Array, Array]:
     """Squares of the residuals along every channel (M, n) by rest, with its turn where one follows, and their
     expectations."""
     (after, weight), noise, last = fitted.left, fitted.solved.last.noise, fitted.problem.link < 0
-    sensors = noise.rest_directions[0].shape[2]
     found = []
     for W, Z, (residual, covariance) in (
         (weight.rest[last], noise.rest_directions[0][last], (after.rest[0][last], after.rest[1][last])),
-        (weight.merged, noise.merged_directions[0][:, :, :sensors], after.merged),
+        (weight.merged, noise.merged_directions[0], after.merged),
     ):
-        along = W @ Z
-        found.append((
-            np.einsum("mrk,mr->mk", along, residual) ** 2,
-            np.einsum("mrk,mrk->mk", along, covariance @ along),
-        ))  # fmt: skip
+        along = W @ Z[:, :, :sensors]
+        expected = np.einsum("mrk,mrk->mk", along, covariance @ along)
+        found.append((np.einsum("mrk,mr->mk", along, residual) ** 2, expected))
     squares, weights = (np.concatenate(each) for each in zip(*found, strict=True))
     return squares, weights
