@@ -33,7 +33,8 @@ of the gyros that differs from rest to rest and lasts through the turn that foll
 of its turn dependent; a scatter of the rotations and of the velocities of the turns, and of what n > 3 gyros say beyond
 the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates that do.
 Of an array, sensors whose bias wanders more than that of the others of their kind have a component of their own. And
-where a device warms up, the biases are off their exponential course by a share of what is left of it.
+where a device warms up, the biases are off their exponential course by a share of what is left of it. Gyros of an array
+are not read at one instant, so that rates that jump from sample to sample make them disagree, too.
 Rows of a rest and of the turn after it are therefore whitened together.
 """
 
@@ -59,13 +60,13 @@ from tumble.sensors.parameters import Variable, limits_of
 from tumble.units import Array, IntArray
 
 COMPONENTS = (
-    *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased"),
+    *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart"),
     *("accel_wandering", "gyro_wandering", "unsettled"),
 )
 """The components of variance, in the order of `Scatter`."""
-OF_TURNS = slice(2, 7)
+OF_TURNS = slice(2, 8)
 """Those that concern turns alone."""
-WANDERING = 7
+WANDERING = 8
 """How far those of sensors that wander stand from those of the others of their kind."""
 
 OWN: tuple[Variable, ...] = ("time", "launch")
@@ -94,8 +95,9 @@ class Scatter:
     """Standard deviations on top of the noise within rests: of a bias of the accelerometers (m/s²) and gyros (rad/s)
     from rest to rest, of the rotations (rad) and velocities (m/s) of turns, of the integrals (rad) of gyros beyond the
     rotation of the body, c of (A3), the error of the integral over a jump between samples in parts of its size times
-    the interval, the error of a rotation in parts of what `aliased` samples would make it, of a bias from rest to rest
-    of the accelerometers and gyros that wander more than the others, and in parts of what is left of a warm-up."""
+    the interval, the error of a rotation in parts of what `aliased` samples would make it, that of what gyros say
+    beyond it in the same parts, of a bias from rest to rest of the accelerometers and gyros that wander more than the
+    others, and of any in parts of what is left of a warm-up."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -104,6 +106,7 @@ class Scatter:
     apart: float = 0.0
     jumps: float = 0.0
     aliased: float = 0.0
+    aliased_apart: float = 0.0
     accel_wandering: float = 0.0
     gyro_wandering: float = 0.0
     unsettled: float = 0.0
@@ -453,10 +456,13 @@ def noise_of(problem: Problem, rows: Rows) -> Noise:
 
 def _with_warm_up(problem: Problem, rows: Rows, noise: Noise) -> Noise:
     """The same with how far biases are off the course of a warm-up: the directions of a bias from rest to rest, times
-    what is left of the warm-up in the readings of each sensor."""
+    what is left of the warm-up in the reading of a sensor and, root mean square, in those of all of its kind: one
+    that this course changes by little, another may change by as much as the others."""
     (at_rest, of_rest), (merged, of_merged) = noise.rest_directions, noise.merged_directions
     sensors, m = at_rest.shape[2], len(problem.instrument.names)
-    warmer = rows.rest[:, :sensors, 4 + m : -1] @ (-rows.own[0] * problem.own_known)
+    warmer, n = rows.rest[:, :sensors, 4 + m : -1] @ (-rows.own[0] * problem.own_known), problem.instrument.accel.size
+    for kind in (slice(0, n), slice(n, sensors)):
+        warmer[:, kind] = np.hypot(warmer[:, kind], np.sqrt((warmer[:, kind] ** 2).mean(axis=1, keepdims=True)))
     unsettled, turns = np.full(sensors, COMPONENTS.index("unsettled")), problem.observations.turns
     at_turns = warmer[:0] if turns is None else warmer[turns.first]
     return replace(
@@ -510,7 +516,8 @@ def _noise_of_session(problem: Problem) -> Noise:
     rest = _diagonal(blocks)
     r, stop, t = rest.shape[1], n + rests.gyro.shape[1], problem.rows_of_turn
     v = 3 if problem.instrument.in_velocities else 0
-    component = np.repeat(np.arange(WANDERING), [n, stop - n, 3, v, t - v - 3, v, 3])
+    spare = t - v - 3
+    component = np.repeat([0, 1, 2, 3, 4, 5, 7, 6], [n, stop - n, 3, v, spare, v, spare, 3])
     component[list(problem.wandering)] += WANDERING
     at_rest = np.broadcast_to(np.eye(r, stop), (len(rests), r, stop)), component[:stop]
     turns = observations.turns
@@ -522,7 +529,8 @@ def _noise_of_session(problem: Problem) -> Noise:
     Z[:, r:, stop : stop + t] = np.eye(t)
     turned = turns.duration > 0.0  # between the parts of a rest nothing is
     Z[~turned, r : r + 3 + v, stop:] = 0.0
-    Z[:, r + 3 : r + 3 + v, stop + t : -3] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+    Z[:, r + 3 : r + 3 + v, stop + t : stop + t + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+    Z[:, r + 3 + v :, stop + t + v : -3] = np.sqrt(turns.aliased)[:, None, None] * np.eye(spare)
     Z[:, r : r + 3, -3:] = np.sqrt(turns.aliased)[:, None, None] * np.eye(3)
     return Noise(
         rest=rest,

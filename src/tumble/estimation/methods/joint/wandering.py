@@ -47,15 +47,13 @@ def _again(fitted: Fitted, problem: Problem) -> Fitted:
 
 
 def _wandering(fitted: Fitted) -> Iterator[int]:
-    """The channels that do, accelerometers before gyros, of the kinds that scatter."""
-    scatter, rests = fitted.scatter, fitted.problem.observations.rests
+    """The channels that do, accelerometers before gyros."""
+    rests = fitted.problem.observations.rests
     n = rests.accel.shape[1]
     last = n + rests.gyro.shape[1]
     squares, weights = _squares(fitted, last)
-    for channels, size in ((range(n), scatter.accel), (range(n, last), scatter.gyro)):
-        if len(channels) <= FEW or size == 0.0:
-            continue
-        for channel in channels:
+    for channels in (range(n), range(n, last)):
+        for channel in channels if len(channels) > FEW else ():
             chance = weighted_chance(float(squares[:, channel].sum()), weights[:, channel])
             if len(channels) * chance < WANDERS:
                 yield channel
