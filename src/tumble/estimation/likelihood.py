@@ -32,9 +32,8 @@ Noise. Beside the noise within rests a session has components of variance (`Scat
 of the gyros that differs from rest to rest and lasts through the turn that follows, which makes the rows of a rest and
 of its turn dependent; a scatter of the rotations and of the velocities of the turns, and of what n > 3 gyros say beyond
 the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates that do.
-Of an array, sensors whose bias wanders more than that of the others of their kind have a component of their own. And
-where a device warms up, the biases are off their exponential course by a share of what is left of it. Gyros of an array
-are not read at one instant, so that rates that jump from sample to sample make them disagree, too.
+Of an array, sensors whose bias wanders more than that of the others of their kind have a component of their own. Its
+gyros are not read at one instant, so that rates that jump from sample to sample make them disagree, too.
 Rows of a rest and of the turn after it are therefore whitened together.
 """
 
@@ -61,7 +60,7 @@ from tumble.units import Array, IntArray
 
 COMPONENTS = (
     *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart"),
-    *("accel_wandering", "gyro_wandering", "unsettled"),
+    *("accel_wandering", "gyro_wandering"),
 )
 """The components of variance, in the order of `Scatter`."""
 OF_TURNS = slice(2, 8)
@@ -96,8 +95,8 @@ class Scatter:
     from rest to rest, of the rotations (rad) and velocities (m/s) of turns, of the integrals (rad) of gyros beyond the
     rotation of the body, c of (A3), the error of the integral over a jump between samples in parts of its size times
     the interval, the error of a rotation in parts of what `aliased` samples would make it, that of what gyros say
-    beyond it in the same parts, of a bias from rest to rest of the accelerometers and gyros that wander more than the
-    others, and of any in parts of what is left of a warm-up."""
+    beyond it in the same parts, and of a bias from rest to rest of the accelerometers and gyros that wander more than
+    the others."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -109,7 +108,6 @@ class Scatter:
     aliased_apart: float = 0.0
     accel_wandering: float = 0.0
     gyro_wandering: float = 0.0
-    unsettled: float = 0.0
 
     @property
     def variances(self) -> Array:
@@ -239,8 +237,6 @@ class Problem:
     """Whether the lag is known, so that nothing else is said of it."""
     wandering: tuple[int, ...] = ()
     """The channels, accelerometers before gyros, whose bias wanders more than that of the others of their kind."""
-    unsettled: bool = False
-    """Whether biases may be off the course of a warm-up."""
 
     @staticmethod
     def of(
@@ -450,36 +446,6 @@ def changing_with(observations: Observations, variables: tuple[Variable, ...]) -
 
 def noise_of(problem: Problem, rows: Rows) -> Noise:
     """Covariance of the rows without scatter, and the directions of the components of variance."""
-    noise = _at_point(problem, rows)
-    return _with_warm_up(problem, rows, noise) if problem.unsettled else noise
-
-
-def _with_warm_up(problem: Problem, rows: Rows, noise: Noise) -> Noise:
-    """The same with how far biases are off the course of a warm-up: the directions of a bias from rest to rest, times
-    what is left of the warm-up in the reading of a sensor and, root mean square, in those of all of its kind: one
-    that this course changes by little, another may change by as much as the others."""
-    (at_rest, of_rest), (merged, of_merged) = noise.rest_directions, noise.merged_directions
-    sensors, m = at_rest.shape[2], len(problem.instrument.names)
-    warmer, n = rows.rest[:, :sensors, 4 + m : -1] @ (-rows.own[0] * problem.own_known), problem.instrument.accel.size
-    for kind in (slice(0, n), slice(n, sensors)):
-        warmer[:, kind] = np.hypot(warmer[:, kind], np.sqrt((warmer[:, kind] ** 2).mean(axis=1, keepdims=True)))
-    unsettled, turns = np.full(sensors, COMPONENTS.index("unsettled")), problem.observations.turns
-    at_turns = warmer[:0] if turns is None else warmer[turns.first]
-    return replace(
-        noise,
-        rest_directions=(
-            np.concatenate([at_rest, at_rest * warmer[:, None]], axis=2),
-            np.append(of_rest, unsettled),
-        ),
-        merged_directions=(
-            np.concatenate([merged, merged[:, :, :sensors] * at_turns[:, None]], axis=2),
-            np.append(of_merged, unsettled),
-        ),
-    )
-
-
-def _at_point(problem: Problem, rows: Rows) -> Noise:
-    """The same without what is off the course of a warm-up."""
     noise, r, stop = problem.noise, problem.noise.rest.shape[1], problem.noise.rest_directions[0].shape[2]
     (Z, component), turns = noise.merged_directions, problem.observations.turns
     if turns is None or not len(Z):

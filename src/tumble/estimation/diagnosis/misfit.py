@@ -156,11 +156,9 @@ def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
             settled = sum(values[members.start - first : members.stop - first] for members in found)
             largest = np.abs(settled).max() / size
             said.append(f"of the {words} {'' if said else 'settle '}by up to {largest:.2g} {unit}".replace(" °", "°"))
-    off = linearised.scatter.unsettled
-    course = f", off that course by {100.0 * off:.2g} % of what is left from rest to rest" if off > 0.0 else ""
     yield (
         "both",
-        f"warm-up after power-on: biases {' and '.join(said)}, with a time constant of {settling:.0f} s{course}; "
+        f"warm-up after power-on: biases {' and '.join(said)}, with a time constant of {settling:.0f} s; "
         "parameters are those of the settled device and u contains what is not known of it; switch on earlier",
     )
 

@@ -16,7 +16,6 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.estimation.causes.chances import weighted_chance
-from tumble.estimation.likelihood import Problem
 from tumble.estimation.methods.joint.fit import Fitted, fit_of
 from tumble.estimation.methods.joint.iteration import At
 from tumble.units import Array
@@ -29,21 +28,14 @@ FEW = 3
 
 
 def with_wandering(fitted: Fitted) -> Fitted:
-    """The solution in which the sensors that wander more than the others have a scatter of their own, and biases that
-    of being off the course of a warm-up."""
-    if fitted.problem.observations.warm_up is not None:
-        fitted = _again(fitted, replace(fitted.problem, unsettled=True))
+    """The solution in which the sensors that wander more than the others have a scatter of their own."""
     for _ in range(ROUNDS):
         found = tuple(sorted({*fitted.problem.wandering, *_wandering(fitted)}))
         if found == fitted.problem.wandering:
             break
-        fitted = _again(fitted, replace(fitted.problem, wandering=found))
+        parted = replace(fitted.problem, wandering=found)
+        fitted = fit_of(parted, At.of(parted, fitted.solved.point, fitted.solved.last.about, fitted.out))
     return fitted
-
-
-def _again(fitted: Fitted, problem: Problem) -> Fitted:
-    """The solution of the problem with other components of scatter, from one without."""
-    return fit_of(problem, At.of(problem, fitted.solved.point, fitted.solved.last.about, fitted.out))
 
 
 def _wandering(fitted: Fitted) -> Iterator[int]:
