@@ -92,7 +92,7 @@ def _spreads(linear: Sequence[str], observations: Observations) -> Array:
     """The limits of the parameters, wider by √(n/3) for n sensors of a kind: a combination of unit length of n sensors
     that err alike is then known as well as one of a triad whose three err by as much."""
     blocks = (observations.accel_block, observations.gyro_block)
-    wider = {block.kind: np.sqrt(block.size / 3.0) for block in blocks if block is not None}
+    wider: dict[str, float] = {block.kind: np.sqrt(block.size / 3.0) for block in blocks if block is not None}
     return limits_of(linear) * np.array([wider[sensor_kind(name)] for name in linear])
 
 
