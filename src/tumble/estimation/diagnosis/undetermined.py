@@ -93,7 +93,7 @@ def _spreads(linear: Sequence[str], observations: Observations) -> Array:
     that err alike is then known as well as one of a triad whose three err by as much."""
     blocks = (observations.accel_block, observations.gyro_block)
     wider: dict[str, float] = {block.kind: np.sqrt(block.size / 3.0) for block in blocks if block is not None}
-    return limits_of(linear) * np.array([wider[sensor_kind(name)] for name in linear])
+    return np.asarray(limits_of(linear) * [wider[sensor_kind(name)] for name in linear])
 
 
 def _resolution(estimate: Estimate, observations: Observations) -> float:
