@@ -378,7 +378,7 @@ class Problem:
         change = self.warmed(point).goes[1] * self.changes_in(point, 1)
         return np.asarray(change @ D.reshape(-1, D.shape[2]).T).reshape(len(change), *D.shape[:2])
 
-    @property
+    @cached_property
     def spread(self) -> Array:
         """How far the parameters (m,) may reasonably be from nominal."""
         return limits_of(self.instrument.names)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from tumble.estimation.elimination import score
 from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Scatter, Weights
 from tumble.estimation.methods.joint.iteration import At
+from tumble.estimation.residual_loops import score
 from tumble.estimation.step import Left, Step, Told, left
 from tumble.units import Array, BoolArray
 
