@@ -182,6 +182,20 @@ class Noise:
             merged=whitening(self.merged, *self.merged_directions, scatter.variances),
         )
 
+    def variances_at_rest(self, scatter: Scatter) -> Array:
+        """The variances of the rows of the rests (N, r) with a scatter, and"""
+        return _variances(self.rest, self.rest_directions, scatter)
+
+    def variances_merged(self, scatter: Scatter) -> Array:
+        """those of the merged rows (K, r + t)."""
+        return _variances(self.merged, self.merged_directions, scatter)
+
+
+def _variances(noise: Array, directions: tuple[Array, IntArray], scatter: Scatter) -> Array:
+    """The diagonals (N, n) of N + Σ v Z Zᵀ."""
+    Z, component = directions
+    return np.asarray(np.diagonal(noise, axis1=1, axis2=2) + Z**2 @ scatter.variances[component])
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Weights:
@@ -280,6 +294,12 @@ class Problem:
             (slice(own.start + further, own.stop + further), base, variable) for own, base, variable in self.own.changes
         ]
         return self.instrument.changes + shifted
+
+    @cached_property
+    def before_turn(self) -> IntArray:
+        """The rest (K,) before each turn."""
+        turns = self.observations.turns
+        return np.zeros(0, dtype=np.int64) if turns is None else turns.first
 
     @cached_property
     def lag(self) -> int | None:

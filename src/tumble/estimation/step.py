@@ -143,9 +143,7 @@ def with_own(problem: Problem, session: Array, residual: Array) -> Array:
 def whitened_rows(problem: Problem, rows: Rows, weight: Weights) -> tuple[Array, Array]:
     """The whitened rows of the rests, and of the turns with the rests before them, as the elimination has them: after
     the angles what a session has of its own, then gravity and the common parameters."""
-    turns = problem.observations.turns
-    first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
-    merged = weight.merged @ rows.merged(first)
+    merged = weight.merged @ rows.merged(problem.before_turn)
     return _own_first(problem, weight.rest @ rows.rest, 3), _own_first(problem, merged, 6)
 
 

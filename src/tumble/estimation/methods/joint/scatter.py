@@ -13,7 +13,7 @@ from scipy import special
 from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Scatter, Weights
 from tumble.estimation.methods.joint.iteration import At
 from tumble.estimation.residual_loops import score
-from tumble.estimation.step import Left, Step, Told, left
+from tumble.estimation.step import Left, Step, left
 from tumble.units import Array, BoolArray
 
 SCATTER_PROBABILITY = 0.25
@@ -43,10 +43,10 @@ def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights
 
 def scatter_of(
     problem: Problem, at: At, begun: tuple[Step, Left], start: Scatter, seen: BoolArray
-) -> tuple[Scatter, Array, Told]:
+) -> tuple[Scatter, Array, tuple[Step, Left]]:
     """The components of scatter that are `seen` (c,) by restricted maximum likelihood at one linearisation, from a
-    start, of which the step and what it leaves are known; the covariance (c, c) of their variances, and what the rows
-    tell with them. Steps of Fisher scoring, halved while the likelihood falls. The information lacks what rests and
+    start, of which the step and what it leaves are known; the covariance (c, c) of their variances, and the step with
+    them and what it leaves. Steps of Fisher scoring, halved while the likelihood falls. The information lacks what rests and
     turns tell of each other: `share` is the part that it was of how the score fell in the step before."""
     step, after = begun
     variance, share = start.variances, 1.0
@@ -71,7 +71,8 @@ def scatter_of(
             if step.deviance <= deviance + 1e-6:
                 break
             wanted = 0.5 * (wanted + before)
-        deviance, slope, information = step.deviance, *_scored(problem, at, step, left(problem, step))
+        after = left(problem, step)
+        deviance, slope, information = step.deviance, *_scored(problem, at, step, after)
         change = np.where(active, variance - before, 0.0)
         if np.all(np.abs(change) <= SCATTER_CONVERGED * deviation):
             break
@@ -81,7 +82,7 @@ def scatter_of(
     components = np.zeros((len(COMPONENTS), len(COMPONENTS)))
     if active.any():
         components[np.ix_(active, active)] = np.linalg.inv(information[np.ix_(active, active)])
-    return Scatter.of_variances(variance), components, step.told
+    return Scatter.of_variances(variance), components, (step, after)
 
 
 def _scored(problem: Problem, at: At, step: Step, after: Left) -> tuple[Array, Array]:
