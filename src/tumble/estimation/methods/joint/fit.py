@@ -50,22 +50,23 @@ class Fitted:
 
 def fit_of(problem: Problem, start: At, most: int = ALL_STEPS) -> Fitted:
     """The solution with the scatter that it shows, after so many steps at most."""
-    scatter, components, wide = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem
+    scatter, components, wide, share = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem, 1.0
     solved = iterate(problem, start, scatter, most)
     increments, steps = solved.increments, len(solved.increments)
     after = without = left(problem, solved.step), solved.step.told.weights
     seen = seen_components(problem, solved.last.noise, *without)
     for _ in range(ROUNDS):
         at = solved.last
-        found, components, (step, remains) = scatter_of(wide, at, (solved.step, after[0]), scatter, seen)
-        if found.aliased > MOST_ALIASED:
+        found = scatter_of(wide, at, (solved.step, after[0]), scatter, seen, share)
+        if found.scatter.aliased > MOST_ALIASED:
             seen &= np.array(COMPONENTS) != "aliased"
             plain = at.solved(wide, Scatter())
-            found, components, (step, remains) = scatter_of(wide, at, (plain, left(wide, plain)), Scatter(), seen)
+            found = scatter_of(wide, at, (plain, left(wide, plain)), Scatter(), seen)
+        step, remains, share, components = found.step, found.left, found.share, found.components
         wider = with_wider_priors(wide, at, step.told)
-        if (found == scatter and wider is wide) or steps >= most:
+        if (found.scatter == scatter and wider is wide) or steps >= most:
             break
-        settled, wide, scatter = wider is wide, wider, found
+        settled, wide, scatter = wider is wide, wider, found.scatter
         if not settled:
             at = at.with_priors(wide)
             step = completed(wide, at.rows, step.told)
