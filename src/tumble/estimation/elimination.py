@@ -61,7 +61,10 @@ def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, facto
     count = _eliminate(
         rest, turn, link, counts, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product
     )
-    fold(kept[:count], triangle)
+    if p < MANY:
+        _fold(kept, product, count, triangle)
+    else:
+        fold(kept[:count], triangle)
 
 
 def fold(rows: Array, triangle: Array) -> None:

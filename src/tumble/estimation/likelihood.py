@@ -177,9 +177,10 @@ class Noise:
 
     def weights(self, scatter: Scatter) -> Weights:
         """The weights of the rows with a scatter."""
+        variances = scatter.variances
         return Weights(
-            rest=whitening(self.rest, *self.rest_directions, scatter.variances),
-            merged=whitening(self.merged, *self.merged_directions, scatter.variances),
+            rest=whitening(self.rest, *self.rest_directions, variances),
+            merged=whitening(self.merged, *self.merged_directions, variances),
         )
 
     def variances_at_rest(self, scatter: Scatter) -> Array:
@@ -253,7 +254,7 @@ class Problem:
         link = np.full(len(observations.rests), -1, dtype=np.int64)
         turns = observations.turns
         if turns is not None and len(turns):
-            if np.any(turns.last != turns.first + 1) or len(np.unique(turns.first)) < len(turns):
+            if np.any(turns.last != turns.first + 1) or np.bincount(turns.first).max() > 1:
                 raise ValueError("turns: expected at most one between neighbouring rests, found others")
             link[turns.first] = np.arange(len(turns))
         known = limits_of(instrument.names)

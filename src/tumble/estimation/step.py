@@ -126,7 +126,7 @@ def joined(problem: Problem, rows: Rows, told: Told) -> Known:
         own=np.array([each[0] for each in own]),
         roots=np.array([each[1] for each in own]),
         square=float(triangle[-1, -1] ** 2),
-        pivots=np.concatenate([*map(np.diag, heads), np.diag(triangle)[:-1]]),
+        pivots=np.concatenate([each.diagonal() for each in (*heads, triangle[:-1])]),
     )
 
 
@@ -172,8 +172,8 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
 def _deviance(problem: Problem, told: Told, known: Known) -> float:
     """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
     own = told.weights.rest[problem.link < 0], told.weights.merged
-    whitened = np.concatenate([np.diagonal(each, axis1=1, axis2=2).ravel() for each in own])
-    pivots = np.abs(np.concatenate([np.diagonal(told.factor, axis1=1, axis2=2).ravel(), known.pivots]))
+    whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in own])
+    pivots = np.abs(np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), known.pivots]))
     return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum()) + known.square)
 
 

@@ -118,7 +118,7 @@ def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIO
 
 def negligible(problem: Problem, step: Step) -> bool:
     """Whether what is left to do after a step is: Gauss–Newton squares the error, in units of the spreads."""
-    change, u = np.abs(step.parameters[1:]), np.sqrt(np.diag(step.covariance)[1:])
+    change, u = np.abs(step.parameters[1:]), np.sqrt(step.covariance.diagonal()[1:])
     after = change * min(1.0, SQUARED * float(np.max(change / problem.spread)))
     return bool(np.all(after <= CONVERGED * u + 1e-15))
 

@@ -23,7 +23,7 @@ SCATTER_PROBABILITY = 0.25
 median would find scatter in most sessions that have none, and give intervals that cover too much; a strict one would
 miss scatter that is there."""
 SCATTER_STEPS = 40
-SCATTER_CONVERGED = 0.002  # of the standard deviation of a component of variance: what a step would still change
+SCATTER_CONVERGED = 5e-4  # of the standard deviation of a component of variance: what a step would still change
 FURTHEST = 1e3  # of it, that a step may go: two components that nearly are one would send each other anywhere
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
@@ -66,7 +66,7 @@ def scatter_of(
     active, change, before = variance > 0.0, np.zeros_like(variance), np.zeros_like(variance)
     deviance, slope, information = step.deviance, *_scored(problem, at, step, after)
     if not active.any():
-        size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
+        size = np.sqrt(np.where(information.diagonal() > 0.0, information.diagonal(), np.inf))
         active = seen & (slope / size > -special.ndtri(SCATTER_PROBABILITY))
     for _ in range(SCATTER_STEPS):
         active &= (variance > 0.0) | (slope > 0.0)
@@ -78,7 +78,7 @@ def scatter_of(
         if change.any():
             expected, less = change @ information @ change, change @ information @ (before - scoring)
             share = float(np.clip(expected / less, *SHARES)) if less > 0.0 else SHARES[1]
-        deviation = np.where(active, 1.0 / np.sqrt(np.where(active, np.diag(information), 1.0)), np.inf)
+        deviation = np.where(active, 1.0 / np.sqrt(np.where(active, information.diagonal(), 1.0)), np.inf)
         wanted = np.clip(variance + share * scoring, 0.0, variance + FURTHEST * deviation)
         if np.all(np.abs(wanted - variance) <= SCATTER_CONVERGED * deviation):
             break
