@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.estimation.estimate import Fit
 from tumble.estimation.likelihood import COMPONENTS, Problem, Scatter, Weights
 from tumble.estimation.methods.joint.iteration import MAX_ITERATIONS, At, Out, Solved, iterate
-from tumble.estimation.methods.joint.scatter import scatter_of, seen_components
+from tumble.estimation.methods.joint.scatter import CLOSELY, ROUGHLY, Scattered, scatter_of, seen_components
 from tumble.estimation.methods.joint.widening import with_wider_priors
 from tumble.estimation.step import Left, completed, left
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 ROUNDS = 6
 ALL_STEPS = MAX_ITERATIONS * (ROUNDS + 2)  # more than there can be
@@ -48,45 +48,56 @@ class Fitted:
         return self.solved.last.out
 
 
-def fit_of(problem: Problem, start: At, most: int = ALL_STEPS) -> Fitted:
-    """The solution with the scatter that it shows, after so many steps at most."""
-    scatter, components, wide, share = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem, 1.0
-    solved = iterate(problem, start, scatter, most)
+def fit_of(problem: Problem, start: At, most: int = ALL_STEPS, guess: Scatter | None = None) -> Fitted:
+    """The solution with the scatter that it shows, after so many steps at most; a `guess` of the scatter saves time."""
+    wide, solved = problem, iterate(problem, start, Scatter(), most)
     increments, steps = solved.increments, len(solved.increments)
-    after = without = left(problem, solved.step), solved.step.told.weights
+    found = Scattered.begun(solved.step, left(problem, solved.step), Scatter())
+    without = found.left, solved.step.told.weights
     seen = seen_components(problem, solved.last.noise, *without)
     for _ in range(ROUNDS):
         at = solved.last
-        found = scatter_of(wide, at, (solved.step, after[0]), scatter, seen, share)
-        if found.scatter.aliased > MOST_ALIASED:
-            seen &= np.array(COMPONENTS) != "aliased"
-            plain = at.solved(wide, Scatter())
-            found = scatter_of(wide, at, (plain, left(wide, plain)), Scatter(), seen)
-        step, remains, share, components = found.step, found.left, found.share, found.components
-        wider = with_wider_priors(wide, at, step.told)
-        if (found.scatter == scatter and wider is wide) or steps >= most:
+        shown, wider, seen = _shown(wide, at, found, seen, guess)
+        if (shown.scatter == found.scatter and wider is wide) or steps >= most:
+            found = replace(found, components=shown.components)
             break
-        settled, wide, scatter = wider is wide, wider, found.scatter
+        found, settled, wide = shown, wider is wide, wider
         if not settled:
             at = at.with_priors(wide)
-            step = completed(wide, at.rows, step.told)
-            remains = left(wide, step)
-        solved = iterate(wide, at, scatter, most - steps, step)  # the last step again, with scatter
+            step = completed(wide, at.rows, found.step.told)
+            found = replace(found, step=step, left=left(wide, step))
+        solved = iterate(wide, at, found.scatter, most - steps, found.step)  # the last step again, with scatter
         increments, steps = increments[:-1] + solved.increments, steps + len(solved.increments)
-        after = remains if solved.step is step else left(wide, solved.step), solved.step.told.weights
+        if solved.step is not found.step:
+            found = replace(found, step=solved.step, left=left(wide, solved.step))
         if settled and len(solved.increments) == 1:
             break
     return Fitted(
         problem=wide,
         solved=solved,
-        left=after,
+        left=(found.left, solved.step.told.weights),
         without=without,
-        scatter=scatter,
-        components=components,
-        fits=_fits(wide, after[0], scatter, without[0]),
+        scatter=found.scatter,
+        components=found.components,
+        fits=_fits(wide, found.left, found.scatter, without[0]),
         increments=increments,
         settled=steps < most,
     )
+
+
+def _shown(
+    problem: Problem, at: At, begun: Scattered, seen: BoolArray, guess: Scatter | None
+) -> tuple[Scattered, Problem, BoolArray]:
+    """The scatter that a linearisation shows, the problem with the priors that go with it, and the components seen."""
+    found = scatter_of(problem, at, begun, seen, ROUGHLY, guess)
+    if found.scatter.aliased > MOST_ALIASED:
+        seen = seen & (np.array(COMPONENTS) != "aliased")
+        plain = at.solved(problem, Scatter())
+        found = scatter_of(problem, at, Scattered.begun(plain, left(problem, plain), Scatter()), seen, ROUGHLY)
+    wider = with_wider_priors(problem, at, found.step.told)
+    if wider is problem:
+        found = scatter_of(problem, at, found, seen, CLOSELY)
+    return found, wider, seen
 
 
 def _rows_of(problem: Problem, after: Left) -> list[IntArray]:

@@ -23,7 +23,8 @@ SCATTER_PROBABILITY = 0.25
 median would find scatter in most sessions that have none, and give intervals that cover too much; a strict one would
 miss scatter that is there."""
 SCATTER_STEPS = 40
-SCATTER_CONVERGED = 5e-4  # of the standard deviation of a component of variance: what a step would still change
+CLOSELY = 5e-4  # of the standard deviation of a component of variance: what a step would still change
+ROUGHLY = 0.05  # likewise, where priors that are about to be widened will change it anyway
 FURTHEST = 1e3  # of it, that a step may go: two components that nearly are one would send each other anywhere
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
@@ -52,17 +53,23 @@ class Scattered:
     components: Array
     step: Step
     left: Left
-    share: float
+    share: float = 1.0
+
+    @staticmethod
+    def begun(step: Step, after: Left, scatter: Scatter, share: float = 1.0) -> Scattered:
+        """Where a search begins, with a scatter."""
+        none = np.zeros((len(COMPONENTS), len(COMPONENTS)))
+        return Scattered(scatter=scatter, components=none, step=step, left=after, share=share)
 
 
 def scatter_of(
-    problem: Problem, at: At, begun: tuple[Step, Left], start: Scatter, seen: BoolArray, share: float = 1.0
+    problem: Problem, at: At, begun: Scattered, seen: BoolArray, within: float, guess: Scatter | None = None
 ) -> Scattered:
-    """The components of scatter that are `seen` (c,) by restricted maximum likelihood at one linearisation, from a
-    start, of which the step and what it leaves are known. Steps of Fisher scoring, halved while the likelihood falls.
+    """The components of scatter that are `seen` (c,) by restricted maximum likelihood at one linearisation, from those
+    with which it has `begun`, `within` so much; where there were none, by way of a `guess`. Steps of Fisher scoring, halved while the likelihood falls.
     The information lacks what rests and turns tell of each other: only a `share` of a step is right, the part that the
     change before was of how much less the scoring asked for after it, as if what it asks for were linear."""
-    (step, after), found, variance = begun, start, start.variances
+    step, after, share, found, variance = begun.step, begun.left, begun.share, begun.scatter, begun.scatter.variances
     active, change, before = variance > 0.0, np.zeros_like(variance), np.zeros_like(variance)
     deviance, slope, information = step.deviance, *_scored(problem, at, step, after)
     if not active.any():
@@ -80,8 +87,10 @@ def scatter_of(
             share = float(np.clip(expected / less, *SHARES)) if less > 0.0 else SHARES[1]
         deviation = np.where(active, 1.0 / np.sqrt(np.where(active, information.diagonal(), 1.0)), np.inf)
         wanted = np.clip(variance + share * scoring, 0.0, variance + FURTHEST * deviation)
-        if np.all(np.abs(wanted - variance) <= SCATTER_CONVERGED * deviation):
+        if np.all(np.abs(wanted - variance) <= within * deviation):
             break
+        if guess is not None and not variance.any():
+            wanted = np.where(active & (guess.variances > 0.0), guess.variances, wanted)
         before, old = scoring, variance
         for _ in range(5):
             found, variance = Scatter.of_variances(wanted), wanted
