@@ -81,7 +81,8 @@ def residuals(module: ModuleType) -> list[Array]:
 
 
 def test_residuals_are_those_of_python_to_the_bit() -> None:
-    for found, expected in zip(residuals(residual_loops), residuals(as_python("estimation/residual_loops")), strict=True):
+    every = residuals(as_python("estimation/residual_loops"))
+    for found, expected in zip(residuals(residual_loops), every, strict=True):
         np.testing.assert_array_equal(found, expected)
 
 

@@ -198,8 +198,7 @@ def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where
     weight = weights(problem, rows, known.scatter)
     reduced = _reduced(problem, (rows.rest, rows.merged(problem.before_turn)), weight)
     off = np.append(point.gravity, point.values) - problem.measured[0]
-    return _Where(problem=problem, point=point, about=about), replace(reduced, d=reduced.d + reduced.R @ off
-irst
+    return _Where(problem=problem, point=point, about=about), replace(reduced, d=reduced.d + reduced.R @ off)
 
 
 def _reduced(problem: Problem, rows: tuple[Array, Array], weight: Weights) -> _Reduced:

@@ -17,9 +17,9 @@ except ImportError:
 
 
 def leave(rows: Array, first: IntArray, known: tuple[Array, Array, Array], step: Array, predicted: Array) -> Array:
-    """Residuals (M, r) that rows (M, r, ·) of so many rests each, from the `first` (M,) on, have after the step of their
-    angles and that of all other unknowns (p,). Of the angles their step (N, 3), their covariances with themselves and
-    those of the next rest (2, N, 3, 3), and those with the other unknowns (N, 3, p) are `known`. The covariances
+    """Residuals (M, r) that rows (M, r, ·) of one rest or two each, from the `first` (M,) on, have after the step of
+    their angles and that of all other unknowns (p,). Of the angles their step (N, 3), their covariances with themselves
+    and those of the next rest (2, N, 3, 3), and those with the other unknowns (N, 3, p) are `known`. The covariances
     `predicted` (M, r, r) of what the rows predict by the others alone become those of the residuals, 1 − A C Aᵀ."""
     angles, own, shared = known
     residual, work = np.empty(rows.shape[:2]), np.empty((rows.shape[1], rows.shape[2] - len(step) - 1))

@@ -232,7 +232,8 @@ def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
         last, first = part.rests.start + part.last_rests, part.rests.start + part.first
         of_rests = weights.rest[last] @ at_rest[last], _with_parameters(step, covariance, rest[last], last[:, None])
         two = np.stack([first, first + 1], axis=1)
-        of_turns = weights.merged[part.turns] @ of_merged[part.turns], _with_parameters(step, covariance, merged[part.turns], two)
+        Z = weights.merged[part.turns] @ of_merged[part.turns]
+        of_turns = Z, _with_parameters(step, covariance, merged[part.turns], two)
         for of, (Z, S) in ((of_rest, of_rests), (component, of_turns)):
             np.add.at(slopes, of, ((np.swapaxes(Z, 1, 2) @ S) ** 2).sum(axis=0))
     return slopes

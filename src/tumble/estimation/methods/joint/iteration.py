@@ -102,7 +102,9 @@ class Solved:
     increments: tuple[Array, ...]
 
 
-def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS, first: Step | None = None) -> Solved:
+def iterate(
+    problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS, first: Step | None = None
+) -> Solved:
     """Gauss–Newton with this scatter, by so many steps at most, of which the `first` may be known already."""
     increments: list[Array] = []
     step = at.solved(problem, scatter) if first is None else first

@@ -24,7 +24,7 @@ median would find scatter in most sessions that have none, and give intervals th
 miss scatter that is there."""
 SCATTER_STEPS = 40
 CLOSELY = 5e-4  # of the standard deviation of a component of variance: what a step would still change
-ROUGHLY = 0.05  # likewise, where priors that are about to be widened will change it anyway
+ROUGHLY = 0.005  # likewise, where priors that are about to be widened will change it anyway
 FURTHEST = 1e3  # of it, that a step may go: two components that nearly are one would send each other anywhere
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
@@ -66,9 +66,10 @@ def scatter_of(
     problem: Problem, at: At, begun: Scattered, seen: BoolArray, within: float, guess: Scatter | None = None
 ) -> Scattered:
     """The components of scatter that are `seen` (c,) by restricted maximum likelihood at one linearisation, from those
-    with which it has `begun`, `within` so much; where there were none, by way of a `guess`. Steps of Fisher scoring, halved while the likelihood falls.
-    The information lacks what rests and turns tell of each other: only a `share` of a step is right, the part that the
-    change before was of how much less the scoring asked for after it, as if what it asks for were linear."""
+    with which it has `begun`, `within` so much; where there were none, by way of a `guess`. Steps of Fisher scoring,
+    halved while the likelihood falls. The information lacks what rests and turns tell of each other: only a `share` of
+    a step is right, the part that the change before was of how much less the scoring asked for after it, as if what it
+    asks for were linear."""
     step, after, share, found, variance = begun.step, begun.left, begun.share, begun.scatter, begun.scatter.variances
     active, change, before = variance > 0.0, np.zeros_like(variance), np.zeros_like(variance)
     deviance, slope, information = step.deviance, *_scored(problem, at, step, after)
