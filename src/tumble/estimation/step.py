@@ -243,6 +243,6 @@ def _with_parameters(step: Step, covariance: Array, rows: Array, rests: IntArray
     """Covariances (M, r, 1 + m) of what whitened rows of some `rests` (M, ·) each predict with gravity and the
     parameters, of those of a session (p, p)."""
     M, r, q = *rows.shape[:2], len(covariance) - len(step.parameters)
-    shared = step.shared[1][rests].reshape(M, -1, len(covariance))[:, :, q:]
+    shared = step.shared[1][rests].reshape(M, 3 * rests.shape[1], len(covariance))[:, :, q:]
     by = rows[:, :, shared.shape[1] : -1].reshape(M * r, len(covariance)) @ covariance[:, q:]
-    return np.asarray(rows[:, :, : shared.shape[1]] @ shared + by.reshape(M, r, -1))
+    return np.asarray(rows[:, :, : shared.shape[1]] @ shared + by.reshape(M, r, len(step.parameters)))
