@@ -361,29 +361,6 @@ def _add(whole: Moments, pieces: Pieces, moments: Moments) -> None:
 # Columns -------------------------------------------------------------------------------------------------------
 
 
-def gyro_columns(moments: Moments, left_inverse: Array, w: Array) -> tuple[Array, Array]:
-    """∂φ and ∂V (K, 3, m) of gyro parameters with regressors w (n, 13, m), Eq. (A6); of ∂V the linear regressors."""
-    weights = np.tensordot(left_inverse, w, axes=1)
-    return -_contracted(moments.Phi, weights), -_contracted(moments.Psi, weights[:, : _kernels.LINEAR])
-
-
-def accel_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
-    """∂V (K, 3, m) of accelerometer parameters with regressors w (n, 13, m), Eq. (A6); ∂φ is 0."""
-    return -_contracted(moments.Phi, np.tensordot(left_inverse, w, axes=1))
-
-
-def gyro_own_columns(moments: Moments, left_inverse: Array, w: Array) -> tuple[Array, Array]:
-    """∂φ and ∂V (K, 3, m) of gyro parameters that add w_p0m |a_p·ω| + w_p1m (a_p·ω)³, w (n, 2, m)."""
-    weights = np.einsum("jp,pqm->jqpm", left_inverse, w)
-    return -_contracted(moments.Phi_gyro, weights), -_contracted(moments.Psi_gyro, weights)
-
-
-def accel_own_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
-    """∂V (K, 3, m) of accelerometer parameters that add w_p0m |a_p·f| + w_p1m (a_p·f)³, w (n, 2, m)."""
-    weights = np.einsum("jp,pqm->jqpm", left_inverse, w)
-    return -_contracted(moments.Phi_accel, weights)
-
-
 def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tuple[Array, Array]) -> Array:
     """∂V = −A_r (K, 3, 3 n), s⁻¹, of the lever arms r_p (three numbers a sensor) of accelerometers, by parts:
 
