@@ -10,12 +10,12 @@ had not been recorded, and stands for no movement where rests are looked for. Th
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.reduction.blocks import Blemish, FileBlocks, Reduction
-from tumble.reduction.segmentation import RestSpan
+from tumble.reduction.segmentation import RestSpan, inner_mean, inner_variance
 from tumble.units import Array, IntArray
 
 SIDE_SECONDS = 1.0
@@ -67,38 +67,51 @@ def _side(reduction: Reduction) -> int:
 
 
 def _blemishes(reduction: Reduction, f: FileBlocks) -> Iterator[Blemish]:
-    """The blemishes of a file."""
-    values = f.accel if f.gyro is None else np.hstack([f.accel, f.gyro])
-    coarse = np.array([_step(c.step) for c in (*reduction.accel_channels, *reduction.gyro_channels)])
+    """The blemishes of a file, the shortest first."""
+    assert f.gyro is not None
+    side = _side(reduction)
+    if len(f.accel) <= 2 * side:
+        return
+    values = np.hstack([f.accel, f.gyro])
+    steps = np.array([channel.step for channel in (*reduction.accel_channels, *reduction.gyro_channels)])
+    sides = _Sides.of(values, np.where(np.isfinite(steps), steps, 0.0), side)
     taken = np.zeros(len(values), dtype=bool)
     for length in range(1, int(LONGEST_SECONDS / reduction.block_seconds * (1.0 + 1e-9)) + 1):
-        for first in _standing_out(values, coarse, _side(reduction), length).tolist():
+        for first in sides.standing_out(values, length).tolist():
             run = slice(first, first + length)
             samples = 0 if taken[run].any() else _bad_samples(reduction, f, first, length)
             if samples:
                 taken[run] = True
-                yield Blemish(
-                    file=f.file, first=first, last=first + length, start=float(f.edges[first]), samples=samples
-                )
+                yield Blemish(file=f.file, first=first, last=run.stop, start=float(f.edges[first]), samples=samples)
 
 
-def _step(step: float) -> float:
-    return step if np.isfinite(step) else 0.0
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Sides:
+    """The means and variances (·, n) of every `side` blocks in a row, and the resolution (n,) of the channels."""
 
+    side: int
+    mean: Array
+    variance: Array
+    coarse: Array
 
-def _standing_out(values: Array, coarse: Array, side: int, length: int) -> IntArray:
-    """The first blocks of runs of a length whose mean stands out from the `side` blocks before and after them."""
-    count = len(values) - 2 * side - length + 1
-    if count < 1:
-        return np.zeros(0, dtype=np.int64)
-    windows = np.lib.stride_tricks.sliding_window_view(values, side, axis=0)
-    mean, variance = windows.mean(axis=-1), windows.var(axis=-1, ddof=1)
-    before, after = slice(0, count), slice(side + length, side + length + count)
-    scatter = np.sqrt(0.5 * (variance[before] + variance[after]))
-    of_run = np.lib.stride_tricks.sliding_window_view(values, length, axis=0).mean(axis=-1)[side : side + count]
-    agree = np.abs(mean[after] - mean[before]) <= AGREE * np.sqrt(2.0 / side) * scatter + coarse
-    off = np.abs(of_run - 0.5 * (mean[before] + mean[after])) > BEYOND * scatter + coarse
-    return np.asarray(side + np.flatnonzero(agree.all(axis=1) & off.any(axis=1)))
+    @staticmethod
+    def of(values: Array, coarse: Array, side: int) -> _Sides:
+        mean = inner_mean(values, side)
+        variance = inner_variance(values, mean, side) * (side / (side - 1.0))
+        return _Sides(side=side, mean=mean, variance=variance, coarse=coarse)
+
+    def standing_out(self, values: Array, length: int) -> IntArray:
+        """The first blocks of runs of a length whose mean stands out from the sides before and after them."""
+        side, mean = self.side, self.mean
+        count = len(values) - 2 * side - length + 1
+        if count < 1:
+            return np.zeros(0, dtype=np.int64)
+        before, after = slice(0, count), slice(side + length, side + length + count)
+        scatter = np.sqrt(0.5 * (self.variance[before] + self.variance[after]))
+        off = np.abs(inner_mean(values[side : side + count + length - 1], length) - 0.5 * (mean[before] + mean[after]))
+        beyond = (off > BEYOND * scatter + self.coarse).any(axis=1)
+        agree = np.abs(mean[after] - mean[before]) <= AGREE * np.sqrt(2.0 / side) * scatter + self.coarse
+        return np.asarray(side + np.flatnonzero(beyond & agree.all(axis=1)))
 
 
 def _bad_samples(reduction: Reduction, f: FileBlocks, first: int, length: int) -> int:
