@@ -146,6 +146,21 @@ def test_a_loss_is_looked_for_beside_a_warm_up(tmp_path: Path) -> None:
     assert lost.outcome.remarks
 
 
+def test_time_stamps_that_jitter_are_named_with_their_remedy(tmp_path: Path) -> None:
+    """By 1 ms of 10, in a navigation unit's log of even rows: refused, and accepted once the stamps are passed over."""
+    folder = simulate_session(tmp_path / "s", Setup.of(grade="navigation", positions=12, rest=10.0), seed=1)
+    log = pl.read_parquet(folder / "log.parquet")
+    jitter = 1e-3 * np.random.default_rng(3).standard_normal(log.height)
+    log.with_columns(pl.col("t") + pl.Series(jitter)).write_parquet(folder / "log.parquet")
+    refused = calibrate(folder).outcome
+    assert refused.verdict == "not accepted"
+    assert "the time stamps jitter by 1 ms: if the rows are equally spaced" in refused.reasons[0]
+    assert "regular = true" in refused.reasons[0]
+    session = folder / "session.toml"
+    session.write_text(session.read_text(encoding="utf-8").replace("[log]", "[log]\nregular = true"), encoding="utf-8")
+    assert calibrate(folder).outcome.verdict == "accepted"
+
+
 def test_gyros_that_are_not_linear_leave_the_accelerometers() -> None:
     outcome = verdict(*estimated("gyro nonlinearity 20 ppm at 10 °/s", 3.0))
     assert outcome.gyro.verdict == "not accepted"

@@ -14,7 +14,8 @@ from tumble.estimation.methods.joint.method import joint
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk
 from tumble.recording.session import Exclusion, Session
-from tumble.reduction.blocks import FileBlocks, Reducer, Reduction
+from tumble.reduction.blemishes import without_blemishes
+from tumble.reduction.blocks import FileBlocks, Reducer, Reduction, Tail
 from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.exclusion import without_rests, without_times
 from tumble.reduction.matching import Match
@@ -107,7 +108,7 @@ class Chain:
         file = reduction.files[-1] if reduction.files else None
         if file is None or len(file.accel) - first < _LEAST_BLOCKS:
             return None
-        part = replace(reduction, files=(_from(file, first),))
+        part = without_blemishes(replace(reduction, files=(_from(file, first),)))
         found = find_rests(part, self.session.accel_block, self.session.gyro_block)
         spans = tuple(replace(span, first=span.first + first, last=span.last + first) for span in found.rests)
         return without_times(reduction, replace(found, rests=spans), excluded)
@@ -134,7 +135,7 @@ def estimate_so_far(
     if len(match.rests) < 2:
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        found = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+        found = observe(without_blemishes(reduction), match, session.accel_block, session.gyro_block, session.site)
         for usual in (usual_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
             with contextlib.suppress(np.linalg.LinAlgError):
                 return joint(replace(found, usual=usual), quick=True)
@@ -158,7 +159,13 @@ def _from(file: FileBlocks, first: int) -> FileBlocks:
         gyro=None if file.gyro is None else file.gyro[first:],
         accel_end=file.accel_end[first:],
         gyro_end=None if file.gyro_end is None else file.gyro_end[first:],
+        accel_tail=_tail_from(file.accel_tail, first),
+        gyro_tail=None if file.gyro_tail is None else _tail_from(file.gyro_tail, first),
     )
+
+
+def _tail_from(tail: Tail, first: int) -> Tail:
+    return replace(tail, blocks=tail.blocks[first:])
 
 
 def _uncertain(series: Array) -> tuple[float, float]:

@@ -26,6 +26,7 @@ from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction import exclusion
+from tumble.reduction.blemishes import without_blemishes
 from tumble.reduction.blocks import Reduction, reduce_log
 from tumble.reduction.clipping import without_clipped_turns
 from tumble.reduction.matching import Match, match_rests
@@ -96,6 +97,7 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
         or mixed_rows(reduction, session.log)
     )
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
+        reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
         segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
         observations = _observed(session, reduction, segmentation.rests)

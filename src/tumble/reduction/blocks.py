@@ -114,6 +114,17 @@ class FileBlocks:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Blemish:
+    """Blocks first … last − 1 of a file, from `start` (s) on, with so many bad samples."""
+
+    file: int
+    first: int
+    last: int
+    start: float
+    samples: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Reduction:
     """A log, or what there is of it so far, reduced to blocks."""
 
@@ -129,6 +140,8 @@ class Reduction:
     """Rows whose accelerometers and gyros all read what they read in the row before."""
     gaps: tuple[Gap, ...] = ()
     """Lost samples of the log, as it was read."""
+    blemishes: tuple[Blemish, ...] = ()
+    """Blocks with bad samples, which have no weight."""
 
     @property
     def by_file(self) -> dict[int, FileBlocks]:

@@ -2,8 +2,9 @@
 
 The means of short blocks of a rest are joined to about BATCHES batches a rest (so that a correlation time of a
 twentieth of the rest spans several of them), and these, less the mean of the rest, are modelled channel by channel
-as an autoregressive process whose order is chosen by Akaike's criterion, from the autocovariances pooled over all
-rests. The variance of a mean over K blocks is then
+as an autoregressive process, from the autocovariances pooled over all rests. Its order is one for all channels, by the
+sum of their Akaike's criteria, corrected for few samples (Hurvich and Tsai 1989): an order for every channel, by what
+that one shows, would make white noise twice as uncertain. The variance of a mean over K blocks is then
 
     v(K) = (1/K) [γ₀ + 2 Σ_{j<K} (1 − j/K) γ_j]
 
@@ -30,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tumble.reduction import kernels as _kernels
-from tumble.units import Array
+from tumble.units import Array, BoolArray
 
 BATCHES = 120
 MAX_ORDER = 32
@@ -108,22 +109,21 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
     batch = max(1, round(float(np.median([len(rest) for rest in rests])) / BATCHES))
     centred = _centred(rests, batch)
     longest, channels = max(len(c) for c in centred), centred[0].shape[1]
-    level = np.ones((len(centred), channels))
-    autocovariance = np.zeros((channels, longest))
-    innovations: list[list[Array]] = []
-    for c in range(channels):
-        series, sloping = [x[:, c] for x in centred], False
-        for _ in range(5):  # rests at their levels, until no other rest stands out
-            scaled = [x / np.sqrt(s) for x, s in zip(series, level[:, c], strict=True)]
-            coefficients, autocovariance[c] = _fit_channel(scaled, longest, sloping)
-            if not sloping and _straight(scaled, autocovariance[c]):
-                sloping, series = True, [_without_slope(x) for x in series]
-                continue
-            levels = _levels(series, autocovariance[c])
-            if np.array_equal(levels == 1.0, level[:, c] == 1.0):
-                break
-            level[:, c] = levels
-        innovations.append([_filtered(x, coefficients) for x in scaled])
+    series = [[x[:, c] for x in centred] for c in range(channels)]
+    level, sloping = np.ones((len(centred), channels)), np.zeros(channels, dtype=bool)
+    for _ in range(5):  # rests at their levels, until no other rest stands out
+        scaled = [[x / s for x, s in zip(each, np.sqrt(level[:, c]), strict=True)] for c, each in enumerate(series)]
+        filters, autocovariance = _fit_channels(scaled, longest, sloping)
+        straight = np.array([_straight(x, r) for x, r in zip(scaled, autocovariance, strict=True)]) & ~sloping
+        if straight.any():
+            sloping |= straight
+            series = [[_without_slope(x) for x in series[c]] if straight[c] else series[c] for c in range(channels)]
+            continue
+        levels = np.column_stack([_levels(x, r) for x, r in zip(series, autocovariance, strict=True)])
+        if np.array_equal(levels == 1.0, level == 1.0):
+            break
+        level = levels
+    innovations = [[_filtered(x, f) for x in each] for each, f in zip(scaled, filters, strict=True)]
     return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=_correlation(innovations), level=level)
 
 
@@ -185,33 +185,42 @@ def _slope_lost(autocovariance: Array, n: int, lags: int) -> Array:
     return np.asarray(max(variance, 0.0) * r[:lags] / (n - np.arange(lags)))
 
 
-def _fit_channel(series: list[Array], longest: int, sloping: bool) -> tuple[Array, Array]:
-    """Prediction-error filter (1, −a₁, … −a_p) and autocovariance (longest,) of one channel; `sloping`: the slope was
-    taken off the series, as the mean always is."""
-    lengths = np.array([len(x) for x in series])
+def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray) -> tuple[list[Array], Array]:
+    """Prediction-error filters (1, −a₁, … −a_p) of one order and autocovariances (c, longest) of channels, each a list
+    by rests; `sloping`: the slope was taken off a channel's series, as the mean always is."""
+    lengths = np.array([len(x) for x in channels[0]])
     order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), int(lengths.sum())
-    apart = np.concatenate([part for x in series for part in (x, np.zeros(order_limit))])
-    pairs = [np.maximum(lengths - lag, 0).sum() for lag in range(order_limit + 1)]
-    products = [apart[: len(apart) - lag] @ apart[lag:] for lag in range(order_limit + 1)]
-    raw = np.array(products) / pairs  # another divisor would shorten the memory
-    if raw[0] <= 0.0:
-        return np.array([1.0]), np.zeros(longest)
+    raw = np.array([_products(series, order_limit) for series in channels])
+    raw /= [np.maximum(lengths - lag, 0).sum() for lag in range(order_limit + 1)]  # another would shorten the memory
+    noisy = np.flatnonzero(raw[:, 0] > 0.0)
+    filters, autocovariance = [np.array([1.0])] * len(channels), np.zeros((len(channels), longest))
     different, often = np.unique(lengths[lengths > 0], return_counts=True)
-    shares = different * often / total
-    lost, bent = 0.0, np.zeros(order_limit + 1)
-    for _ in range(50):
-        corrected = raw + lost + bent
-        filters, powers = _levinson(corrected)
-        best = int(np.argmin(total * np.log(powers) + 2.0 * np.arange(len(powers))))
-        prediction_filter = filters[best, : best + 1]
-        autocovariance = _continued(corrected, prediction_filter, longest)
-        now = float(shares @ _variance_of_mean(autocovariance, different))
-        if abs(now - lost) <= 1e-4 * now:
+    shares, middle = different * often / total, int(np.median(lengths))
+    lost, bent = np.zeros(len(channels)), np.zeros(raw.shape)
+    for _ in range(50 if len(noisy) else 0):
+        corrected = raw + lost[:, None] + bent
+        of_orders = [_levinson(corrected[c]) for c in noisy]
+        orders = min(len(powers) for _, powers in of_orders)
+        surprise = total * sum(np.log(powers[:orders]) for _, powers in of_orders)
+        known = np.arange(orders) + 1.0
+        best = int(np.argmin(surprise + 2.0 * len(noisy) * known * total / (total - known - 1.0)))
+        now = np.zeros(len(channels))
+        for c, (of_order, _) in zip(noisy, of_orders, strict=True):
+            filters[c] = of_order[best, : best + 1]
+            autocovariance[c] = _continued(corrected[c], filters[c], longest)
+            now[c] = shares @ _variance_of_mean(autocovariance[c], different)
+        if np.all(np.abs(now - lost) <= 1e-4 * now):
             break
         lost = now
-        if sloping:
-            bent = _slope_lost(autocovariance, int(np.median(lengths)), order_limit + 1)
-    return prediction_filter, autocovariance
+        for c in np.flatnonzero(sloping):
+            bent[c] = _slope_lost(autocovariance[c], middle, order_limit + 1)
+    return filters, autocovariance
+
+
+def _products(series: list[Array], most: int) -> Array:
+    """Sums of the products of samples of a rest that are 0 … `most` apart."""
+    apart = np.concatenate([part for x in series for part in (x, np.zeros(most))])
+    return np.array([apart[: len(apart) - lag] @ apart[lag:] for lag in range(most + 1)])
 
 
 def _levinson(autocovariance: Array) -> tuple[Array, Array]:

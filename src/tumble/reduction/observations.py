@@ -24,6 +24,7 @@ import numpy as np
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
 from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
+from tumble.reduction.blemishes import blemish_notes
 from tumble.reduction.blocks import Reduction, extremes
 from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.matching import Match
@@ -184,7 +185,7 @@ def observe(
         turn_readings=readings,
         arrays=arrays or (),
         rounding=rounded,
-        notes=(*_copies(reduction), *rounding_notes(rounded)),
+        notes=(*_copies(reduction), *blemish_notes(reduction, spans), *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else thermometers_of(reduction),
     )
 

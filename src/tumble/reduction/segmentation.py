@@ -423,28 +423,25 @@ def _merged(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
 def _moving_mean(values: Array, window: int) -> Array:
     """Mean over the `window` rows about each row, at the ends over the first and the last `window` rows."""
     window = min(window, len(values))
-    return _inner_mean(values, window)[_window_of(len(values), window)]
+    return inner_mean(values, window)[_window_of(len(values), window)]
 
 
 def _moving_scatter(values: Array, window: int) -> Array:
     """Root of the summed variances of the columns in the same windows."""
     window = min(window, len(values))
-    inside = len(values) - window + 1
-    mean, variance = _inner_mean(values, window), np.zeros(inside)
-    for i in range(window):
-        variance += ((values[i : inside + i] - mean) ** 2).sum(axis=1)
-    return np.asarray(np.sqrt(variance / window)[_window_of(len(values), window)])
+    variance = inner_variance(values, inner_mean(values, window), window).sum(axis=1)
+    return np.asarray(np.sqrt(variance)[_window_of(len(values), window)])
 
 
 def _moving_step(values: Array, window: int) -> Array:
     """Distance between the means of the `window` rows before and behind each row, at the ends that of the nearest."""
     window = min(window, len(values) // 2)
-    mean = _inner_mean(values, window)
+    mean = inner_mean(values, window)
     step = np.linalg.norm(mean[window:] - mean[:-window], axis=1)
     return np.asarray(step[np.clip(np.arange(len(values)) - window, 0, len(step) - 1)])
 
 
-def _inner_mean(values: Array, window: int) -> Array:
+def inner_mean(values: Array, window: int) -> Array:
     """Mean of every `window` consecutive rows."""
     out = np.zeros((len(values) - window + 1, values.shape[1]), order="F")
     for i in range(window):
@@ -455,6 +452,14 @@ def _inner_mean(values: Array, window: int) -> Array:
 def _columns(vectors: Array) -> Array:
     """The same vectors (K, 3), column after column in memory: sums over three numbers a row are slow."""
     return np.asfortranarray(vectors)
+
+
+def inner_variance(values: Array, mean: Array, window: int) -> Array:
+    """Variance of every `window` consecutive rows about their mean."""
+    out = np.zeros_like(mean)
+    for i in range(window):
+        out += (values[i : len(out) + i] - mean) ** 2
+    return out / window
 
 
 def _window_of(rows: int, window: int) -> IntArray:

@@ -18,6 +18,7 @@ from functools import reduce
 
 import numpy as np
 
+from tumble.reduction.blemishes import without_blemishes
 from tumble.reduction.blocks import FileBlocks, Reducer, Reduction
 from tumble.reduction.rests import Rests, reduced_rests
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests, rest_between
@@ -82,7 +83,7 @@ class Snapshot:
 
 def snapshot(reducer: Reducer) -> Snapshot:
     """What the log shows that was fed so far (module docstring)."""
-    reduction = reducer.now()
+    reduction = without_blemishes(reducer.now())
     files = tuple(f for f in reduction.files if f.edges[-1] - f.edges[0] >= FIRST_SECONDS * (1.0 - 1e-9))
     known = replace(reduction, files=files)
     found = find_rests(known, reducer.accel, reducer.gyro) if files else None

@@ -33,12 +33,15 @@ from tumble.estimation.likelihood import (
 )
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout
+from tumble.recording.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
 
 FEWEST_HELD = 3
+JITTERING = 3e-3
+"""Of an interval: time stamps that jitter by less are right, as far as any turn shows."""
 
 
 def lost_samples(session: LinearisedSession, projection: Projection) -> Iterator[Cause]:
@@ -52,6 +55,32 @@ def lost_samples(session: LinearisedSession, projection: Projection) -> Iterator
         if session.observations.unstamped and (one := lost_in_a_turn(session.linearised, projection)) is not None:
             found.append(one)
         yield min(found, key=lambda cause: cause.probability)
+
+
+def stamps_remedy(observations: Observations) -> str:
+    """What to do about the time stamps of a log whose turns err as if samples were missing."""
+    return jittering(observations).removeprefix("; ") or "record with time stamps"
+
+
+def jittering(observations: Observations) -> str:
+    """What to try where time stamps jitter about even rows, for the turns err then as much as if the rows did."""
+    jitter, interval = _jitter(observations)
+    return (
+        f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}" if jitter > JITTERING * interval else ""
+    )
+
+
+def _jitter(observations: Observations) -> tuple[float, float]:
+    """By how much, s, the time stamps of the turns leave even times, and the interval of these, s: intervals that such
+    stamps make have the covariance −σ² from one to the next, and lost samples or a rate that changes have not."""
+    samples = observations.turn_samples
+    if samples is None or not len(samples.start):
+        return 0.0, 1.0
+    each = [samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)]
+    interval = float(np.median(np.concatenate(each)))
+    off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in each]
+    covariance = sum(float(e[1:] @ e[:-1]) for e in off) / max(1, sum(len(e) - 1 for e in off))
+    return float(np.sqrt(max(0.0, -covariance))), interval
 
 
 def with_all_groups(linear: Linearised, observations: Observations) -> Linearised:
@@ -163,7 +192,7 @@ def _lost_in_all_turns(session: LinearisedSession, projection: Projection) -> Ca
         probability=ratio_chance(along, across),
         damage=0.0,
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
-        "record with time stamps",
+        + stamps_remedy(session.observations),
     )
 
 

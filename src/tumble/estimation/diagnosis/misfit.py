@@ -17,7 +17,7 @@ import numpy as np
 from tumble.estimation.by_session import each_session
 from tumble.estimation.causes.cause import UNITS, WORDS, Cause, Concerns
 from tumble.estimation.causes.chances import variance_chance
-from tumble.estimation.causes.lost_samples import lost_in_a_turn, with_all_groups
+from tumble.estimation.causes.lost_samples import jittering, lost_in_a_turn, stamps_remedy, with_all_groups
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.causes.ranking import causes
 from tumble.estimation.estimate import Estimate
@@ -128,7 +128,7 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     if larger:
         others = [cause for cause in found if cause.probability >= limit]
-        named += _likely(others, ratios, {group.concerns for group in larger})
+        named += _likely(others, ratios, {group.concerns for group in larger}, observations)
     named = named[:MOST_NAMED]
     reasons = [
         _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
@@ -183,7 +183,9 @@ def _wandering(linearised: Linearised, observations: Observations) -> Iterator[t
             yield group.concerns, said.replace(" °", "°"), many
 
 
-def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concerns]) -> list[Cause]:
+def _likely(
+    found: list[Cause], ratios: dict[str, float], concerned: set[Concerns], observations: Observations
+) -> list[Cause]:
     """Causes, of those that do not stand out, for a scatter that is there, which is `ratios` times the noise. What
     makes turns scatter and not, or much less, the gyros at rest is random itself, so that nothing systematic need fit
     well: it comes first."""
@@ -192,9 +194,8 @@ def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concern
     if ratios.get("turn", 0.0) <= TURNS_MORE * ratios.get("gyro", 0.0):
         return standing
     lost = [c for c in likely if c.name == "lost samples"]
-    random = (
-        [_movement(), *map(_untold, lost)] if lost and lost[0].probability > LOST_PROBABILITY else [*lost, _movement()]
-    )
+    untold = lost and lost[0].probability > LOST_PROBABILITY
+    random = [_movement(), *(_untold(c, observations) for c in lost)] if untold else [*lost, _movement()]
     return random + [c for c in standing if c not in lost]
 
 
@@ -258,14 +259,17 @@ def _aliased(linearised: Linearised) -> str:
     return (
         f"the rotations of the turns err by up to about {largest:.2g}° where rates jump from sample to sample, as "
         "instantaneous samples of jerky turns do; u contains it; turn smoothly, or sample faster"
+        + jittering(linearised.problem.observations)
     )
 
 
 def _too_large(group: Group, ratio: float, linearised: Linearised) -> tuple[Concerns, str]:
+    observations = linearised.problem.observations
     return (
         group.concerns,
         f"the {group.words} scatter by {_said(group, ratio, linearised)}, more than {MANY:.0f}: something is there "
-        "that the model does not have" + ("; look for lost or held samples" if group.component == "turn" else ""),
+        "that the model does not have"
+        + (f"; look for lost or held samples{jittering(observations)}" if group.component == "turn" else ""),
     )
 
 
@@ -294,12 +298,12 @@ def _damaging(cause: Cause) -> str:
     return f"{cause.sentence}; without it parameters err by up to {cause.damage:.2g} times their u"
 
 
-def _untold(lost: Cause) -> Cause:
+def _untold(lost: Cause, observations: Observations) -> Cause:
     """Lost samples of which the turns say nothing by how they err."""
     return replace(
         lost,
         sentence="or samples that are missing or held in the log, which these turns do not tell from movement: "
-        "record with time stamps",
+        + stamps_remedy(observations),
     )
 
 
