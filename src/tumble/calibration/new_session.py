@@ -109,11 +109,9 @@ def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
     if not recordings:
         log = mended(found_log(files, folder), folder, given.rate)
         return _of_log(log, times_of(log, given.rate), given.rate)
-    if len(files) > 1:
-        raise InputError(
-            f"{recordings[0]}: expected one recording, found {len(files)} files; give each its own session"
-        )
-    return _of_recording(recordings[0], folder, given)
+    if len(files) > 1 and len(recordings) < len(files):
+        raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
+    return _of_recording(recordings, folder, given)
 
 
 def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
@@ -134,9 +132,12 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
     )
 
 
-def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
-    """From another format, whose messages become a Parquet file."""
-    found = formats.messages(recording)
+def _of_recording(recordings: Sequence[Path], folder: Path, given: Given) -> Draft:
+    """From another format, whose messages become a Parquet file. Several files are one recording where the
+    accelerometers are in the one and the gyros in the other."""
+    recording, found = recordings[0], formats.messages(*recordings)
+    if len(recordings) > 1 and (len(found) > len(recordings) or sum(m.accel is not None for m in found) > 1):
+        raise InputError(f"{recording}: expected one recording, found {len(recordings)} files; give each its own session")
     accel = _named(found, given.message, recording)
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     log = folder / "log.parquet"

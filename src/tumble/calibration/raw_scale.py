@@ -33,7 +33,7 @@ GYRO_STEPS: tuple[float, ...] = tuple(
 """Counts per °/s: of full scales of 16 bits, of the mdps per count of other makers, and of thousandths."""
 
 MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
-"""Where a converter that knows no sign has its zero."""
+"""Where a converter that knows no sign, and so writes nothing negative, has its zero."""
 
 _NEAR = 0.06
 _NO_OFFSET = 0.3
@@ -75,7 +75,8 @@ def accel_scale(means: Array) -> tuple[float, list[float]] | None:
     if found is None:
         return None
     radius, zero = found
-    known = next((m for m in (0.0, *MIDDLES) if np.abs(zero - m).max() < _NO_OFFSET * radius), None)
+    middles = MIDDLES if (means > 0.0).all() else ()
+    known = next((m for m in (0.0, *middles) if np.abs(zero - m).max() < _NO_OFFSET * radius), None)
     return radius, [known] * 3 if known is not None else [float(f"{z:.5g}") for z in zero]
 
 

@@ -24,7 +24,7 @@ _FEWEST_ROWS = 200
 
 def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers."""
-    growing = [j for j in range(len(names)) if _grows(read[:, j])]
+    growing = [j for j in range(len(names)) if grows(read[:, j])]
     numbers = [
         j
         for j in range(len(names))
@@ -52,7 +52,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
 
 def time_by_data(names: Sequence[str], read: Array) -> str | None:
     """The column of a table (m, n) that is a time; None where none grows as one, or only a counter of samples."""
-    growing = [j for j in range(len(names)) if _grows(read[:, j]) and not _counts(read[:, j])]
+    growing = [j for j in range(len(names)) if grows(read[:, j]) and not _counts(read[:, j])]
     return names[growing[0]] if growing else None
 
 
@@ -67,7 +67,7 @@ def _counts(column: Array) -> bool:
     return bool((steps == np.floor(steps)).all() and np.median(steps) == 1.0)
 
 
-def _grows(column: Array) -> bool:
+def grows(column: Array) -> bool:
     """Whether a column is a time: it hardly ever falls, and grows at an even pace."""
     steps = np.diff(column[np.isfinite(column)])
     if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < 0.02:
