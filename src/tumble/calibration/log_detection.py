@@ -13,7 +13,7 @@ import polars as pl
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers
 from tumble.calibration.respelled import respelled
 from tumble.calibration.sensor_rows import sensor_column, split_by_sensor
-from tumble.calibration.sensors_apart import of_sensors_apart
+from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
 from tumble.recording.formats.columns import ACCEL, columns_by_name, time_unit
@@ -55,7 +55,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
     logs, left = _those_with_rows(files, folder)
-    if len(logs) > 1 and not any(log.columns.triads for log in logs):
+    if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
     logs = [_by_data(log) if ACCEL not in log.columns.triads else _with_time(log) for log in logs]
