@@ -19,6 +19,7 @@ from tumble.units import TIME_UNITS, Array
 ASSUMED_RATE = 100.0
 _RATES = 2.0, 20_000.0  # Hz, of a log
 _SHARE, _FREE = 2e-2, 3
+_PAUSES = 2e-3
 _JITTER = 0.25
 _UNEVEN = 3.0
 _SHORTEST = 1e-9  # from the first stamp to the last, in any unit
@@ -128,9 +129,11 @@ def unwound(values: Array, overflow: float, last: float | None) -> Array:
 
 
 def _typical_step(values: Array) -> float:
-    """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts."""
+    """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts. The few
+    longest steps are pauses and no part of the mean."""
     steps = np.diff(values)
-    median, mean = float(np.median(steps)), float((values[-1] - values[0]) / (len(values) - 1))
+    usual = np.sort(steps)[: max(2, int((1.0 - _PAUSES) * len(steps)))]
+    median, mean = float(np.median(steps)), float(usual.mean())
     again = np.mean(steps <= 0.0)
     burst = np.mean(steps < 0.5 * mean)
     return mean if median <= 1e-6 * mean or again > _SHARE or burst > 0.3 else median

@@ -8,7 +8,7 @@ one that is near is taken.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from tumble.reduction.observations import Observations
 from tumble.reduction.sphere import sphere_through
 from tumble.sensors.model import SensorModel
-from tumble.units import DEGREE, Array
+from tumble.units import DEGREE, G_STANDARD, Array
 
 ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
 """Counts per g: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
@@ -53,6 +53,19 @@ class Scale:
     value: float
     found: float
     said: str
+
+
+PLAIN: Mapping[str, float] = {"m/s^2": G_STANDARD, "g": 1.0, "mg": 1e3}
+"""What accelerometers read for one g whose numbers are in a unit and no counts."""
+
+_PLAIN_NEAR = 0.03
+
+
+def plain_unit(found: float) -> str | None:
+    """The unit of accelerometers that read this much for one g; None where it is none, or 1024 counts as likely."""
+    near = {unit: abs(found / one - 1.0) for unit, one in PLAIN.items()}
+    unit = min(near, key=lambda name: near[name])
+    return unit if near[unit] < _PLAIN_NEAR and near[unit] < abs(found / 1024.0 - 1.0) else None
 
 
 def matched(found: float, steps: Sequence[float], unit: str) -> Scale:

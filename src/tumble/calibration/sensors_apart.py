@@ -64,7 +64,8 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
         others=(),
     )
     said = f"{named}: one log at the times of the gyros, written to {folder / 'log.parquet'}"
-    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said,))
+    fastest = accel if gyro is None else gyro
+    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said, fastest.remark))
 
 
 def _without_names(log: FoundLog) -> bool:
@@ -104,5 +105,6 @@ def _message(log: FoundLog, kind: str) -> Message:
         count=len(read),
         accel=found if kind == ACCEL else None,
         gyro=found if kind == GYRO else None,
+        remark=f"{log.files[0].name}: {'; '.join(times.said)}",
         rows=lambda: iter([pl.DataFrame(read[np.isfinite(read).all(axis=1)], schema=[TIME, x, y, z], orient="row")]),
     )
