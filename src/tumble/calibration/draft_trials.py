@@ -95,8 +95,8 @@ def _accel_scaled(
     made = {"columns": accel["columns"], "unit": "count", "scale": 1.0, "scale_per": "g", "offset": offset}
     unit = plain_unit(sphere[0])
     if unit is not None:
-        said = f"accelerometers: {named} in {unit} (gravity draws a sphere of {sphere[0]:.4g}), zero at {offset} ({seen})"
-        return {**log, "accel": made | {"scale": PLAIN[unit]}}, [said]
+        said = f"{named} in {unit} (gravity draws a sphere of {sphere[0]:.4g}), zero at {offset} ({seen})"
+        return {**log, "accel": made | {"scale": PLAIN[unit]}}, [f"accelerometers: {said}"]
     scale = counts_per_g(sphere[0])
     said = f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"
     return {**log, "accel": made | {"scale": scale.value}}, [said]

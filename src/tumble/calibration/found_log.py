@@ -23,6 +23,8 @@ LONGEST = 2_000_000
 
 SAMPLE_ROWS = 200
 SHOWN = 12
+_FILLED = 50
+"""Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,6 +73,16 @@ class FoundLog:
         if clock:  # past midnight
             values = values + 86400.0 * np.cumsum(np.diff(values, prepend=values[:1]) < -43200.0)
         return Stamps(column=column, values=values, unit=self.columns.time_unit, clock=clock)
+
+
+def samples_in(read: Array) -> int:
+    """How many of the rows (m, n) of readings are samples: those before a stretch, at the end, of rows that are all
+    alike or empty, which memory was filled with beforehand. All of them where that stretch is short."""
+    if not len(read):
+        return 0
+    alike = ((read == read[-1]) | ~np.isfinite(read)).all(axis=1)
+    last = int(np.flatnonzero(~alike)[-1]) + 1 if not alike.all() else len(read)
+    return last if len(read) - last >= _FILLED else len(read)
 
 
 def check_has_accelerometers(log: FoundLog) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import polars as pl
 
-from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers
+from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
 from tumble.calibration.respelled import respelled
 from tumble.calibration.sensor_rows import sensor_column, split_by_sensor
 from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
@@ -177,7 +177,8 @@ def _by_data(log: FoundLog) -> FoundLog:
     numeric = [name for name in _numeric(log) if names.count(name) == 1]
     if len(numeric) < 3:
         return log
-    found = columns_by_data(numeric, log.read(numeric, rows=LONGEST // 10))
+    read = log.read(numeric, rows=LONGEST // 10)
+    found = columns_by_data(numeric, read[: samples_in(read)])
     time, unit = log.columns.time, log.columns.time_unit
     columns = replace(found, time=time or found.time, time_unit=unit, counter=log.columns.counter)
     if ACCEL not in found.triads:

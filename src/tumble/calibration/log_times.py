@@ -150,6 +150,10 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
     taken = usual[0] if usual else "s"
     others = [f"{name}: {1.0 / (step * TIME_UNITS[name]):.4g} Hz" for name in likely if name != taken]
     sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
+    steps = np.diff(stamps.values)
+    if step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE:
+        counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
+        sure = (f"{counted}give the rate (--rate)",)
     return taken, "by its steps", sure
 
 

@@ -139,7 +139,7 @@ def _of_recording(recordings: Sequence[Path], folder: Path, given: Given) -> Dra
     accelerometers are in the one and the gyros in the other."""
     recording, found = recordings[0], formats.messages(*recordings)
     if len(recordings) > 1 and (len(found) > len(recordings) or sum(m.accel is not None for m in found) > 1):
-        raise InputError(f"{recording}: expected one recording, found {len(recordings)} files; give each its own session")
+        raise InputError(f"{recording}: expected one recording, found {len(recordings)}; give each its own session")
     accel = _named(found, given.message, recording)
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     log = folder / "log.parquet"

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 import polars as pl
 from scipy.io import loadmat
-from scipy.io.matlab import MatReadError, MatReadWarning, MatlabOpaque
+from scipy.io.matlab import MatlabOpaque, MatReadError, MatReadWarning
 
 from tumble.errors import InputError
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name

@@ -30,7 +30,7 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
 """Words for sensors in the names of files, and of rows."""
 
 _TIME = re.compile(
-    r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|sec|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
+    r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
     r"micros(econds)?|time_?startup|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
     r"^time_(since|elapsed|from)"
 )
