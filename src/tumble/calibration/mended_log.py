@@ -65,8 +65,9 @@ def _with_samples(log: FoundLog) -> _Mending:
     if samples < len(read):
         said = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
         mending = replace(mending, samples=samples, said=(said,))
-    blank = int(np.count_nonzero(~np.isfinite(read[:samples]).any(axis=1)))
-    if blank > _BLANK_SHARE * samples:
+    found = np.isfinite(read[:samples]).any(axis=1)
+    blank = int(np.count_nonzero(~found))
+    if blank > _BLANK_SHARE * samples or (len(log.files) == 1 and not found[:1].all()):
         said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         mending = replace(mending, without_blank=True, said=(*mending.said, said))
     return mending

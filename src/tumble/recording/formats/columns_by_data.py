@@ -20,6 +20,7 @@ _QUIET_SHARE = 0.4
 _SAME_LENGTH = 0.15
 _STEADY = 0.25
 _FEWEST_ROWS = 200
+_ANEW = 1e-3
 
 
 def columns_by_data(names: Sequence[str], read: Array) -> Columns:
@@ -68,8 +69,12 @@ def _counts(column: Array) -> bool:
 
 
 def grows(column: Array) -> bool:
-    """Whether a column is a time: it hardly ever falls, and grows at an even pace."""
-    steps = np.diff(column[np.isfinite(column)])
+    """Whether a column is a time: it grows at an even pace, and never falls but where a counter starts anew."""
+    read = column[np.isfinite(column)]
+    steps = np.diff(read)
+    anew = steps < -0.5 * np.ptp(read) if len(read) else np.zeros(0, dtype=bool)
+    if 0 < np.count_nonzero(anew) < _ANEW * len(steps):
+        steps[anew] = np.median(steps)
     if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < 0.02:
         return False
     r = np.corrcoef(np.arange(len(steps) + 1), np.concatenate([[0.0], np.cumsum(steps)]))[0, 1]
