@@ -161,8 +161,8 @@ def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
         still = _by_the_earth(draft, progress)
         if still is not draft:
             return still, _looked_at(still.content, progress)[1]
-    known_rate = not draft.rate_guessed  # else the rate may be what is wrong
-    if known_rate and faults and draft.gyro_unknown and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
+    guessed_unit = draft.gyro_unknown and not draft.rate_guessed  # else the rate may be what is wrong
+    if faults and guessed_unit and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
         return _in_counts(draft, faults, progress)
     gyro = draft.content["log"].get("gyro")
     if not faults or unit is None or gyro["unit"] == "count":

@@ -88,7 +88,13 @@ def samples_in(read: Array) -> int:
 def check_has_accelerometers(log: FoundLog) -> None:
     """Raises InputError where no columns are those of accelerometers."""
     if ACCEL not in log.columns.triads:
-        names = ", ".join(next(iter(log.sources())).names[:SHOWN])
+        columns = next(iter(log.sources())).names
+        names = ", ".join(columns[:SHOWN])
+        if len(columns) == len("xyz") and all(name.isdecimal() for name in columns):
+            raise InputError(
+                f"{log.files[0]}: expected a recording, found three columns without names that are none by their "
+                "numbers; a table with a row a position, with a line of names above it, is for `tumble ellipsoid`"
+            )
         raise InputError(
             f"{log.files[0]}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z; "
             f"found {names[:200]}; rename them"

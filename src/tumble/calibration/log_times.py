@@ -20,6 +20,7 @@ ASSUMED_RATE = 100.0
 _RATES = 2.0, 20_000.0  # Hz, of a log
 _SHARE, _FREE = 2e-2, 3
 _PAUSES = 2e-3
+_LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
 _JITTER = 0.25
 _UNEVEN = 3.0
 _SHORTEST = 1e-9  # from the first stamp to the last, in any unit
@@ -177,6 +178,8 @@ def _even(values: Array) -> bool:
     step = (values[-1] - values[0]) / (len(values) - 1)
     late = (values - values[0]) / step - index
     delay = float(np.max(np.diff(values)) / step)
+    if delay > _LONGEST_DELAY * len(values):
+        return False
     window = max(10, int(4 * delay))
     if len(values) < 3 * window:
         return bool(np.ptp(late) <= 2.0 * delay + _UNEVEN)

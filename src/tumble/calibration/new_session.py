@@ -211,9 +211,7 @@ def _pairs(accel: Message, gyro: Message) -> bool:
     return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
 
 
-def _content(
-    log: FoundLog, times: Times, found: Columns, magnitude: float
-) -> tuple[dict[str, Any], list[str], bool]:
+def _content(log: FoundLog, times: Times, found: Columns, magnitude: float) -> tuple[dict[str, Any], list[str], bool]:
     """The tables of session.toml, what there is to say, and whether the unit of the gyros is unknown; `magnitude` is
     the median one of the accelerometers."""
     accel, said = _accel(found.triads[ACCEL], times, magnitude)
