@@ -389,7 +389,7 @@ def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_
 def test_an_array_of_four_is_a_time_and_three_sensors(tmp_path: Path) -> None:
     t = np.arange(500) * 0.01
     noise = np.random.default_rng(1).normal(size=(500, 3))
-    savemat(tmp_path / "accelerometer.mat", {"accelBuffer": np.column_stack([t, noise + [0.0, 0.0, 9.8]]).T})
+    savemat(tmp_path / "accelerometer.mat", {"accelBuffer": np.column_stack([t, noise + 9.8 * np.eye(3)[2]]).T})
     savemat(tmp_path / "gyroscope.mat", {"gyroBuffer": np.column_stack([0.1 * noise, t])})
     (accel,) = messages(tmp_path / "accelerometer.mat")
     assert accel.timed
