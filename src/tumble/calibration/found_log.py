@@ -77,7 +77,7 @@ class FoundLog:
 
 def samples_in(read: Array) -> int:
     """How many of the rows (m, n) of readings are samples: those before a stretch, at the end, of rows that are all
-    alike or empty, which memory was filled with beforehand. All of them where that stretch is short."""
+    alike or empty, as memory is filled with beforehand. All of them where that stretch is short."""
     if not len(read):
         return 0
     alike = ((read == read[-1]) | ~np.isfinite(read)).all(axis=1)

@@ -19,7 +19,7 @@ from tumble.units import TIME_UNITS, Array
 ASSUMED_RATE = 100.0
 _RATES = 2.0, 20_000.0  # Hz, of a log
 _SHARE, _FREE = 2e-2, 3
-_PAUSES = 2e-3
+_PAUSES, _PAUSE = 2e-3, 10.0
 _LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
 _JITTER = 0.25
 _UNEVEN = 3.0
@@ -130,10 +130,11 @@ def unwound(values: Array, overflow: float, last: float | None) -> Array:
 
 
 def _typical_step(values: Array) -> float:
-    """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts. The few
-    longest steps are pauses and no part of the mean."""
+    """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts. A few steps
+    that are far longer than all others are pauses and no part of the mean."""
     steps = np.diff(values)
-    usual = np.sort(steps)[: max(2, int((1.0 - _PAUSES) * len(steps)))]
+    long = float(np.quantile(steps, 1.0 - _PAUSES))
+    usual = steps[steps <= _PAUSE * long] if long > 0.0 else steps
     median, mean = float(np.median(steps)), float(usual.mean())
     again = np.mean(steps <= 0.0)
     burst = np.mean(steps < 0.5 * mean)

@@ -62,7 +62,8 @@ def _with_samples(log: FoundLog) -> _Mending:
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
     read = log.read(sensors)
     mending = _Mending()
-    samples = samples_in(read) if len(log.files) == 1 and len(read) < LONGEST else len(read)
+    filled = len(read) > 0 and all(len(set(three)) == 1 for three in np.nan_to_num(read[-1]).reshape(-1, 3).tolist())
+    samples = samples_in(read) if filled and len(log.files) == 1 and len(read) < LONGEST else len(read)
     if samples < len(read):
         said = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
         mending = replace(mending, samples=samples, said=(said,))
