@@ -24,7 +24,6 @@ from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER
 from tumble.recording.formats.message import TIME
 from tumble.recording.log_source import LogSource
 from tumble.recording.writer import write_tables
-from tumble.units import BoolArray
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
@@ -67,7 +66,7 @@ def _with_samples(log: FoundLog) -> _Mending:
     if samples < len(read):
         said = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
         mending = replace(mending, samples=samples, said=(said,))
-    found: BoolArray = np.isfinite(read[:samples]).any(axis=1)
+    found = np.asarray(np.isfinite(read[:samples]).any(axis=1))
     blank = int(np.count_nonzero(~found))
     if blank > _BLANK_SHARE * samples or (len(log.files) == 1 and samples and not found[0]):
         said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
