@@ -214,6 +214,17 @@ CASES: dict[str, Case] = {
         said=("rate_hz = 100 is a guess", "rate_hz = 50 from the turns"),
         worth=(1.0, DEG),
     ),
+    "imu_tk, two files": Case(
+        write=d.imu_tk,
+        said=("imu_acc.mat and imu_gyro.mat: one log", "zero at 32768", "4096 counts per g", "131 counts per deg/s"),
+        worth=(4096.0 * G, 131.0 * DEG),
+        zero=32768.0,
+    ),
+    "topics of ROS in one table": Case(
+        write=d.merged_topics,
+        said=("the last 200 are all alike", "as rows of others: left out", "seconds and nanoseconds", GOOD),
+        worth=(1.0, DEG),
+    ),
     # several files
     "two files": Case(write=d.in_two_files, said=("2 files",), within=3.0),
     "a file a position": Case(write=d.a_file_a_position, said=("14 files",), within=3.0, gyro=False),
@@ -229,6 +240,12 @@ CASES: dict[str, Case] = {
     "messages between": Case(write=d.blemished(d.messages_between), noted=("MPU6050",)),
     "messages between, no time": Case(
         write=d.blemished(d.messages_between, time=False), words=("--rate", "50"), within=3.0, noted=("MPU6050",)
+    ),
+    "several at once": Case(
+        write=d.several_at_once,
+        said=("decimal commas", "times of day", GOOD),
+        within=2.0,
+        noted=("missing samples",),
     ),
     "cut last line": Case(write=d.cut, noted=("the last line is cut",)),
     "stamps repeated": Case(write=d.blemished(d.repeated), noted=("the time stamp of the row before",)),

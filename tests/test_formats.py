@@ -23,7 +23,7 @@ from scipy.io import savemat
 
 from tumble.calibration.new_session import new_session
 from tumble.errors import InputError
-from tumble.recording.formats import Message, as_log, messages
+from tumble.recording.formats import Message, as_log, is_recording, messages
 from tumble.units import Array
 
 RATE = 100
@@ -384,3 +384,39 @@ def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_
     log = pl.read_parquet(tmp_path / "session" / "log.parquet")
     np.testing.assert_allclose(log.select("accel_temperature", "gyro_temperature").to_numpy(), [[20.0, 40.0]] * 3000)
     assert "other thermometers, not used: /imu/temperature" in draft.said
+
+
+def test_an_array_of_four_is_a_time_and_three_sensors(tmp_path: Path) -> None:
+    t = np.arange(500) * 0.01
+    noise = np.random.default_rng(1).normal(size=(500, 3))
+    savemat(tmp_path / "accelerometer.mat", {"accelBuffer": np.column_stack([t, noise + 9.8 * np.eye(3)[2]]).T})
+    savemat(tmp_path / "gyroscope.mat", {"gyroBuffer": np.column_stack([0.1 * noise, t])})
+    (accel,) = messages(tmp_path / "accelerometer.mat")
+    assert accel.timed
+    assert accel.accel is not None
+    rows = next(accel.rows())
+    np.testing.assert_array_equal(rows["t"], t)
+    np.testing.assert_array_equal(rows[accel.accel.columns[2]], noise[:, 2] + 9.8)
+    with pytest.raises(InputError, match="found gyros alone"):
+        messages(tmp_path / "gyroscope.mat")
+    both = messages(tmp_path / "accelerometer.mat", tmp_path / "gyroscope.mat")
+    as_log(tmp_path / "log.parquet", both[0], both[1])
+    assert pl.read_parquet(tmp_path / "log.parquet").columns == ["t", *both[1].columns, *both[0].columns]
+
+
+def test_named_arrays_come_before_those_told_by_their_numbers(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    up = np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 100, axis=0)
+    read = np.column_stack([9.8 * up + rng.normal(scale=0.01, size=(600, 3)), rng.normal(scale=0.01, size=(600, 3))])
+    savemat(tmp_path / "r.mat", {"s_read": read, "SENSacc": read[:500, :3], "SENSgyro": read[:500, 3:]})
+    named, guessed = messages(tmp_path / "r.mat")
+    assert (named.count, guessed.count) == (500, 600)
+    assert named.accel is not None
+    assert named.accel.columns == ("SENSacc[0]", "SENSacc[1]", "SENSacc[2]")
+
+
+def test_text_with_the_ending_of_matlab_is_no_recording(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "imu.mat", np.arange(40.0).reshape(10, 4), fmt="%16.7e")
+    assert not is_recording(tmp_path / "imu.mat")
+    savemat(tmp_path / "imu.mat", {"acc": np.zeros((10, 3))})
+    assert is_recording(tmp_path / "imu.mat")

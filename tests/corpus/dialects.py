@@ -510,3 +510,42 @@ def betaflight(log: pl.DataFrame, folder: Path) -> str:
         gyro, accel = [f"{x / DEGREE:.4f}" for x in v[:3]], [f"{2048.0 * x / G_STANDARD:.0f}" for x in v[3:]]
         rows.append([str(8 * i), f"{1e6 * t:.0f}", *gyro, *accel])
     return written(folder / "LOG00007.01.csv", rows, above=above)
+
+
+def imu_tk(log: pl.DataFrame, folder: Path) -> str:
+    """Matrices saved as text: time and counts about 32768, accelerometers and gyros in a file each."""
+    (folder / "tk").mkdir()
+    read = counts(log, 4096.0 / G_STANDARD, 131.0 / DEGREE)
+    for name, values in zip(("imu_acc.mat", "imu_gyro.mat"), read, strict=True):
+        with_time = np.column_stack([log["t"].to_numpy(), values + 32768])
+        np.savetxt(folder / "tk" / name, with_time, fmt="%16.7e")
+    return "tk"
+
+
+def several_at_once(log: pl.DataFrame, folder: Path) -> str:
+    """A byte order mark, decimal commas, a clock of twelve hours that passes midnight, stamps that repeat, a restart
+    with its message and the header once more, and a last line that is cut."""
+    rows = table(log, NAMES, digits=9)
+    for row in rows[1:]:
+        hour, rest = of_day(float(row[0])).split(":", 1)
+        row[0] = f"{int(hour) % 12 or 12}:{rest} {'AM' if int(hour) < 12 else 'PM'}"
+    rows = repeated(rows)
+    rows[900:900] = [["MPU6050 connection successful"], rows[0]]
+    text = "\r\n".join(";".join(row).replace(".", ",") for row in rows)
+    (folder / "LOG.TXT").write_bytes(text.encode("utf-8-sig")[:-31])
+    return "LOG.TXT"
+
+
+def merged_topics(log: pl.DataFrame, folder: Path) -> str:
+    """Two topics in one table: seconds and nanoseconds, rows of a receiver between, units in words, and what the memory
+    was filled with before."""
+    names = ["header.stamp.secs", "header.stamp.nsecs", "latitude"]
+    names += [f"accel_{a}_m_per_s2" for a in "xyz"] + [f"gyro_{a}_deg_per_s" for a in "xyz"]
+    rows = [names]
+    for k, (t, *read) in enumerate(log.select("t", *ACCEL, *(pl.col(c) / DEGREE for c in GYRO)).iter_rows()):
+        ns = 1_700_000_000_250_000_000 + round(t * 1e9)
+        stamp = [str(ns // 10**9), str(ns % 10**9)]
+        rows.append([*stamp, "", *(f"{v:.9g}" for v in read)])
+        rows += [[*stamp, "56.84", *[""] * 6]] * (k % 20 == 10)
+    rows += [["0"] * len(names)] * 200
+    return written(folder / "merged.csv", rows)

@@ -19,6 +19,7 @@ from tumble.calibration.with_magnetometer import with_magnetometer
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.common_errors import by_time_base
 from tumble.estimation.diagnosis.misfit import lost_by_velocities
+from tumble.estimation.diagnosis.undetermined import one_attitude
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
 from tumble.estimation.methods.joint.method import joint
@@ -206,7 +207,7 @@ def estimated(
         return estimate, observations
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
-        return Outcome(reasons=(broken,))
+        return Outcome(reasons=(one_attitude(observations) or broken,))
 
 
 def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:

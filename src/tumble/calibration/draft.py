@@ -14,13 +14,14 @@ from typing import Any
 class Draft:
     """The content of a session.toml as far as it is known, and how each part of it came about, in sentences. A table
     [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest. Whether the rate is a guess,
-    and whether the unit of the gyros is."""
+    and whether the unit of the gyros is; and the median magnitude of what the accelerometers read, as written."""
 
     content: Mapping[str, Any]
     said: tuple[str, ...]
     magnetometer: Mapping[str, Any] | None = None
     rate_guessed: bool = False
     gyro_unknown: bool = False
+    accel_magnitude: float = 1.0
 
 
 def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bool) -> str:

@@ -15,7 +15,15 @@ import numpy as np
 from tumble.calibration.draft import Draft
 from tumble.calibration.gyro_unit_by_earth import RATES, reads_the_earth
 from tumble.calibration.observed import Progress, inspect_session
-from tumble.calibration.raw_scale import accel_scale, counts_per_deg_s, counts_per_g, gyro_factor, known_unit
+from tumble.calibration.raw_scale import (
+    PLAIN,
+    accel_scale,
+    counts_per_deg_s,
+    counts_per_g,
+    gyro_factor,
+    known_unit,
+    plain_unit,
+)
 from tumble.errors import TumbleError
 from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
 from tumble.recording.session_file import session_of
@@ -78,14 +86,20 @@ def _accel_scaled(
         observations = _observed({**draft.content, "log": alone}, progress)
     means = observations.rests.accel if observations is not None else np.empty((0, 3))
     sphere = accel_scale(means)
-    if sphere is None:
-        radius = float(np.median(np.linalg.norm(means, axis=1))) if len(means) else 1.0
-        sphere = radius, [0.0] * 3
-    scale = counts_per_g(sphere[0])
     seen = f"from {len(means)} rests" if len(means) >= 4 else "a guess from too few rests: state the data sheet's"
+    if sphere is None:
+        radius = float(np.median(np.linalg.norm(means, axis=1))) if len(means) else draft.accel_magnitude
+        seen = seen if len(means) else "a guess, for there are no rests, from their median magnitude"
+        sphere = radius, [0.0] * 3
     offset: Any = sphere[1][0] if len(set(sphere[1])) == 1 else sphere[1]
-    made = {"columns": accel["columns"], "unit": "count", "scale": scale.value, "scale_per": "g", "offset": offset}
-    return {**log, "accel": made}, [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
+    made = {"columns": accel["columns"], "unit": "count", "scale": 1.0, "scale_per": "g", "offset": offset}
+    unit = plain_unit(sphere[0])
+    if unit is not None:
+        said = f"{named} in {unit} (gravity draws a sphere of {sphere[0]:.4g}), zero at {offset} ({seen})"
+        return {**log, "accel": made | {"scale": PLAIN[unit]}}, [f"accelerometers: {said}"]
+    scale = counts_per_g(sphere[0])
+    said = f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"
+    return {**log, "accel": made | {"scale": scale.value}}, [said]
 
 
 def _gyro_scaled(
@@ -147,7 +161,8 @@ def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
         still = _by_the_earth(draft, progress)
         if still is not draft:
             return still, _looked_at(still.content, progress)[1]
-    if faults and draft.gyro_unknown and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
+    guessed_unit = draft.gyro_unknown and not draft.rate_guessed  # else the rate may be what is wrong
+    if faults and guessed_unit and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
         return _in_counts(draft, faults, progress)
     gyro = draft.content["log"].get("gyro")
     if not faults or unit is None or gyro["unit"] == "count":

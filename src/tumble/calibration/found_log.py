@@ -23,6 +23,8 @@ LONGEST = 2_000_000
 
 SAMPLE_ROWS = 200
 SHOWN = 12
+_FILLED = 50
+"""Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -73,10 +75,26 @@ class FoundLog:
         return Stamps(column=column, values=values, unit=self.columns.time_unit, clock=clock)
 
 
+def samples_in(read: Array) -> int:
+    """How many of the rows (m, n) of readings are samples: those before a stretch, at the end, of rows that are all
+    alike or empty, as memory is filled with beforehand. All of them where that stretch is short."""
+    if not len(read):
+        return 0
+    alike = ((read == read[-1]) | ~np.isfinite(read)).all(axis=1)
+    last = int(np.flatnonzero(~alike)[-1]) + 1 if not alike.all() else len(read)
+    return last if len(read) - last >= _FILLED else len(read)
+
+
 def check_has_accelerometers(log: FoundLog) -> None:
     """Raises InputError where no columns are those of accelerometers."""
     if ACCEL not in log.columns.triads:
-        names = ", ".join(next(iter(log.sources())).names[:SHOWN])
+        columns = next(iter(log.sources())).names
+        names = ", ".join(columns[:SHOWN])
+        if len(columns) == len("xyz") and all(name.isdecimal() for name in columns):
+            raise InputError(
+                f"{log.files[0]}: expected a recording, found three columns without names that are none by their "
+                "numbers; a table with a row a position, with a line of names above it, is for `tumble ellipsoid`"
+            )
         raise InputError(
             f"{log.files[0]}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z; "
             f"found {names[:200]}; rename them"

@@ -10,10 +10,10 @@ from typing import Any
 
 import polars as pl
 
-from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers
+from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
 from tumble.calibration.respelled import respelled
 from tumble.calibration.sensor_rows import sensor_column, split_by_sensor
-from tumble.calibration.sensors_apart import of_sensors_apart
+from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
 from tumble.recording.formats.columns import ACCEL, columns_by_name, time_unit
@@ -55,7 +55,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
     logs, left = _those_with_rows(files, folder)
-    if len(logs) > 1 and not any(log.columns.triads for log in logs):
+    if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
     logs = [_by_data(log) if ACCEL not in log.columns.triads else _with_time(log) for log in logs]
@@ -177,7 +177,8 @@ def _by_data(log: FoundLog) -> FoundLog:
     numeric = [name for name in _numeric(log) if names.count(name) == 1]
     if len(numeric) < 3:
         return log
-    found = columns_by_data(numeric, log.read(numeric, rows=LONGEST // 10))
+    read = log.read(numeric, rows=LONGEST // 10)
+    found = columns_by_data(numeric, read[: samples_in(read)])
     time, unit = log.columns.time, log.columns.time_unit
     columns = replace(found, time=time or found.time, time_unit=unit, counter=log.columns.counter)
     if ACCEL not in found.triads:

@@ -19,6 +19,8 @@ from tumble.units import TIME_UNITS, Array
 ASSUMED_RATE = 100.0
 _RATES = 2.0, 20_000.0  # Hz, of a log
 _SHARE, _FREE = 2e-2, 3
+_PAUSES, _PAUSE = 2e-3, 10.0
+_LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
 _JITTER = 0.25
 _UNEVEN = 3.0
 _SHORTEST = 1e-9  # from the first stamp to the last, in any unit
@@ -128,9 +130,12 @@ def unwound(values: Array, overflow: float, last: float | None) -> Array:
 
 
 def _typical_step(values: Array) -> float:
-    """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts."""
+    """The step from row to row: the median, or the mean where the stamps are too coarse or come in bursts. A few steps
+    that are far longer than all others are pauses and no part of the mean."""
     steps = np.diff(values)
-    median, mean = float(np.median(steps)), float((values[-1] - values[0]) / (len(values) - 1))
+    long = float(np.quantile(steps, 1.0 - _PAUSES))
+    usual = steps[steps <= _PAUSE * long] if long > 0.0 else steps
+    median, mean = float(np.median(steps)), float(usual.mean())
     again = np.mean(steps <= 0.0)
     burst = np.mean(steps < 0.5 * mean)
     return mean if median <= 1e-6 * mean or again > _SHARE or burst > 0.3 else median
@@ -147,6 +152,10 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
     taken = usual[0] if usual else "s"
     others = [f"{name}: {1.0 / (step * TIME_UNITS[name]):.4g} Hz" for name in likely if name != taken]
     sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
+    steps = np.diff(stamps.values)
+    if step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE:
+        counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
+        sure = (f"{counted}give the rate (--rate)",)
     return taken, "by its steps", sure
 
 
@@ -170,6 +179,8 @@ def _even(values: Array) -> bool:
     step = (values[-1] - values[0]) / (len(values) - 1)
     late = (values - values[0]) / step - index
     delay = float(np.max(np.diff(values)) / step)
+    if delay > _LONGEST_DELAY * len(values):
+        return False
     window = max(10, int(4 * delay))
     if len(values) < 3 * window:
         return bool(np.ptp(late) <= 2.0 * delay + _UNEVEN)

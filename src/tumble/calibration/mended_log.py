@@ -1,7 +1,8 @@
 """What a session file cannot say about a log is mended in a copy of it, in the session's folder.
 
-So are numbers of 16 bits that were read without their sign, times in ticks, samples that a counter shows to be missing,
-and positions that follow each other without a turn between them.
+So are numbers of 16 bits that were read without their sign, times in ticks or in seconds and nanoseconds, samples that
+a counter shows to be missing, rows that are no samples, and positions that follow each other without a turn between
+them.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.calibration.found_log import SAMPLE_ROWS, FoundLog
+from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
 from tumble.calibration.log_times import overflow_of, times_without_column, unwound
 from tumble.calibration.positions_apart import positions_apart
 from tumble.calibration.raw_scale import unwrapped, wrapped
@@ -25,17 +26,23 @@ from tumble.recording.log_source import LogSource
 from tumble.recording.writer import write_tables
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine
+_NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
+_BLANK_SHARE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Mending:
     """What of a log a session file cannot say: the kinds of sensors whose 16 bits were read `unsigned`, a column and
-    what makes its numbers seconds, at which number its time stamps start anew, the first and last + 1 rows of positions
-    without turns between them, and all that in words."""
+    what makes its numbers seconds, the column of the nanoseconds beside it, at which number its time stamps start anew,
+    how many rows at the beginning are samples, whether rows without readings are left out, the first and last + 1 rows
+    of positions without turns between them, and all that in words."""
 
     unsigned: tuple[str, ...] = ()
     time: tuple[str, float] | None = None
+    nanoseconds: str | None = None
     overflow: float | None = None
+    samples: int | None = None
+    without_blank: bool = False
     positions: Sequence[tuple[int, int]] | None = None
     said: tuple[str, ...] = ()
 
@@ -45,8 +52,26 @@ def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
     for kind, sensors in log.columns.triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
-    mending = _with_positions(_with_time(_with_signs(_Mending(), log), log, rate), log)
+    mending = _with_positions(_with_time(_with_signs(_with_samples(log), log), log, rate), log)
     return _copied(log, folder, mending) if mending.said else log
+
+
+def _with_samples(log: FoundLog) -> _Mending:
+    """Without the rows that are no samples: what memory was filled with behind the last, and rows of other sensors."""
+    sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
+    read = log.read(sensors)
+    mending = _Mending()
+    filled = len(read) > 0 and all(len(set(three)) == 1 for three in np.nan_to_num(read[-1]).reshape(-1, 3).tolist())
+    samples = samples_in(read) if filled and len(log.files) == 1 and len(read) < LONGEST else len(read)
+    if samples < len(read):
+        said = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
+        mending = replace(mending, samples=samples, said=(said,))
+    found = np.asarray(np.isfinite(read[:samples]).any(axis=1))
+    blank = int(np.count_nonzero(~found))
+    if blank > _BLANK_SHARE * samples or (len(log.files) == 1 and samples and not found[0]):
+        said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
+        mending = replace(mending, without_blank=True, said=(*mending.said, said))
+    return mending
 
 
 def _with_signs(mending: _Mending, log: FoundLog) -> _Mending:
@@ -69,6 +94,10 @@ def _with_time(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending
         said.append(f"time: none, but column {counter!r} counts the samples and shows some to be missing")
         per_second = rate or times_without_column(None, log.remarks).rate
         return replace(mending, time=(counter, 1.0 / per_second), said=tuple(said))
+    nanoseconds = _nanoseconds(log) if rate is None else None
+    if nanoseconds is not None:
+        said.append(f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added")
+        return replace(mending, time=(column, 1.0), nanoseconds=nanoseconds, said=tuple(said))
     tick, overflow = (_tick(log), _overflow(log)) if rate is None else (None, None)
     if tick is not None:
         said.append(f"time: column {column!r} in ticks of {tick:g} s, made seconds")
@@ -119,17 +148,24 @@ def _tables(source: LogSource, log: FoundLog, mending: _Mending) -> Iterator[pl.
     triads, time = log.columns.triads, mending.time
     column = log.columns.time if time is None else time[0]
     sensors = [c for triad in triads.values() for c in triad.columns]
-    used = [c for c in (column, *sensors, *dict.fromkeys(log.columns.temperatures)) if c is not None]
+    warm = dict.fromkeys(log.columns.temperatures)
+    used = [c for c in (column, mending.nanoseconds, *sensors, *warm) if c is not None]
+    left = mending.samples
     unsigned = [c for kind in mending.unsigned for c in triads[kind].columns]
     last: float | None = None
-    for read, _ in source.tables(used, _clock(log)):
+    for rows, _ in source.tables(used, _clock(log)):
+        read = rows if left is None else rows.head(left)
+        left = None if left is None else left - len(read)
+        if mending.without_blank:
+            read = read.filter(pl.any_horizontal(pl.col(sensors).is_finite()))
         table = read.with_columns(pl.Series(c, unwrapped(read[c].to_numpy())) for c in unsigned)
         if mending.overflow is not None and column is not None:
             stamps = unwound(read[column].to_numpy(), mending.overflow, last)
             last = next((float(t) for t in stamps[::-1] if np.isfinite(t)), last)
             table = table.with_columns(pl.Series(column, stamps))
         if time is not None:
-            table = table.rename({time[0]: TIME}).with_columns(pl.col(TIME) * time[1])
+            part = pl.lit(0.0) if mending.nanoseconds is None else 1e-9 * pl.col(mending.nanoseconds)
+            table = table.rename({time[0]: TIME}).with_columns(pl.col(TIME) * time[1] + part)
         stamp = column if time is None else TIME
         yield table if stamp is None else table.filter(pl.col(stamp).is_finite())
 
@@ -138,6 +174,14 @@ def _overflow(log: FoundLog) -> float | None:
     """The number at which the counter behind the time stamps starts anew, where it does."""
     column = log.columns.time
     return None if column is None or log.is_clock(column) else overflow_of(log.read([column])[:, 0])
+
+
+def _nanoseconds(log: FoundLog) -> str | None:
+    """The column of the nanoseconds, where that of the time has the whole seconds alone: header.stamp.nsecs beside
+    header.stamp.secs."""
+    column = log.columns.time
+    names = next(iter(log.sources())).names
+    return next((n for n in names if _NANO.search(n) and _NANO.sub("", n) == column), None)
 
 
 def _tick(log: FoundLog) -> float | None:

@@ -109,11 +109,9 @@ def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
     if not recordings:
         log = mended(found_log(files, folder), folder, given.rate)
         return _of_log(log, times_of(log, given.rate), given.rate)
-    if len(files) > 1:
-        raise InputError(
-            f"{recordings[0]}: expected one recording, found {len(files)} files; give each its own session"
-        )
-    return _of_recording(recordings[0], folder, given)
+    if len(files) > 1 and len(recordings) < len(files):
+        raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
+    return _of_recording(recordings, folder, given)
 
 
 def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
@@ -123,7 +121,8 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
     if rate is not None and found.time is not None:
         said.append(f"time: column {found.time!r} is not used, since the rate was given")
     said += [f"also there, and not used: {', '.join(found.others)}"] if found.others else []
-    content, more, unknown = _content(log, times, found)
+    magnitude = _magnitude(log, found.triads[ACCEL])
+    content, more, unknown = _content(log, times, found, magnitude)
     magnetometer, most = _magnetometer(log, found.triads.get(MAGNETOMETER))
     return Draft(
         content=content,
@@ -131,12 +130,16 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
         magnetometer=magnetometer,
         rate_guessed=times.guessed,
         gyro_unknown=unknown,
+        accel_magnitude=magnitude,
     )
 
 
-def _of_recording(recording: Path, folder: Path, given: Given) -> Draft:
-    """From another format, whose messages become a Parquet file."""
-    found = formats.messages(recording)
+def _of_recording(recordings: Sequence[Path], folder: Path, given: Given) -> Draft:
+    """From another format, whose messages become a Parquet file. Several files are one recording where the
+    accelerometers are in the one and the gyros in the other."""
+    recording, found = recordings[0], formats.messages(*recordings)
+    if len(recordings) > 1 and (len(found) > len(recordings) or sum(m.accel is not None for m in found) > 1):
+        raise InputError(f"{recording}: expected one recording, found {len(recordings)}; give each its own session")
     accel = _named(found, given.message, recording)
     gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     log = folder / "log.parquet"
@@ -208,9 +211,10 @@ def _pairs(accel: Message, gyro: Message) -> bool:
     return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
 
 
-def _content(log: FoundLog, times: Times, found: Columns) -> tuple[dict[str, Any], list[str], bool]:
-    """The tables of session.toml, what there is to say, and whether the unit of the gyros is unknown."""
-    accel, said = _accel(log, found.triads[ACCEL], times)
+def _content(log: FoundLog, times: Times, found: Columns, magnitude: float) -> tuple[dict[str, Any], list[str], bool]:
+    """The tables of session.toml, what there is to say, and whether the unit of the gyros is unknown; `magnitude` is
+    the median one of the accelerometers."""
+    accel, said = _accel(found.triads[ACCEL], times, magnitude)
     files = [str(file.resolve()) for file in log.files]
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys, "accel": accel}
     unknown = False
@@ -259,10 +263,13 @@ def _temperature_unit(log: FoundLog, column: str) -> tuple[str, str, float]:
     return likely, "by its numbers", middle
 
 
-def _accel(log: FoundLog, sensors: Sensors, times: Times) -> tuple[dict[str, Any], list[str]]:
+def _magnitude(log: FoundLog, sensors: Sensors) -> float:
+    """The median magnitude of what sensors read in the first rows."""
+    return float(np.nanmedian(np.linalg.norm(log.read(sensors.columns, rows=_HEAD), axis=1)))
+
+
+def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, Any], list[str]]:
     """The table [log.accel]: the unit in which the median magnitude is gravity; of counts, with a scale of one."""
-    read = log.read(sensors.columns, rows=_HEAD)
-    magnitude = float(np.nanmedian(np.linalg.norm(read, axis=1)))
     columns = list(sensors.columns)
     named = ", ".join(columns)
     if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
@@ -307,8 +314,7 @@ def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any
     """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []
-    read = log.read(sensors.columns, rows=_HEAD)
-    field = float(np.nanmedian(np.linalg.norm(read, axis=1)))
+    field = _magnitude(log, sensors)
     likely = [unit for unit, (low, high) in _FIELDS.items() if low <= field <= high]
     unit = sensors.unit or next(iter(likely), None)
     named = ", ".join(sensors.columns)

@@ -8,7 +8,7 @@ one that is near is taken.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from tumble.reduction.observations import Observations
 from tumble.reduction.sphere import sphere_through
 from tumble.sensors.model import SensorModel
-from tumble.units import DEGREE, Array
+from tumble.units import DEGREE, G_STANDARD, Array
 
 ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
 """Counts per g: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
@@ -33,7 +33,7 @@ GYRO_STEPS: tuple[float, ...] = tuple(
 """Counts per °/s: of full scales of 16 bits, of the mdps per count of other makers, and of thousandths."""
 
 MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
-"""Where a converter that knows no sign has its zero."""
+"""Where a converter that knows no sign, and so writes nothing negative, has its zero."""
 
 _NEAR = 0.06
 _NO_OFFSET = 0.3
@@ -53,6 +53,19 @@ class Scale:
     value: float
     found: float
     said: str
+
+
+PLAIN: Mapping[str, float] = {"m/s^2": G_STANDARD, "g": 1.0, "mg": 1e3}
+"""What accelerometers read for one g whose numbers are in a unit and no counts."""
+
+_PLAIN_NEAR = 0.03
+
+
+def plain_unit(found: float) -> str | None:
+    """The unit of accelerometers that read this much for one g; None where it is none, or 1024 counts as likely."""
+    near = {unit: abs(found / one - 1.0) for unit, one in PLAIN.items()}
+    unit = min(near, key=lambda name: near[name])
+    return unit if near[unit] < _PLAIN_NEAR and near[unit] < abs(found / 1024.0 - 1.0) else None
 
 
 def matched(found: float, steps: Sequence[float], unit: str) -> Scale:
@@ -75,7 +88,8 @@ def accel_scale(means: Array) -> tuple[float, list[float]] | None:
     if found is None:
         return None
     radius, zero = found
-    known = next((m for m in (0.0, *MIDDLES) if np.abs(zero - m).max() < _NO_OFFSET * radius), None)
+    middles = MIDDLES if (means > 0.0).all() else ()
+    known = next((m for m in (0.0, *middles) if np.abs(zero - m).max() < _NO_OFFSET * radius), None)
     return radius, [known] * 3 if known is not None else [float(f"{z:.5g}") for z in zero]
 
 

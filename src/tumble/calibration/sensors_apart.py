@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from tumble.calibration.found_log import SHOWN, FoundLog, check_has_acceleromete
 from tumble.calibration.log_times import times_of_column
 from tumble.errors import InputError
 from tumble.recording import formats
-from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name
+from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name, unit_of_name
+from tumble.recording.formats.columns_by_data import time_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
 from tumble.units import TIME_UNITS
 
@@ -21,14 +23,29 @@ _UNCALIBRATED = re.compile(r"acc.*uncal", re.IGNORECASE)
 _NOT_ACCEL = re.compile(r"linear|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
 
-def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
-    """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
+def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
+    """Whether logs are of one kind of sensors each: no names of columns say which, and where columns have none, those
+    of the files do, and leave no more than a time and three sensors."""
+    if len(logs) < 2 or any(log.columns.triads for log in logs):
+        return False
+    narrow = all(len(log.cells) <= 1 + len("xyz") for log in logs)
+    return not any(map(_without_names, logs)) or (narrow and set(_by_kind(logs)) == {ACCEL, GYRO})
+
+
+def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
+    """The first log of each kind of sensors by the names of the files."""
     by_kind: dict[str, FoundLog] = {}
     for log in logs:
         name = log.files[0].stem
         kind = next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
         if kind is not None and not (kind == ACCEL and _NOT_ACCEL.search(name)):
             by_kind.setdefault(kind, log)
+    return by_kind
+
+
+def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
+    """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
+    by_kind = _by_kind(logs)
     uncalibrated = next((log for log in logs if _UNCALIBRATED.search(log.files[0].stem)), None)
     if ACCEL not in by_kind and uncalibrated is not None:
         by_kind[ACCEL] = uncalibrated
@@ -47,23 +64,38 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
         others=(),
     )
     said = f"{named}: one log at the times of the gyros, written to {folder / 'log.parquet'}"
-    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said,))
+    fastest = accel if gyro is None else gyro
+    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said, fastest.remark))
+
+
+def _without_names(log: FoundLog) -> bool:
+    """Whether the columns of a log have no names."""
+    return all(name.isdecimal() for name in log.cells)
+
+
+def _three(log: FoundLog, kind: str) -> tuple[FoundLog, list[str]]:
+    """A log with its time, and its columns x, y and z, none where it has no such: by their names, else the three beside
+    one that grows."""
+    if not _without_names(log):
+        renamed = {f"{'a' if kind == ACCEL else 'g'} {name.split()[0] if name else name}": name for name in log.cells}
+        sensors = columns_by_name(renamed).triads.get(kind)
+        return log, [] if sensors is None else [renamed[column] for column in sensors.columns]
+    time = time_by_data(list(log.cells), log.read(list(log.cells)))
+    three = [name for name in log.cells if name != time]
+    return replace(log, columns=replace(log.columns, time=time)), three if len(three) == len("xyz") else []
 
 
 def _message(log: FoundLog, kind: str) -> Message:
     """The three columns of the one kind of sensors in a log, with their times, s."""
-    renamed = {name: f"{'a' if kind == ACCEL else 'g'} {name.split()[0] if name else name}" for name in log.cells}
-    known = columns_by_name(renamed.values())
-    named = {new: old for old, new in renamed.items()}
-    stamps, sensors = log.stamps(), known.triads.get(kind)
+    log, source = _three(log, kind)
+    stamps = log.stamps()
     times = None if stamps is None else times_of_column(stamps)
-    if sensors is None or stamps is None or times is None:
+    if not source or stamps is None or times is None:
         raise InputError(
             f"{log.files[0]}: expected a time and columns x, y and z, found {', '.join(list(log.cells)[:SHOWN])}; "
             "rename them"
         )
-    source = [named[column] for column in sensors.columns]
-    unit = columns_by_name([f"{'acc' if kind == ACCEL else 'gyro'} {n}" for n in source]).triads[kind].unit
+    unit = unit_of_name(kind, f"{'acc' if kind == ACCEL else 'gyro'} {source[0]}")
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")
     read = log.read([stamps.column, *source], clock=stamps.column if stamps.clock else None)
     read[:, 0] *= 1.0 if stamps.clock else TIME_UNITS[times.keys.get("time_unit", "s")]
@@ -73,5 +105,6 @@ def _message(log: FoundLog, kind: str) -> Message:
         count=len(read),
         accel=found if kind == ACCEL else None,
         gyro=found if kind == GYRO else None,
+        remark=f"{log.files[0].name}: {'; '.join(times.said)}",
         rows=lambda: iter([pl.DataFrame(read[np.isfinite(read).all(axis=1)], schema=[TIME, x, y, z], orient="row")]),
     )

@@ -1,4 +1,4 @@
-"""Times of day and dates as seconds: ISO 8601, 31.12.2025 23:59:59,5 and 23:59:59.5."""
+"""Times of day and dates as seconds: ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5 and 11:59:59.5 PM."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from tumble.recording.session import LogSpec
 from tumble.units import Array
 
 _DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[-./](\d{4}))"
-_TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
+_HALF = r"([AaPp]\.?[Mm]\.?)?"
+_TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*" + _HALF + r"\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
 _DAY = 86400
 
 
@@ -27,20 +28,22 @@ def date_of(text: str) -> str | None:
     seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
     if not day or seconds is None:
         return None
-    zone = UTC if re.search(_TIME, text)[5] else None  # type: ignore[index]
+    zone = UTC if re.search(_TIME, text)[6] else None  # type: ignore[index]
     start = datetime(1970, 1, 1, tzinfo=zone) + timedelta(days=day)
     return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 
 
 def seconds_of(text: pl.Series, day: int) -> pl.Series:
     """Seconds since midnight of a day (`day_of`); null where the text is no time."""
-    parts = {k: text.str.extract(_TIME, k) for k in range(1, 6)}
-    whole = [parts[k].cast(pl.Float64, strict=False) for k in (1, 2)]
+    parts = {k: text.str.extract(_TIME, k) for k in range(1, 7)}
+    hour, minute = (parts[k].cast(pl.Float64, strict=False) for k in (1, 2))
+    half = parts[5].str.slice(0, 1).str.to_lowercase()  # of the day: 12 am is its beginning, 12 pm noon
+    hour = hour.zip_with(half.is_null(), hour % 12 + 12.0 * (half == "p"))
     second = parts[3].fill_null("0") + "." + parts[4].fill_null("0")
-    zone = parts[5].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
+    zone = parts[6].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
     east = zone.sign() * (zone.abs() // 100 * 60 + zone.abs() % 100) * 60
     days = (_days(text).fill_null(day) - day) * _DAY
-    return (days - east) + whole[0] * 3600 + whole[1] * 60 + second.cast(pl.Float64, strict=False)
+    return (days - east) + hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
 
 
 def _days(text: pl.Series) -> pl.Series:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 
@@ -14,11 +15,14 @@ from tumble.estimation.observability import faces_and_edges, most_telling, stand
 from tumble.reduction.observations import Observations
 from tumble.rotation import onto_body, skew, tangent_basis
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
-from tumble.units import Array
+from tumble.units import DEGREE, Array
 
 POORLY_KNOWN = 0.05
 """Of the spreads: a combination of parameters of a triad that is known no better is poorly observable, and one of
 more sensors where all err alike by as much."""
+
+_ONE_ATTITUDE = math.cos(10.0 * DEGREE)
+"""Cosine between verticals in the body: closer ones are those of one attitude."""
 
 MOST_LISTED = 21
 """Parameters that are named one by one."""
@@ -37,7 +41,7 @@ def undetermined(
     """What the data do not determine, the parameters that are `missing`, or else determine poorly, and what would; with
     the sensors it concerns."""
     if missing:
-        said = f"not observable in this session: {listed(missing)}"
+        said = one_attitude(observations) or f"not observable in this session: {listed(missing)}"
         return [(_concerned(missing), _and(said, _most_helpful(estimate, observations, estimate.null)))]
     combinations, known = _weak(estimate, observations)
     if not len(known):
@@ -50,6 +54,21 @@ def undetermined(
     if not remedy:
         remedy = _most_helpful(estimate, observations, combinations)
     return [("both", _and(f"poorly observable in this session: {weak}", remedy))]
+
+
+def one_attitude(observations: Observations) -> str:
+    """That the device lay in one attitude only, or nothing."""
+    rests = observations.rests
+    if rests.accel.shape[1] != len("xyz"):
+        return ""
+    up = rests.accel / np.linalg.norm(rests.accel, axis=1, keepdims=True)
+    if (up @ up.T).min() < _ONE_ATTITUDE:
+        return ""
+    counted = "1 rest" if len(up) == 1 else f"all {len(up)} rests"
+    return (
+        f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too (`tumble "
+        "programme` lists them); the noise of a recording at rest is told by `tumble noise`"
+    )
 
 
 def _and(*parts: str) -> str:

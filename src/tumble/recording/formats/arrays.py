@@ -1,12 +1,15 @@
 """MATLAB files and HDF5: arrays of numbers, found by their names.
 
 Every array is named by its path (`imu/gyro`); one of three columns (or rows) is a triad `imu/gyro[0]` … `imu/gyro[2]`,
-one of more a table. Arrays of one length make a table, of which the sensors are taken by name, else by their numbers.
+one of four, the first or last of which grows, a time `imu/gyro/t` and a triad, one of more a table. Arrays of one
+length make a table, of which the sensors are taken by name, else by their numbers.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,10 +18,12 @@ import h5py
 import numpy as np
 import polars as pl
 from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
+from scipy.io.matlab import MatlabOpaque, MatReadError, MatReadWarning
 
+from tumble.errors import InputError
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
-from tumble.recording.formats.columns_by_data import columns_by_data
+from tumble.recording.formats.columns import Columns as Known
+from tumble.recording.formats.columns_by_data import columns_by_data, grows
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.gaps import is_likely
 from tumble.units import TIME_UNITS
@@ -34,18 +39,20 @@ Columns = Mapping[str, tuple[str, int | None]]
 
 
 def messages(path: Path) -> list[Message]:
-    """Tables with inertial sensors, one for each length of arrays."""
+    """Tables with inertial sensors, one for each length of arrays; those whose names say so come first."""
     shapes = _shapes(path)
-    found = []
+    by_name: list[Message] = []
+    by_data: list[Message] = []
     for length in sorted({max(shape) for shape in shapes.values()}, reverse=True):
-        columns = dict(_columns({name: s for name, s in shapes.items() if max(s) == length}))
+        columns = dict(_columns(path, {name: s for name, s in shapes.items() if max(s) == length}))
         known = columns_by_name(columns)
-        if ACCEL not in known.triads and len(columns) <= _WIDEST:
-            known = columns_by_data(list(columns), _read_whole(path, columns))
+        guessed = ACCEL not in known.triads
+        if guessed:
+            known = _with_told_by_data(path, columns, known)
         if length < _SHORTEST or not known.triads:
             continue
         factor = TIME_UNITS[known.time_unit or "s"]
-        found.append(
+        (by_data if guessed else by_name).append(
             Message(
                 name=f"{length} rows",
                 count=length,
@@ -57,15 +64,59 @@ def messages(path: Path) -> list[Message]:
                 rows=partial(_rows, path, columns, known.time, factor),
             )
         )
-    return found
+    if not by_name and not by_data:
+        _check_no_tables(path)
+    return by_name + by_data
 
 
-def _columns(shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, tuple[str, int | None]]]:
+def _check_no_tables(path: Path) -> None:
+    """Raises InputError for a MATLAB file with tables or timetables, which only MATLAB reads."""
+    if h5py.is_hdf5(path):
+        return
+    with warnings.catch_warnings(action="ignore", category=MatReadWarning):
+        opaque = [v for v in loadmat(path).values() if isinstance(v, MatlabOpaque)]
+    kinds = {bytes(kind).decode(errors="replace") for v in opaque for kind in v["s2"]} & {"table", "timetable"}
+    if kinds:
+        kind = sorted(kinds)[-1]
+        raise InputError(
+            f"{path}: expected arrays of numbers, found a {kind}, which MATLAB alone reads: write it as text there, "
+            f"write{kind}(T, 'log.csv')"
+        )
+
+
+def _columns(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Iterator[tuple[str, tuple[str, int | None]]]:
     for name, shape in shapes.items():
         if min((*shape, 1)) == 1 and np.prod(shape) == max(shape):
             yield name, (name, None)
         elif 3 <= min(shape) <= _WIDEST:
-            yield from ((f"{name}[{axis}]", (name, axis)) for axis in range(min(shape)))
+            axes = list(range(min(shape)))
+            time = _time_of_four(path, name) if len(axes) == 4 else None
+            if time is not None:
+                axes.remove(time)
+                yield f"{name}/t", (name, time)
+            yield from ((f"{name}[{at}]", (name, axis)) for at, axis in enumerate(axes))
+
+
+def _time_of_four(path: Path, name: str) -> int | None:
+    """Which of the four columns of an array is a time: the first or the last."""
+    read = _read_whole(path, {str(axis): (name, axis) for axis in (0, 3)})
+    return next((axis for axis, column in zip((0, 3), read.T, strict=True) if grows(column)), None)
+
+
+def _with_told_by_data(path: Path, columns: Columns, known: Known) -> Known:
+    """What columns are where no name says which are accelerometers: by their numbers, but for the triads that an array
+    of their own is named as."""
+    wide = {array for array, axis in columns.values() if axis is not None and axis > 3}
+    named = {k: t for k, t in known.triads.items() if columns[t.columns[0]][0] not in wide}
+    taken = {column for triad in named.values() for column in triad.columns}
+    free = {name: column for name, column in columns.items() if name not in taken}
+    together = {name: column for name, column in free.items() if column[1] is not None} or free
+    if not 0 < len(together) <= _WIDEST:
+        return known
+    told = columns_by_data(list(together), _read_whole(path, together))
+    if ACCEL not in told.triads:
+        return replace(known, triads=named)
+    return replace(known, triads={**told.triads, **named}, time=known.time or told.time)
 
 
 def _shapes(path: Path) -> dict[str, tuple[int, ...]]:
@@ -108,7 +159,8 @@ def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
     """Arrays of numbers by their paths: shape, and how to read a part of them."""
     if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
         try:
-            return dict(_nested(loadmat(path, simplify_cells=True)))
+            with warnings.catch_warnings(action="ignore", category=MatReadWarning):
+                return dict(_nested(loadmat(path, simplify_cells=True)))
         except (MatReadError, ValueError) as error:
             raise ValueError(f"not a MATLAB file: {error}") from None
     return _datasets(path)

@@ -30,11 +30,16 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
 """Words for sensors in the names of files, and of rows."""
 
 _TIME = re.compile(
-    r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|sec|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
-    r"micros(econds)?|time_?startup|(sensor|chip|sys|system|gps|sample|date|utc)_?time(_?fine)?|sample_?time_?fine)$|"
+    r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
+    r"micros(econds)?|time_?startup|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
     r"^time_(since|elapsed|from)"
 )
-_TIME_WORDS = {"ms": "ms", "millis": "ms", "milliseconds": "ms", "us": "us", "micros": "us", "microseconds": "us"}
+_TIME_WORDS = {
+    "seconds": "s", "secs": "s",
+    "ms": "ms", "millis": "ms", "milliseconds": "ms",
+    "us": "us", "micros": "us", "microseconds": "us",
+    "ns": "ns", "nanos": "ns", "nanoseconds": "ns",
+}  # fmt: skip
 _COUNTER = re.compile(
     r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$"
 )
@@ -172,7 +177,7 @@ def _axes(words: list[str]) -> list[tuple[str, str]]:
 def _split(name: str) -> tuple[list[str], str]:
     """The words of a name in small letters and its unit, if it has one: `AccX (m/s²)` is acc, x and m/s²; `gyr_x_dps`
     gyr, x and dps; `TimeUS` time and us; `gyro[0]` gyro and 0."""
-    name = in_english(name)
+    name = _shortened(in_english(name))
     bracketed = re.search(r"[\[(]\s*([^\])]*[^\])\d\s][^\])]*?)\s*[\])]", name)
     if bracketed:
         return _words(name.replace(bracketed[0], " ")), _unit(bracketed[1])
@@ -188,6 +193,20 @@ def _split(name: str) -> tuple[list[str], str]:
         if len(words) > count + 1 and inner in _ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
             return [*words[: -count - 1], words[-1]], inner
     return words, ""
+
+
+_PER_SECOND = (
+    (re.compile(r"(?<![a-z])rad(ian)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "radps"),
+    (re.compile(r"(?<![a-z])deg(ree)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "degps"),
+    (re.compile(r"(?<![a-z])m(et(er|re)s?)?[_ ]per[_ ]s(ec(ond)?)?[_ ]?(2|squared)$", re.IGNORECASE), "mps2"),
+)
+
+
+def _shortened(name: str) -> str:
+    """A name whose unit is spelt in words, `gyro_x_deg_per_s`, with the short form, `gyro_x_degps`."""
+    for pattern, short in _PER_SECOND:
+        name = pattern.sub(short, name)
+    return name
 
 
 _ALL_UNITS = frozenset(text for units in _UNITS.values() for text in units)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 from tumble.errors import InputError, needs_extra
 from tumble.recording.formats.message import Message
@@ -24,6 +26,8 @@ ENDINGS: tuple[str, ...] = tuple(_READERS)
 """Endings of the files that can be read; a ROS 2 bag may also be a folder."""
 
 _DATAFLASH_TEXT = b"FMT,"
+_TEXT = re.compile(rb"[-+\d.,;\seE]{24}")
+"""How text begins that has the ending of something else, as MATLAB writes it with `save -ascii`."""
 
 _NEEDED: Mapping[str, str] = {"ros": "rosbags", "ulog": "pyulog", "ardupilot": "pymavlink", "arrays": "h5py"}
 
@@ -36,30 +40,45 @@ def is_recording(path: Path) -> bool:
 def _reader(path: Path) -> str | None:
     if path.is_dir():
         return "ros" if (path / "metadata.yaml").is_file() else None
-    named = _READERS.get(path.suffix.lower())
-    return named or ("ardupilot" if _begins_with(path, _DATAFLASH_TEXT) else None)
+    first = _first_bytes(path)
+    if _TEXT.match(first):
+        return None
+    return _READERS.get(path.suffix.lower()) or ("ardupilot" if first.startswith(_DATAFLASH_TEXT) else None)
 
 
-def _begins_with(path: Path, first: bytes) -> bool:
+def _first_bytes(path: Path) -> bytes:
     try:
         with path.open("rb") as stream:
-            return stream.read(len(first)) == first
+            return stream.read(64)
     except OSError:
-        return False
+        return b""
 
 
-def messages(path: Path) -> list[Message]:
-    """The kinds of messages with inertial sensors in a recording.
+def messages(*paths: Path) -> list[Message]:
+    """The kinds of messages with inertial sensors in a recording, which may be in several files.
 
-    Raises InputError, one line, for an unknown or damaged file and for one without inertial sensors, and
+    Raises InputError, one line, for an unknown or damaged file and for a recording without inertial sensors, and
     MissingExtraError where the extra `formats` is not installed."""
+    found = [message for path in paths for message in _messages(path)]
+    if not any(message.accel for message in found):
+        alone = "gyros alone" if any(message.gyro for message in found) else _module(paths[0]).NOTHING
+        raise InputError(f"{paths[0]}: expected messages with accelerometers, found {alone}")
+    return found
+
+
+def _module(path: Path) -> ModuleType:
+    """The reader of a recording."""
     reader = _reader(path)
     if reader is None:
         raise InputError(f"{path}: expected a recording that ends in {', '.join(ENDINGS)}, found another")
     if not path.exists():
         raise InputError(f"{path}: expected a recording, found no such file")
     with needs_extra(f"{path}: reading it", "formats", _NEEDED[reader]):
-        module = import_module(f"tumble.recording.formats.{reader}")
+        return import_module(f"tumble.recording.formats.{reader}")
+
+
+def _messages(path: Path) -> list[Message]:
+    module = _module(path)
     try:
         found: list[Message] = module.messages(path)
     except InputError:
@@ -69,6 +88,4 @@ def messages(path: Path) -> list[Message]:
     except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: expected a sound recording, found it damaged or incomplete: {said}") from None
-    if not any(message.accel for message in found):
-        raise InputError(f"{path}: expected messages with accelerometers, found {module.NOTHING}")
     return found

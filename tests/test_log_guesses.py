@@ -1,0 +1,122 @@
+"""What `tumble new` tells of a log from its names, numbers and lines, piece by piece."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tumble.calibration.found_log import samples_in
+from tumble.calibration.log_times import Stamps, times_of_column
+from tumble.calibration.raw_scale import accel_scale, plain_unit
+from tumble.calibration.respelled import respelled
+from tumble.recording.clock import seconds_of
+from tumble.recording.dialect import is_clock
+from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name
+from tumble.recording.formats.columns_by_data import columns_by_data
+from tumble.units import G_STANDARD, Array
+
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+@pytest.fixture(scope="module")
+def read() -> Array:
+    """Accelerometers on six faces and gyros beside them, with noise; columns 1 to 6."""
+    rng = np.random.default_rng(4)
+    accel = np.repeat(G_STANDARD * FACES, 100, axis=0) + rng.normal(scale=0.01, size=(600, 3))
+    return np.column_stack([accel, rng.normal(scale=0.01, size=(600, 3))])
+
+
+def triads_of(read: Array) -> dict[str, tuple[str, ...]]:
+    found = columns_by_data([str(j + 1) for j in range(read.shape[1])], read)
+    return {kind: sensors.columns for kind, sensors in found.triads.items()}
+
+
+def test_units_may_be_spelled_in_words() -> None:
+    names = ["timestamp_seconds", *(f"acc_{a}_m_per_s2" for a in "xyz"), *(f"rate gyro {a} deg per sec" for a in "xyz")]
+    found = columns_by_name(names)
+    assert found.time_unit == "s"
+    assert [found.triads[kind].unit for kind in (ACCEL, GYRO)] == ["m/s^2", "deg/s"]
+
+
+def test_unread_rows_do_not_hide_what_columns_are(read: Array) -> None:
+    blemished = read.copy()
+    blemished[[17, 400]] = np.nan
+    assert triads_of(blemished) == triads_of(read) == {ACCEL: ("1", "2", "3"), GYRO: ("4", "5", "6")}
+
+
+def test_a_counter_that_starts_anew_is_a_time(read: Array) -> None:
+    micros = (np.arange(600) * 10_000.0 + 2.0**32 - 3e6) % 2.0**32
+    found = columns_by_data([str(j) for j in range(7)], np.column_stack([micros, read]))
+    assert found.time == "0"
+    assert found.triads[ACCEL].columns == ("1", "2", "3")
+
+
+def test_of_a_body_that_never_moves_the_accelerometers_read_gravity(read: Array) -> None:
+    still = np.column_stack([read[:, 3:], read[:, 3:] + [0.6, 0.0, 0.8]])
+    assert triads_of(still) == {ACCEL: ("4", "5", "6"), GYRO: ("1", "2", "3")}
+    assert triads_of(still + 0.5) == {}
+
+
+def test_what_memory_was_filled_with_is_no_sample(read: Array) -> None:
+    assert samples_in(np.vstack([read, np.full((60, 6), 65535.0)])) == 600
+    assert samples_in(np.vstack([read, np.full((60, 6), np.nan), np.zeros((1, 6))])) == 600
+    assert samples_in(np.vstack([read, np.zeros((20, 6))])) == 620
+    assert samples_in(np.zeros((80, 6))) == 80
+
+
+def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative() -> None:
+    zero = np.array([20.0, 850.0, 1020.0])
+    signed, unsigned = accel_scale(2048.0 * FACES + zero), accel_scale(250.0 * FACES + 520.0)
+    assert signed is not None
+    assert unsigned is not None
+    assert signed[1] == [20.0, 850.0, 1020.0]
+    assert unsigned[1] == [512.0] * 3
+
+
+@pytest.mark.parametrize(("found", "unit"), [(9.78, "m/s^2"), (1.01, "g"), (995.0, "mg"), (1020.0, None), (4.2, None)])
+def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None) -> None:
+    assert plain_unit(found) == unit
+
+
+def test_pauses_are_no_part_of_the_rate() -> None:
+    t = np.cumsum(np.tile([0.002, 0.018], 2000))
+    t[2000:] += 900.0
+    times = times_of_column(Stamps(column="t", values=t, unit="s"))
+    assert times is not None
+    assert times.rate == pytest.approx(100.0, rel=0.02)
+
+
+def test_a_time_that_counts_the_rows_is_remarked_on() -> None:
+    times = times_of_column(Stamps(column="t", values=np.arange(1.0, 500.0), unit=None))
+    assert times is not None
+    assert times.keys["time_unit"] == "ms"
+    assert any("as a counter of samples does too" in said for said in times.said)
+
+
+def test_a_clock_may_be_one_of_twelve_hours() -> None:
+    cells = ["11:59:59.5 AM", "12:00:01 PM", "1:02:03 pm", "12:00:00 a.m.", "2024-03-01 01:00 PM", "13:00:00"]
+    assert all(map(is_clock, cells))
+    seconds = [43199.5, 43201.0, 46923.0, 0.0, 46800.0, 46800.0]
+    assert (seconds_of(pl.Series(cells), 0) % 86400).to_list() == seconds
+
+
+@pytest.mark.parametrize(
+    ("lines", "copied"),
+    [
+        (["[1, 0.5, -2]", "[2, 0.6, -2],", "[3, 0.7, -2]"], "1, 0.5, -2\n2, 0.6, -2\n3, 0.7, -2\n"),
+        (
+            ["13:02:11.345 -> ms\tax\tay", "13:02:11.350 -> 5\t0.1\t0.2", "13:02:11.355 -> 10\t0.1\t0.3"],
+            "clock\tms\tax\tay\n13:02:11.350\t5\t0.1\t0.2\n13:02:11.355\t10\t0.1\t0.3\n",
+        ),
+    ],
+    ids=["brackets", "serial monitor"],
+)
+def test_rows_come_out_of_what_is_about_them(lines: list[str], copied: str, tmp_path: Path) -> None:
+    log = tmp_path / "log.txt"
+    log.write_text("\n".join([*lines, ""]))
+    found = respelled(log, log.read_bytes(), tmp_path / "session")
+    assert found is not None
+    assert found[0].read_text() == copied
