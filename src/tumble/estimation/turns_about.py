@@ -168,6 +168,15 @@ class TurnsAbout:
                 out[:, 3:, -1] -= by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
         return out
 
+    def in_body(self, gyros: int) -> Array:
+        """∫ β_pb dt (K, n, 15) in the body of the functions of the n gyros; 0 of sums that were not asked for."""
+        moments = self.moments
+        out = np.zeros((len(moments), gyros, FUNCTIONS))
+        out[..., : moments.body.shape[1]] = moments.body[:, None]
+        if moments.body_gyro.shape[-1]:
+            out[..., OWN_SIZE], out[..., OWN_CUBE] = moments.body_gyro[:, 0], moments.body_gyro[:, 1]
+        return out
+
     def growing_columns(self, D: Array) -> Array | None:
         """−∂φ/∂θ and −∂V/∂θ (K, 6, m) of parameters, with ∂K/∂θ, that grow by 1 a second about the middle of the
         turns."""
