@@ -117,9 +117,7 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
     return rows, bias
 
 
-def _spare_rows(
-    problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]
-) -> tuple[Array, Array]:
+def _spare_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]) -> tuple[Array, Array]:
     """What n gyros say of themselves: ∫ (ŷ − Σ_b K_b β_b) dt of all functions but the rate has nothing in the n − 3
     directions that no rate explains. Rows (K, n − 3, ·) of the parameters, and these directions."""
     readings, gyro, turns = problem.observations.turn_readings, problem.instrument.gyro, problem.observations.turns

@@ -52,9 +52,7 @@ class _Carrying:
         stated = SensorModel(matrix=block.nominal().matrix, bias=np.median(observations.rests.gyro, axis=0))
         vertical = verticals(observations)
         miss = _misses(observations, stated, vertical)
-        carrying = _Carrying(
-            observations=observations, channels=channels, stated=stated, vertical=vertical, miss=miss
-        )
+        carrying = _Carrying(observations=observations, channels=channels, stated=stated, vertical=vertical, miss=miss)
         return carrying._less_accelerometer_biases() if carrying.evident else carrying
 
     def _less_accelerometer_biases(self) -> _Carrying:
