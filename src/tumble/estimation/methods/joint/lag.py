@@ -124,7 +124,7 @@ def _resolved(fitted: Fitted, free: Problem, lags: Array) -> tuple[Array, Array,
         weight = _probabilities(lags, deviance)
         if weight.max() < RESOLVED:
             break
-        heavy = weight > 0.5 * RESOLVED
+        heavy = weight > 0.1 * RESOLVED
         between = np.flatnonzero(heavy[1:] | heavy[:-1])
         more = 0.5 * (lags[between] + lags[between + 1])
         others, moved_others = _about(fitted, free, at, more)
