@@ -170,6 +170,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["inspect"], "Missing argument 'SESSION'"),
         (["inspect", "none"], "none/session.toml: expected a session folder"),
         (["inspect", "one", "two"], "Got unexpected extra argument (two)"),
+        (["inspect", "one", "two\nthree"], "Got unexpected extra argument (two three); see `tumble inspect --help`"),
         (["simulate"], "Missing argument 'FOLDER'"),
         (["simulate", ""], "expected a path, found an empty one"),
         (["simulate", "few", *QUICK], "few: expected a new folder, found a session in it"),

@@ -345,6 +345,9 @@ def test_what_cannot_be_verified_is_refused(folders: dict[str, Path]) -> None:
     )
     with pytest.raises(InputError, match="found 4 with other axes"):
         verify_calibration(made, four)
+    one_quadratic = Parameter(name="accel.quadratic.x", value=0.0, u=None, unit="1/(m/s^2)")
+    with pytest.raises(InputError, match="all parameters of a group or none, found no"):
+        verify_calibration(replace(made, parameters=(*made.parameters, one_quadratic)), own)
     session = calibrate(folders["own"], terms="linear")
     from tumble.calibration.results import Launch
 

@@ -45,8 +45,8 @@ def _in_one_line() -> Iterator[None]:
     except TumbleError as error:
         raise _Refused(str(error)) from error
     except click.UsageError as error:
-        if "\n" in error.message:
-            raise  # no arguments: the help
+        if isinstance(error, click.exceptions.NoArgsIsHelpError):
+            raise
         command = error.ctx.command_path if error.ctx else "tumble"
         raise _Refused(f"{error.format_message().rstrip('.')}; see `{command} --help`") from None
     except KeyboardInterrupt:

@@ -197,7 +197,8 @@ def estimated(
     unstamped = session.log.unstamped
     observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u, unstamped=unstamped)
     try:
-        estimate = _with_time_base(method(observations), observations)
+        with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
+            estimate = _with_time_base(method(observations), observations)
         if terms == "linear" and estimate.linearised is not None and unstamped:
             known = replace(observations, usual=_usual(session, observations, "full")[0])
             reasons, remarks = lost_by_velocities(estimate.linearised, known)

@@ -290,7 +290,7 @@ def _beyond(calibration: Calibration, positions: Positions) -> Instrument:
 
 def _accelerometer_names(calibration: Calibration, positions: Positions) -> tuple[str, ...]:
     """The parameters that a reading of the accelerometers at rest depends on, in their order. Raises InputError where
-    the linear ones are not those of the block."""
+    the linear ones are not those of the block, and where a group lacks some."""
     assert calibration.accel is not None
     block = positions.block
     convention = Convention(frame=frame_of(calibration.frame), block=block)
@@ -302,7 +302,13 @@ def _accelerometer_names(calibration: Calibration, positions: Positions) -> tupl
             f"accelerometers, found {block.size} with other axes; verify with recordings of the same device"
         )
     further = _beyond(calibration, positions)
-    return convention.names + further.names[further.linear_count :]
+    names = convention.names + further.names[further.linear_count :]
+    if missing := sorted(set(names).difference(found)):
+        raise InputError(
+            f"calibration of {calibration.serial!r}: expected all parameters of a group or none, found no "
+            f"{missing[0]!r}: the file was changed; calibrate again"
+        )
+    return names
 
 
 def _change(calibration: Calibration, positions: Positions, force: Array) -> Array:

@@ -11,12 +11,13 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from threading import Lock
+from pathlib import Path
+from threading import Lock, get_native_id
 
 _ONE_AT_A_TIME = Lock()
 _STANDARD_ERROR = 2
-LAST_WORDS = 0.1
-"""How long other threads that stop at a damaged file may take to print so: s."""
+LAST_WORDS = 0.1, 2.0
+"""How long other threads that stop at a damaged file may take to begin printing so, and to end: s."""
 _MARK = b" panicked at "
 
 
@@ -34,7 +35,7 @@ def without_panic() -> Iterator[None]:
         try:
             yield
         except BaseException:
-            time.sleep(LAST_WORDS)
+            wait_for_last_words()
             raise
         finally:
             os.dup2(kept, _STANDARD_ERROR)
@@ -44,3 +45,20 @@ def without_panic() -> Iterator[None]:
             if said and _MARK not in said:
                 with suppress(OSError):
                     os.write(_STANDARD_ERROR, said)
+
+
+def wait_for_last_words() -> None:
+    """Waits for other threads to print why they stop."""
+    begun, ended = (time.monotonic() + seconds for seconds in LAST_WORDS)
+    while (now := time.monotonic()) < begun or (now < ended and _others_at_work()):
+        time.sleep(0.01)
+
+
+def _others_at_work() -> bool:
+    """Whether a thread of this process but the one that asks has work to do, as far as the system tells."""
+    tasks = [task for task in Path("/proc/self/task").glob("*/stat") if task.parent.name != str(get_native_id())]
+    for task in tasks:
+        with suppress(OSError):  # ended meanwhile
+            if task.read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0] == "R":
+                return True
+    return False

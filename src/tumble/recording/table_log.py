@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +18,7 @@ from tumble.recording.log_source import (
     readable,
     rows_of_numbers,
 )
-from tumble.recording.panic import LAST_WORDS, without_panic
+from tumble.recording.panic import wait_for_last_words, without_panic
 from tumble.units import Array
 
 _PARQUET_ROWS = 1 << 15
@@ -116,7 +115,7 @@ def _next(batches: Iterator[pl.DataFrame], rows: int) -> pl.DataFrame | None:
     with without_panic():
         table = next(batches, None)
         if table is None and rows:
-            time.sleep(LAST_WORDS)
+            wait_for_last_words()
         return table
 
 

@@ -211,7 +211,7 @@ def _still_spans(
     and the limit of the rate, rad/s."""
     smooth = [_moving_mean(w, window) for w in rates]
     in_quiet = np.concatenate(quiet)
-    densest = _densest(np.concatenate([s[::window][q[::window]] for s, q in zip(smooth, quiet, strict=True)]))
+    densest = _densest(np.concatenate([s[q][::window] for s, q in zip(smooth, quiet, strict=True)]))
     level = [np.broadcast_to(densest, s.shape) for s in smooth]
     spans: list[list[Span]] = [[] for _ in rates]
     still, limit = calm, 0.0
