@@ -260,7 +260,7 @@ def test_accelerometers_in_fourteen_positions_are_accused_of_nothing(
     simulated: Simulated, tmp_path: Path, seed: int
 ) -> None:
     """One degree of freedom is left: a scatter is had by chance, and a cause with three numbers leaves nothing of the
-    residuals, however they are. Of 70 sessions 19 had been refused."""
+    residuals, however they are. Of 70 sessions of an independent simulator 19 had been refused."""
     setup = Setup.of(grade="mems", programme="cube-14", rest=5.0, rate_deg_s=120.0, sample_rate=20.0)
     calibration = calibrated(simulated(setup, seed).without_gyros().write(tmp_path / "session"))
     assert calibration.outcome.verdict == "accepted"
