@@ -126,10 +126,10 @@ def _spare_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[
     if readings is None:
         return np.zeros((len(turns), 0, 1 + problem.width)), np.zeros((0, gyro.size))
     K, D = (of[problem.instrument.accel.size :] for of in model)
-    free = beyond_body(K[:, RATE])
-    beta = about.in_body(gyro.size)
-    beta[..., CONSTANT] = turns.duration[:, None]
-    y = readings.integral - np.einsum("kpb,pb->kp", beta, K) + beta[:, 0, RATE] @ K[:, RATE].T
+    free, beta = beyond_body(K[:, RATE]), about.in_body(gyro.size)
+    beta[..., CONSTANT], beta[..., RATE] = turns.duration[:, None], 0.0
+    y = readings.integral - np.einsum("kpb,pb->kp", beta, K)
+    beta[..., RATE] = (y @ np.linalg.pinv(K[:, RATE]).T)[:, None]
     rows = np.zeros((len(y), gyro.size, 1 + problem.width))
     rows[:, :, : len(point.values)] = np.einsum("kpb,pbm->kpm", beta, D)
     rows[:, :, -1] = y

@@ -73,7 +73,7 @@ def tested(candidate: Candidate, session: LinearisedSession, seen_by: tuple[Proj
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Fit:
+class _Explained:
     """What whitened columns explain: by how much chi-square falls, with how many combinations `q` that are seen, and
     the `values` of the columns, SI."""
 
@@ -82,7 +82,7 @@ class _Fit:
     values: Array
 
 
-def _fitted(columns: Array, projection: Projection, known: float) -> _Fit | None:
+def _fitted(columns: Array, projection: Projection, known: float) -> _Explained | None:
     """Whitened columns by least squares; None where one is not seen better than it is `known`, SI."""
     length = np.sqrt((columns**2).sum(axis=0))
     left = projection.left_of(columns / np.where(length > 0.0, length, 1.0))
@@ -91,7 +91,7 @@ def _fitted(columns: Array, projection: Projection, known: float) -> _Fit | None
     if not seen.any() or 1.0 / np.sqrt(size[seen].min()) > known * length.max():
         return None
     along = directions[:, seen].T @ (left.T @ projection.residual)
-    return _Fit(
+    return _Explained(
         fall=float((along**2 / size[seen]).sum()),
         q=int(seen.sum()),
         values=directions[:, seen] @ (along / size[seen]) / np.where(length > 0.0, length, np.inf),
