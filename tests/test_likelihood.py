@@ -272,12 +272,18 @@ def test_slopes_of_the_variances_are_derivatives(axes: Array) -> None:
     turns = problem.observations.turns
     assert turns is not None
     jerky = replace(turns, aliased=np.linspace(1e-9, 1e-8, len(turns)))
-    problem = replace(problem, observations=replace(problem.observations, turns=jerky))
+    problem = replace(
+        problem, observations=replace(problem.observations, turns=jerky), wandering=(1, 2 * len(axes) - 1)
+    )
     rows = linearise(problem, point, about)
     noise = noise_of(problem, rows)
-    variance = Scatter(accel=2e-4, gyro=1e-5, turn=3e-5, velocity=1e-3, apart=2e-5, jumps=1e-2, aliased=0.5).variances
+    of_turns = Scatter(turn=3e-5, velocity=1e-3, apart=2e-5, jumps=1e-2, aliased=0.5, aliased_apart=0.3)
+    of_biases = Scatter(accel=2e-4, gyro=1e-5, accel_wandering=1e-3, gyro_wandering=5e-5)
+    variance = of_turns.variances + of_biases.variances
     found = variance_slopes(problem, solve(problem, rows, noise.weights(Scatter.of_variances(variance))), noise)
     for a, slopes in enumerate(found):
+        if variance[a] == 0.0:
+            continue
         change = 1e-4 * variance[a] * np.eye(len(variance))[a]
         more, less = (
             np.diag(solve(problem, rows, noise.weights(Scatter.of_variances(variance + each))).covariance)

@@ -32,6 +32,8 @@ Noise. Beside the noise within rests a session has components of variance (`Scat
 of the gyros that differs from rest to rest and lasts through the turn that follows, which makes the rows of a rest and
 of its turn dependent; a scatter of the rotations and of the velocities of the turns, and of what n > 3 gyros say beyond
 the rotation; the error of velocities over forces that jump between samples (A3), and of rotations over rates that do.
+Of an array, sensors whose bias wanders more than that of the others of their kind have a component of their own. Its
+gyros are not read at one instant, so that rates that jump from sample to sample make them disagree, too.
 Rows of a rest and of the turn after it are therefore whitened together.
 """
 
@@ -56,8 +58,15 @@ from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of
 from tumble.units import Array, IntArray
 
-COMPONENTS = ("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased")
+COMPONENTS = (
+    *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart"),
+    *("accel_wandering", "gyro_wandering"),
+)
 """The components of variance, in the order of `Scatter`."""
+OF_TURNS = slice(2, 8)
+"""Those that concern turns alone."""
+WANDERING = 8
+"""How far those of sensors that wander stand from those of the others of their kind."""
 
 OWN: tuple[Variable, ...] = ("time", "launch")
 """What the changes go with that each of several sessions has of its own."""
@@ -85,7 +94,9 @@ class Scatter:
     """Standard deviations on top of the noise within rests: of a bias of the accelerometers (m/s²) and gyros (rad/s)
     from rest to rest, of the rotations (rad) and velocities (m/s) of turns, of the integrals (rad) of gyros beyond the
     rotation of the body, c of (A3), the error of the integral over a jump between samples in parts of its size times
-    the interval, and the error of a rotation in parts of what `aliased` samples would make it."""
+    the interval, the error of a rotation in parts of what `aliased` samples would make it, that of what gyros say
+    beyond it in the same parts, and of a bias from rest to rest of the accelerometers and gyros that wander more than
+    the others."""
 
     accel: float = 0.0
     gyro: float = 0.0
@@ -94,6 +105,9 @@ class Scatter:
     apart: float = 0.0
     jumps: float = 0.0
     aliased: float = 0.0
+    aliased_apart: float = 0.0
+    accel_wandering: float = 0.0
+    gyro_wandering: float = 0.0
 
     @property
     def variances(self) -> Array:
@@ -103,7 +117,7 @@ class Scatter:
     @property
     def of_turns(self) -> float:
         """The largest number of those that concern turns alone: whether there is any."""
-        return float(max(getattr(self, name) for name in COMPONENTS[2:]))
+        return float(max(getattr(self, name) for name in COMPONENTS[OF_TURNS]))
 
     @staticmethod
     def of_variances(variances: Array) -> Scatter:
@@ -221,6 +235,8 @@ class Problem:
     """The lag at which the variables are."""
     lag_known: bool = False
     """Whether the lag is known, so that nothing else is said of it."""
+    wandering: tuple[int, ...] = ()
+    """The channels, accelerometers before gyros, whose bias wanders more than that of the others of their kind."""
 
     @staticmethod
     def of(
@@ -466,7 +482,9 @@ def _noise_of_session(problem: Problem) -> Noise:
     rest = _diagonal(blocks)
     r, stop, t = rest.shape[1], n + rests.gyro.shape[1], problem.rows_of_turn
     v = 3 if problem.instrument.in_velocities else 0
-    component = np.repeat(np.arange(len(COMPONENTS)), [n, stop - n, 3, v, t - v - 3, v, 3])
+    spare = t - v - 3
+    component = np.repeat([0, 1, 2, 3, 4, 5, 7, 6], [n, stop - n, 3, v, spare, v, spare, 3])
+    component[list(problem.wandering)] += WANDERING
     at_rest = np.broadcast_to(np.eye(r, stop), (len(rests), r, stop)), component[:stop]
     turns = observations.turns
     if turns is None or not len(turns):
@@ -477,7 +495,8 @@ def _noise_of_session(problem: Problem) -> Noise:
     Z[:, r:, stop : stop + t] = np.eye(t)
     turned = turns.duration > 0.0  # between the parts of a rest nothing is
     Z[~turned, r : r + 3 + v, stop:] = 0.0
-    Z[:, r + 3 : r + 3 + v, stop + t : -3] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+    Z[:, r + 3 : r + 3 + v, stop + t : stop + t + v] = np.sqrt(turns.jumps)[:, None, None] * np.eye(v)
+    Z[:, r + 3 + v :, stop + t + v : -3] = np.sqrt(turns.aliased)[:, None, None] * np.eye(spare)
     Z[:, r : r + 3, -3:] = np.sqrt(turns.aliased)[:, None, None] * np.eye(3)
     return Noise(
         rest=rest,

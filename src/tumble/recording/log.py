@@ -55,6 +55,7 @@ class Log:
     rate: float
     _sources: tuple[LogSource, ...] = field(repr=False)
     _grids: tuple[Grid, ...] = field(repr=False)
+    _first_stamp: float = field(repr=False)
     _gaps: list[Gap] = field(default_factory=list, repr=False)
 
     @property
@@ -70,7 +71,7 @@ class Log:
             return None
         if spec.clock:
             return self._sources[0].first_date(spec.time)
-        return date_of_unix(float(self._sources[0].head(spec.time, 1)[0]) * spec.time_factor)
+        return date_of_unix(self._first_stamp * spec.time_factor)
 
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
         """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any
@@ -134,7 +135,8 @@ def open_log(session: Session) -> Log:
     sources = tuple(source_of(file, session.log.dialect) for file in session.log.files)
     for source in sources:
         _check_columns(source, session.log)
-    grids = tuple(_grid(source, session.log) for source in sources)
+    heads = [_head(source, session.log) for source in sources]
+    grids = tuple(_grid(source, session.log, head) for source, head in zip(sources, heads, strict=True))
     intervals = [grid.interval for grid in grids]
     for source, interval in zip(sources, intervals, strict=True):
         if abs(interval / intervals[0] - 1.0) > _RATE_TOLERANCE:
@@ -149,7 +151,7 @@ def open_log(session: Session) -> Log:
             f"{intervals[0]:.3g} s; check log.time, log.time_unit or log.rate_hz"
         )
     rate = 1.0 / intervals[0] if session.log.rate is None else session.log.rate
-    return Log(session=session, rate=rate, _sources=sources, _grids=grids)
+    return Log(session=session, rate=rate, _sources=sources, _grids=grids, _first_stamp=float(heads[0][0]))
 
 
 def _part(chunk: Chunk, rows: slice) -> Chunk:
@@ -178,14 +180,19 @@ def _check_columns(source: LogSource, spec: LogSpec) -> None:
             raise LogError(f"{source.path}: expected one column '{column}', found {Counter(names)[column]}; rename one")
 
 
-def _grid(source: LogSource, spec: LogSpec) -> Grid:
-    """The first time of a file and the interval of its samples, s: the median over its first rows, that of the nominal
-    rate, or, of regular rows, and where increments have stamps that are rounded, the mean over all of them."""
+def _head(source: LogSource, spec: LogSpec) -> Array:
+    """The first times of a file, as it has them; of one without, the first numbers of a sensor."""
     head = source.head(spec.time or spec.accel.columns[0], _HEAD_ROWS, clock=spec.clock)
     if not len(head):
         raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
     if len(head) < _SHORTEST_ROWS:
         raise LogError(f"{source.path}: expected at least {_SHORTEST_ROWS} samples, found {len(head)}")
+    return head
+
+
+def _grid(source: LogSource, spec: LogSpec, head: Array) -> Grid:
+    """The first time of a file and the interval of its samples, s: the median over its first rows, that of the nominal
+    rate, or, of regular rows, and where increments have stamps that are rounded, the mean over all of them."""
     if spec.rate is not None:
         return Grid(start=1.0 / spec.rate, interval=1.0 / spec.rate)
     if spec.regular:

@@ -22,7 +22,6 @@ from tumble.recording.panic import wait_for_last_words, without_panic
 from tumble.units import Array
 
 _PARQUET_ROWS = 1 << 15
-_SLICE_ROWS = 1 << 17
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,17 +60,10 @@ class TableLog:
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
         first = 1
-        with readable(self.path):
-            batches = iter(self._scan(columns, clock).collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
-            while (table := _next(batches, self.rows - first + 1)) is not None:
-                self._check_no_nulls(table, first)
-                first += table.height
-                yield table, []
-        if first - 1 != self.rows:
-            raise LogError(
-                f"{self.path}: expected {self.rows} rows, found {first - 1} that can be read: the file is damaged; "
-                "copy or record it again"
-            )
+        for table in self._batches(self._scan(columns, clock)):
+            self._check_no_nulls(table, first)
+            first += table.height
+            yield table, []
 
     def _scan(self, columns: Sequence[str], clock: str | None) -> pl.LazyFrame:
         for column in columns:
@@ -94,12 +86,23 @@ class TableLog:
         return (pl.col(clock) - pl.lit(first)).dt.total_nanoseconds() * 1e-9
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        # in slices: as one scan a file would stay mapped, and count, as a whole
-        for first in range(0, self.rows, _SLICE_ROWS):
-            with readable(self.path), without_panic():
-                table = self.scan().slice(first, _SLICE_ROWS).collect()
+        for table in self._batches(self.scan()):
             with rows_of_numbers(self.path):
                 yield table.with_columns(pl.col(numbers).cast(pl.Float64))
+
+    def _batches(self, scan: pl.LazyFrame) -> Iterator[pl.DataFrame]:
+        """All rows of a scan in order, some at a time."""
+        rows = 0
+        with readable(self.path):
+            batches = iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
+            while (table := _next(batches, self.rows - rows)) is not None:
+                rows += table.height
+                yield table
+        if rows != self.rows:
+            raise LogError(
+                f"{self.path}: expected {self.rows} rows, found {rows} that can be read: the file is damaged; "
+                "copy or record it again"
+            )
 
     def _check_no_nulls(self, table: pl.DataFrame, first: int) -> None:
         for column in table:

@@ -34,8 +34,8 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame]) -> None:
             raise
 
     stream = register_io_source(source, schema=first.schema, validate_schema=True)
-    with whole_file(path) as temporary:
+    with whole_file(path) as temporary, temporary.open("wb") as file:  # by name a thread may make it anew, too late
         try:
-            (stream.sink_csv if ending == ".csv" else stream.sink_parquet)(temporary, maintain_order=True)
+            (stream.sink_csv if ending == ".csv" else stream.sink_parquet)(file, maintain_order=True)
         except Exception as error:
             raise (*failed, error)[0] from None

@@ -108,7 +108,9 @@ def _least_distances(rows: Array, level: Array, limit: float) -> Array:
     for _ in range(50):
         fitted = _least_squares(rows, level, weight)
         distance = np.linalg.norm(level - rows @ fitted, axis=1)
-        weight = 0.1 * limit / np.maximum(distance, 0.1 * limit)
+        before, weight = weight, 0.1 * limit / np.maximum(distance, 0.1 * limit)
+        if np.array_equal(weight, before):
+            break
     return fitted
 
 

@@ -8,8 +8,8 @@ import threading
 import weakref
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
+from io import BufferedRandom
 from itertools import pairwise
-from typing import IO
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class MotionSamples:
         self._columns = 7 + spare  # rate, force, interval, spare
         self._chunks: list[Sequence[Array]] = []
         self._starts: list[int] = []  # the first sample of each of them
-        self._file: IO[bytes] | None = None
+        self._file: BufferedRandom | None = None
         self._parts: list[int] = [0]  # the first sample of each part of the file, and the first behind them
         self._lock = threading.Lock()
         self.count = 0
@@ -60,7 +60,7 @@ class MotionSamples:
 
     def read_with_spare(self, start: int, stop: int) -> tuple[Array, Array, Array, Array]:
         """The same, and what is spare (m, ·)."""
-        rows = np.empty((stop - start, self._columns))
+        rows = np.empty((self._columns, stop - start)).T
         with self._lock:
             if self._file is not None:
                 self._read_from(self._file, start, stop, rows)
@@ -71,13 +71,13 @@ class MotionSamples:
                 np.concatenate(own, axis=1, out=rows[a - start : b - start])
         return rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7:]
 
-    def _read_from(self, file: IO[bytes], start: int, stop: int, rows: Array) -> None:
+    def _read_from(self, file: BufferedRandom, start: int, stop: int, rows: Array) -> None:
         """Those of samples start … stop − 1 that are in the file, into `rows` (stop − start, columns)."""
         for first, end in pairwise(self._parts):
             a, b = max(start, first), min(stop, end)
             for j in range(self._columns if a < b else 0):
                 file.seek(8 * (self._columns * first + j * (end - first) + a - first))
-                rows[a - start : b - start, j] = np.frombuffer(file.read(8 * (b - a)))
+                file.readinto(rows[a - start : b - start, j].data)
 
 
 def _columns_of(chunk: Sequence[Array]) -> list[Array]:

@@ -152,7 +152,7 @@ def _found(reduction: Reduction, accel: Block, gyro: Block | None, pace: _Pace) 
     size = reduction.files[0].size
     window = max(2, round(pace.window * reduction.rate / size))
     to_body = np.linalg.pinv(accel.axes).T
-    specific_force = [f.accel @ to_body for f in reduction.files]
+    specific_force = [_columns(f.accel @ to_body) for f in reduction.files]
     scatter = [_moving_scatter(a, window) for a in specific_force]
     floor = _floor(np.concatenate(scatter))
     scatter_limit = (SCATTER_FACTOR if gyro else FLOOR_FACTOR) * floor + coarse[0]
@@ -163,7 +163,7 @@ def _found(reduction: Reduction, accel: Block, gyro: Block | None, pace: _Pace) 
         spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
         return _assemble(reduction, specific_force, None, spans, coarse, (window, pace), scatter_limit, None, [])
     gyro_to_body = np.linalg.pinv(gyro.axes).T
-    rates = [f.gyro @ gyro_to_body for f in reduction.files if f.gyro is not None]
+    rates = [_columns(f.gyro @ gyro_to_body) for f in reduction.files if f.gyro is not None]
     quiet = [s < QUIET_FACTOR * floor + coarse[0] for s in scatter]
     spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
     off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, (window, pace))
@@ -446,10 +446,15 @@ def _moving_step(values: Array, window: int) -> Array:
 
 def _inner_mean(values: Array, window: int) -> Array:
     """Mean of every `window` consecutive rows."""
-    out = np.zeros((len(values) - window + 1, values.shape[1]))
+    out = np.zeros((len(values) - window + 1, values.shape[1]), order="F")
     for i in range(window):
         out += values[i : len(out) + i]
     return out / window
+
+
+def _columns(vectors: Array) -> Array:
+    """The same vectors (K, 3), column after column in memory: sums over three numbers a row are slow."""
+    return np.asfortranarray(vectors)
 
 
 def _window_of(rows: int, window: int) -> IntArray:

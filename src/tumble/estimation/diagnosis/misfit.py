@@ -78,7 +78,7 @@ GROUPS = (
 )
 
 
-BESIDE = {"turn": ("apart",)}
+BESIDE = {"accel": ("accel_wandering",), "gyro": ("gyro_wandering",), "turn": ("apart",)}
 """Components of scatter whose residuals belong to the group of another."""
 
 
@@ -134,9 +134,14 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     reasons = [
         _too_large(group, ratios[group.component], linearised) for group in larger if _many(group, ratios, linearised)
     ]
+    wandering = list(_wandering(linearised, observations))
+    reasons += [
+        (concerns, f"{said}, more than {MANY:.0f} times the noise") for concerns, said, many in wandering if many
+    ]
     reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < limit]
     remarks = list(_settled(linearised))
     remarks += [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
+    remarks += [(concerns, f"{said}; u contains it") for concerns, said, many in wandering if not many]
     remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
     warm = ("warm-up",) if observations.warm_up is not None else ()
     return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=(*warm, *(cause.name for cause in named)))
@@ -161,6 +166,22 @@ def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
         f"warm-up after power-on: biases {' and '.join(said)}, with a time constant of {settling:.0f} s; "
         "parameters are those of the settled device and u contains what is not known of it; switch on earlier",
     )
+
+
+def _wandering(linearised: Linearised, observations: Observations) -> Iterator[tuple[Concerns, str, bool]]:
+    """The sensors of an array that wander more than the others of their kind, where the estimate has such, and whether
+    they do so beyond use."""
+    problem, first = linearised.problem, 0
+    for block, group in zip(problem.instrument.blocks, GROUPS, strict=False):
+        own = [block.sensors[c - first] for c in problem.wandering if first <= c < first + block.size]
+        first += block.size
+        if own:
+            (size, unit), names = group.unit, ", ".join(f"{block.kind}.bias.{sensor}" for sensor in own)
+            by, others = getattr(linearised.scatter, f"{block.kind}_wandering"), _scatter(group, linearised)
+            said = f"biases {names} wander from rest to rest by {by / size:.2g} {unit}, those of the other "
+            said += f"{WORDS[block.kind]} by {others / size:.2g} {unit}"
+            many = by > max(MANY * _noise(group, observations), NOTHING[block.kind])
+            yield group.concerns, said.replace(" °", "°"), many
 
 
 def _likely(found: list[Cause], ratios: dict[str, float], concerned: set[Concerns]) -> list[Cause]:

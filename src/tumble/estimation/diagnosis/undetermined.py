@@ -11,14 +11,14 @@ from tumble.estimation.causes.cause import Concerns
 from tumble.estimation.common_errors import common_covariance
 from tumble.estimation.estimate import SEEN, Estimate
 from tumble.estimation.observability import faces_and_edges, most_telling, standing
-from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.rotation import onto_body, skew, tangent_basis
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
 from tumble.units import Array
 
 POORLY_KNOWN = 0.05
-"""Of the spreads: a combination of parameters that is known no better is poorly observable."""
+"""Of the spreads: a combination of parameters of a triad that is known no better is poorly observable, and one of
+more sensors where all err alike by as much."""
 
 MOST_LISTED = 21
 """Parameters that are named one by one."""
@@ -46,7 +46,7 @@ def undetermined(
         f"{_combination_said(each, estimate.names)} (known to {100.0 * u:.2g} % of its usual size)"
         for each, u in zip(combinations, known, strict=True)
     )
-    remedy = _gravity_wanted(estimate, observations.site, combinations, known)
+    remedy = _gravity_wanted(estimate, observations, combinations, known)
     if not remedy:
         remedy = _most_helpful(estimate, observations, combinations)
     return [("both", _and(f"poorly observable in this session: {weak}", remedy))]
@@ -72,12 +72,12 @@ def listed(names: Sequence[str]) -> str:
 
 
 def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]:
-    """Combinations (q, m) of the parameters, in units of their spreads, that the data determine poorly or not at all,
-    the worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty
+    """Combinations (q, m) of the parameters, in units of `_spreads`, that the data determine poorly or not at all, the
+    worst first, and how well they are known, in the same units. Poorly is also where the square of the uncertainty
     of scale factors and angles is not small against what the data resolve: u does not hold then, for effects of second
     order count."""
     linear = linear_names(estimate.names)
-    spread = limits_of(linear)
+    spread = _spreads(linear, observations)
     m, covariance = len(linear), estimate.covariance
     if estimate.instrument is not None:  # what is common to all rests no further rest would show
         covariance = covariance - common_covariance(observations, estimate.instrument)
@@ -86,6 +86,14 @@ def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]
     squared = variance * (vectors[angles] ** 2).sum(axis=0) * group_of("accel.axis").limit ** 2
     poor = np.flatnonzero((variance > POORLY_KNOWN**2) | (squared > _resolution(estimate, observations)))[::-1]
     return vectors[:, poor].T, np.sqrt(variance[poor])
+
+
+def _spreads(linear: Sequence[str], observations: Observations) -> Array:
+    """The limits of the parameters, wider by √(n/3) for n sensors of a kind: a combination of unit length of n sensors
+    that err alike is then known as well as one of a triad whose three err by as much."""
+    blocks = (observations.accel_block, observations.gyro_block)
+    wider: dict[str, float] = {block.kind: np.sqrt(block.size / 3.0) for block in blocks if block is not None}
+    return np.asarray(limits_of(linear) * [wider[sensor_kind(name)] for name in linear])
 
 
 def _resolution(estimate: Estimate, observations: Observations) -> float:
@@ -110,11 +118,11 @@ def _combination_said(combination: Array, names: Sequence[str]) -> str:
     return " ".join(parts).removeprefix("+ ")
 
 
-def _gravity_wanted(estimate: Estimate, site: Site, combinations: Array, known: Array) -> str:
+def _gravity_wanted(estimate: Estimate, observations: Observations, combinations: Array, known: Array) -> str:
     """That gravity would determine all poorly determined combinations, where its uncertainty is most of theirs."""
-    linear = linear_names(estimate.names)
+    linear, site = linear_names(estimate.names), observations.site
     scales = np.array([group_name(name) == "accel.scale" for name in linear])
-    by_gravity = combinations @ (scales / limits_of(linear)) * site.gravity_u / site.gravity
+    by_gravity = combinations @ (scales / _spreads(linear, observations)) * site.gravity_u / site.gravity
     if np.all(by_gravity**2 > 0.5 * known**2):
         return f"gravity is known to {site.gravity_u:g} m/s^2 only: give latitude_deg or gravity in [site]"
     return ""

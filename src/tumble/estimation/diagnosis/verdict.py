@@ -54,9 +54,11 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
 def _scattering_rests(estimate: Estimate) -> Iterator[str]:
     """Accelerometers at rest that scatter beyond anything a sensor does."""
     fit = estimate.fits.get("accelerometers")
-    if fit is not None and fit.scatter > SCATTER_LIMIT:
+    wandering = 0.0 if estimate.linearised is None else estimate.linearised.scatter.accel_wandering
+    scatter = wandering if fit is None else max(fit.scatter, wandering)
+    if scatter > SCATTER_LIMIT:
         yield (
-            f"the rests scatter by {fit.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
+            f"the rests scatter by {scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
             "rest, or the accelerometers do not follow the model"
         )
 

@@ -10,6 +10,7 @@ from scipy import special
 from tumble.estimation.likelihood import WARMING, Problem, changing_with
 from tumble.estimation.methods.joint.fit import TOTAL, Fitted, fit_of
 from tumble.estimation.methods.joint.iteration import At, Solved
+from tumble.estimation.methods.joint.wandering import with_wandering
 from tumble.estimation.step import Step
 from tumble.sensors.parameters import Variable
 from tumble.units import Array
@@ -44,7 +45,7 @@ def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
     straight = None if first is None else _warmed(fitted, problem, WARMING[:1], first)
     longest = WARM_UPS[-1] * np.ptp(problem.observations.rests.start)
     if straight is None or straight.settling > longest or _evidence(fitted) - _evidence(straight.fitted) < EVIDENT:
-        return fitted
+        return with_wandering(fitted)
     curved = _warmed(straight.fitted, problem, WARMING, straight.settling, known=TIME_CONSTANT_KNOWN)
     if curved is None or _evidence(straight.fitted) - _evidence(curved.fitted) < CURVED:
         return straight.spread
@@ -63,9 +64,10 @@ class _Warmed:
     @property
     def spread(self) -> Fitted:
         """The solution with what is not known of the time constant in its covariance."""
-        solved = self.fitted.solved
+        fitted = with_wandering(self.fitted)
+        solved = fitted.solved
         step = replace(solved.step, covariance=solved.step.covariance + np.outer(self.by, self.by))
-        return replace(self.fitted, solved=replace(solved, step=step))
+        return replace(fitted, solved=replace(solved, step=step))
 
 
 def _warmed(
