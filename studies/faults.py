@@ -155,7 +155,7 @@ class Bench:
     def words(self, command: str) -> list[str]:
         """A command as a process is given it."""
         filled = command.replace("{out}", str(self.out)).replace("{in}", str(self.inputs))
-        return [sys.executable, "-m", "tumble.cli", *filled.split()]
+        return [sys.executable, "-m", "tumble", *filled.split()]
 
     def started(self, command: str, prepare: Callable[[], object] = _nothing, **how: Any) -> subprocess.Popen[bytes]:
         """A command as a process: a copy of this one, which has imported all it needs."""

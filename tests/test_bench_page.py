@@ -70,7 +70,7 @@ def started(folder: Path, listen: str, *, port: int = 0, host: str = "127.0.0.1"
     arguments = ["bench", str(folder / "launch"), "--listen", listen, "--port", str(port), "--host", host]
     arguments += ["--want", "accel.bias=1mg"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "tumble.cli", *arguments],
+        [sys.executable, "-m", "tumble", *arguments],
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"XDG_STATE_HOME": str(folder / "state")},

@@ -137,7 +137,8 @@ def test_a_source_that_is_taken_leaves_no_folder(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         source = f"udp:127.0.0.1:{taken.getsockname()[1]}"
-        words = ["bench", str(tmp_path / "new"), "--listen", source, "--serial", "A-1", "--port", "0"]
+        device = ["--serial", "A-1", "--latitude", "50"]
+        words = ["bench", str(tmp_path / "new"), "--listen", source, *device, "--port", "0"]
         result = CliRunner().invoke(main, words)
     assert result.exit_code == 2
     assert "expected a port that is free" in result.stderr

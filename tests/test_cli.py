@@ -34,7 +34,7 @@ from tumble.terminal.inspection import inspection_report
 
 HAND = Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=50.0)
 FEW = Setup.of(grade="mems", positions=3, rest=3.0, rate_deg_s=200.0, sample_rate=20.0)
-QUICK = ("--positions", "3", "--rest", "3", "--sample-rate", "20", "--rate", "200")
+QUICK = ("--positions", "3", "--rest", "3", "--sample-rate", "20", "--turn-rate", "200")
 SENSORS = ("ax", "ay", "az", "gx", "gy", "gz")
 
 
@@ -188,9 +188,9 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["simulate", "new", "--rest", "nan"], "rest: expected at least two samples"),
         (["simulate", "new", "--rest", "inf"], "rest: expected at least two samples"),
         (["simulate", "new", "--rest", "1e9"], "session: expected at most 3e+07 samples"),
-        (["simulate", "new", "--rate", "0"], "rate: expected more than 0, in deg/s, found 0"),
-        (["simulate", "new", "--rate", "-10"], "rate: expected more than 0, in deg/s, found -10"),
-        (["simulate", "new", "--rate", "1e-9"], "session: expected at most 3e+07 samples"),
+        (["simulate", "new", "--turn-rate", "0"], "rate: expected more than 0, in deg/s, found 0"),
+        (["simulate", "new", "--turn-rate", "-10"], "rate: expected more than 0, in deg/s, found -10"),
+        (["simulate", "new", "--turn-rate", "1e-9"], "session: expected at most 3e+07 samples"),
         (["simulate", "new", "--sample-rate", "0"], "sample rate: expected more than 0, in Hz, found 0"),
         (["simulate", "new", "--sample-rate", "-50"], "sample rate: expected more than 0, in Hz, found -50"),
         (["simulate", "new", "--sample-rate", "nan"], "sample rate: expected more than 0, in Hz, found nan"),
@@ -586,8 +586,8 @@ def test_no_value_in_session_toml_leads_to_a_traceback(sessions: Path, seed: int
 
 
 def program(*words: object, **settings: Any) -> subprocess.CompletedProcess[str]:
-    """A run of `python -m tumble.cli` in a process of its own."""
-    command = [sys.executable, "-m", "tumble.cli", *map(str, words)]
+    """A run of `python -m tumble` in a process of its own."""
+    command = [sys.executable, "-m", "tumble", *map(str, words)]
     return subprocess.run(command, stderr=subprocess.PIPE, text=True, encoding="utf-8", check=False, **settings)
 
 

@@ -14,13 +14,14 @@ from click.testing import CliRunner
 
 from tumble import cli, compiled, uncompiled
 from tumble.campaigns import triads
-from tumble.estimation import elimination, row_loops
+from tumble.estimation import elimination, residual_loops, row_loops
 from tumble.reduction import kernels, moment_kernels, moments
 from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
 from tumble.sensors import fixed_point
 from tumble.units import Array
 
-MODULES = dict(zip(compiled.LOOPS, (kernels, moment_kernels, elimination, row_loops, triads, fixed_point), strict=True))
+LOOPS = kernels, moment_kernels, elimination, row_loops, residual_loops, triads, fixed_point
+MODULES = dict(zip(compiled.LOOPS, LOOPS, strict=True))
 pytestmark = pytest.mark.skipif(not compiled.record(), reason="the loops are not compiled here")
 
 
@@ -54,16 +55,34 @@ def chain(module: ModuleType) -> list[Array]:
     own, shared = module.put_back(factor, given[2], parameters, covariance, unknowns)
     Z, component = rng.standard_normal((4, 5, 6)), np.array([0, 0, 1, 2, 2, 4])
     whitening = module.whitening(np.tile(np.eye(5), (4, 1, 1)), Z, component, np.array([0.1, 0.0, 0.3, 0.0, 0.2]))
-    slope, information = np.zeros(5), np.zeros((5, 5))
-    module.score(whitening @ Z, component, (Z[:, :, 0].copy(), whitening), slope, information)
     vertical, attitudes = rng.standard_normal((9, 3)), np.zeros((9, 3, 3))
     vertical /= np.linalg.norm(vertical, axis=1)[:, None]
     module.carry(vertical, np.linalg.qr(rng.standard_normal((8, 3, 3)))[0], given[2], 0.1 * np.arange(9.0), attitudes)
-    return [factor, triangle, unknowns, own, shared, whitening, slope, information, attitudes]
+    return [factor, triangle, unknowns, own, shared, whitening, attitudes]
 
 
 def test_elimination_is_that_of_python_to_the_bit() -> None:
     for found, expected in zip(chain(elimination), chain(as_python("estimation/elimination")), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def residuals(module: ModuleType) -> list[Array]:
+    """What a step leaves of rows, of one rest and of two, and what that says of components of variance."""
+    rng = np.random.default_rng(2)
+    known = rng.standard_normal((4, 3)), rng.standard_normal((2, 4, 3, 3)), rng.standard_normal((4, 3, 7))
+    Z, component, step = rng.standard_normal((3, 5, 6)), np.array([0, 0, 1, 2, 2, 4]), rng.standard_normal(7)
+    found, slope, information = [], np.zeros(5), np.zeros((5, 5))
+    for angles in (3, 6):
+        covariance = np.tile(np.eye(5), (3, 1, 1))
+        left = module.leave(rng.standard_normal((3, 5, angles + 8)), np.array([0, 2, 1]), known, step, covariance)
+        module.score(Z, component, (left, covariance), slope, information)
+        found += [left, covariance]
+    return [*found, slope, information]
+
+
+def test_residuals_are_those_of_python_to_the_bit() -> None:
+    every = residuals(as_python("estimation/residual_loops"))
+    for found, expected in zip(residuals(residual_loops), every, strict=True):
         np.testing.assert_array_equal(found, expected)
 
 
@@ -87,7 +106,7 @@ def likelihood_rows(module: ModuleType) -> list[Array]:
     module.add_turns(at, turned, (np.array([1e-5, 2e-5, 0.0]), 9.8, True), (by, by_bias), turns, bias)
     r = np.array([[0.1, -0.2, 3.0], [1e-9, 0.0, 1e-3]])
     moved = module.turned(attitudes, rng.standard_normal((3, 3)))
-    return [rests, turns, bias, moved, module.left_jacobian(r), module.inverse_left_jacobian(r)]
+    return [rests, turns, bias, moved, module.inverse_left_jacobian(r)]
 
 
 def test_rows_of_the_likelihood_are_those_of_python() -> None:

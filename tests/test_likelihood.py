@@ -12,7 +12,7 @@ from formula_setup import device_setup
 from tumble.estimation.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, Scatter, bases, noise_of, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.iteration import heading_information
-from tumble.estimation.row_loops import inverse_left_jacobian, left_jacobian
+from tumble.estimation.row_loops import inverse_left_jacobian
 from tumble.estimation.step import left, solve, variance_slopes
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
@@ -145,10 +145,8 @@ def test_steps_move_a_point_along_its_bases() -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 9.9e-3, 1.01e-2, 0.5, 3.0])
-def test_jacobians_of_the_rotation_group(angle: float) -> None:
-    r = angle * np.array([2.0, -3.0, 6.0]) / 7.0
-    np.testing.assert_allclose(left_jacobian(r) @ inverse_left_jacobian(r), np.eye(3), rtol=0.0, atol=1e-12)
-    step = 1e-6
+def test_the_jacobian_of_rotation_vectors_is_that_of_differences(angle: float) -> None:
+    r, step = angle * np.array([2.0, -3.0, 6.0]) / 7.0, 1e-6
     columns = [
         (
             rotation_vector(rotation_matrix(r + d) @ rotation_matrix(r).T)
@@ -157,7 +155,7 @@ def test_jacobians_of_the_rotation_group(angle: float) -> None:
         / (2.0 * step)
         for d in step * np.eye(3)
     ]
-    np.testing.assert_allclose(left_jacobian(r), np.array(columns).T, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(inverse_left_jacobian(r) @ np.array(columns).T, np.eye(3), rtol=0.0, atol=1e-9)
 
 
 # -------------------- elimination --------------------

@@ -22,13 +22,9 @@ from tumble.reduction.moments import (
     Moments,
     OwnAxes,
     Pieces,
-    accel_columns,
-    accel_own_columns,
     combined,
     delay_column,
     growing_moments,
-    gyro_columns,
-    gyro_own_columns,
     integrate,
     lever_columns,
     moments_of,
@@ -424,6 +420,27 @@ def unit(n: int, p: int, b: int) -> Array:
     return w
 
 
+def gyro_columns(moments: Moments, left_inverse: Array, w: Array) -> tuple[Array, Array]:
+    """∂φ and ∂V (K, 3, m) of gyro parameters with regressors w (n, 13, m), Eq. (A6); of ∂V the linear regressors."""
+    weights = np.tensordot(left_inverse, w, axes=1)
+    return -contracted(moments.Phi, weights), -contracted(moments.Psi, weights[:, : moments.Psi.shape[-1]])
+
+
+def accel_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
+    """∂V (K, 3, m) of accelerometer parameters with regressors w (n, 13, m), Eq. (A6); ∂φ is 0."""
+    return -contracted(moments.Phi, np.tensordot(left_inverse, w, axes=1))
+
+
+def own_columns(moments: Array, left_inverse: Array, w: Array) -> Array:
+    """Columns (K, 3, m) of parameters that add w_p0m |a_p·u| + w_p1m (a_p·u)³, w (n, 2, m), by moments of own axes."""
+    return -contracted(moments, np.einsum("jp,pqm->jqpm", left_inverse, w))
+
+
+def contracted(moments: Array, weights: Array) -> Array:
+    """Σ M_ij… w_j…m (K, 3, m)."""
+    return np.asarray(np.tensordot(moments, weights, axes=weights.ndim - 1))
+
+
 @pytest.mark.parametrize("array", ["triad", "tetrad"])
 def test_regressor_columns_are_the_derivatives_of_a_simulated_turn(array: str) -> None:
     """[FD] of §2: relative to the largest number of the column, to 1e-6."""
@@ -458,10 +475,10 @@ def test_own_axis_columns_are_the_derivatives_of_a_simulated_turn(array: str) ->
             w = np.zeros((n, 2))
             w[p, power] = 1.0
             found = by_simulation(lambda x, w=w: replace(start, accel_own=x * w), 1e-5, CALM, HERTZ)  # type: ignore[misc]
-            V = accel_own_columns(moments, s, w[..., None])
+            V = own_columns(moments.Phi_accel, s, w[..., None])
             np.testing.assert_allclose(found[1], V[0, :, 0], atol=tolerance * np.abs(V).max())
             found = by_simulation(lambda x, w=w: replace(start, gyro_own=x * w), 1e-5, CALM, HERTZ)  # type: ignore[misc]
-            phi, V = gyro_own_columns(moments, s, w[..., None])
+            phi, V = (own_columns(each, s, w[..., None]) for each in (moments.Phi_gyro, moments.Psi_gyro))
             np.testing.assert_allclose(found[0], phi[0, :, 0], atol=tolerance * np.abs(phi).max())
             np.testing.assert_allclose(found[1], V[0, :, 0], atol=tolerance * np.abs(V).max())
 
@@ -574,7 +591,7 @@ def test_columns_of_nonlinear_terms_are_the_derivatives_of_the_kernel() -> None:
         w[p, 7:, 0] = [(2.0 - (a == b)) * TETRAD[p, a] * TETRAD[p, b] for a, b in naive_moments.PAIRS]
         own = np.zeros((4, 2, 3))
         own[p, 0, 2] = own[p, 1, 1] = 1.0
-        columns = accel_own_columns(moments, s, own)
+        columns = own_columns(moments.Phi_accel, s, own)
         columns[..., :1] = accel_columns(moments, s, w)
         for power in range(3):
             terms = np.zeros((4, 3))
@@ -585,7 +602,7 @@ def test_columns_of_nonlinear_terms_are_the_derivatives_of_the_kernel() -> None:
 
             check(by_kernel(pieces, about, 1e-6), np.zeros(3), columns[0, :, power])
 
-        phi, V = gyro_own_columns(moments, s, own)
+        phi, V = (own_columns(each, s, own) for each in (moments.Phi_gyro, moments.Psi_gyro))
         for power in (1, 2):
 
             def about_gyro(x: float, p: int = p, power: int = power) -> Compensation:

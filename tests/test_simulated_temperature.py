@@ -118,7 +118,7 @@ def test_spreads_are_those_of_the_setup_before_those_of_the_grade() -> None:
 
 
 def test_a_ramp_up_and_down_is_calibrated_within_its_uncertainties(tmp_path: Path) -> None:
-    words = ["--grade", "tactical", "--rest", "15", "--rate", "40", "--sample-rate", "50", "--seed", "3"]
+    words = ["--grade", "tactical", "--rest", "15", "--turn-rate", "40", "--sample-rate", "50", "--seed", "3"]
     result = CliRunner().invoke(main, ["simulate", str(tmp_path / "s"), *words, "--temperature", "-10:60:-10"])
     assert result.exit_code == 0
     calibration = calibrate(tmp_path / "s")

@@ -74,7 +74,10 @@ GROUPS = {
 
 EXAMPLES = {
     "apply": ("tumble apply imu-7/calibration.json flight-12 -o corrected.parquet",),
-    "bench": ("tumble bench imu-7 --listen serial:/dev/ttyUSB0:115200", "tumble bench imu-7 --listen udp:5005"),
+    "bench": (
+        "tumble bench imu-7 --listen udp:5005",
+        "tumble bench new --listen serial:/dev/ttyUSB0:115200 --serial A-7 --latitude 56.84",
+    ),
     "budget": ("tumble budget --grade mems --table-error 0.5 --rest 10",),
     "calibrate": (
         "tumble calibrate imu-7",
@@ -91,7 +94,7 @@ EXAMPLES = {
     "fleet": ("tumble fleet 'sessions/*' -o results",),
     "inspect": ("tumble inspect imu-7",),
     "new": ("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7",),
-    "noise": ("tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --rate-hz 100"),
+    "noise": ("tumble noise imu-7", "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --rate 100"),
     "plan": ("tumble plan --grade mems", "tumble plan --positions 12 --axes N,U"),
     "programme": ("tumble programme cube-26 -o sheet.html",),
     "registry": ("tumble registry add imu-7/calibration.json", "tumble registry due"),
@@ -176,8 +179,6 @@ for module in iter_modules(commands.__path__):
     if module.name != "arguments":
         added: click.Command = getattr(import_module(f"tumble.commands.{module.name}"), module.name)
         added.epilog = _examples(EXAMPLES[module.name])
+        for part in getattr(added, "commands", {}).values():
+            part.short_help = first_sentence(part)
         main.add_command(added)
-
-
-if __name__ == "__main__":
-    main()

@@ -16,6 +16,7 @@ LOOPS = (
     "reduction/moment_kernels",
     "estimation/elimination",
     "estimation/row_loops",
+    "estimation/residual_loops",
     "campaigns/triads",
     "sensors/fixed_point",
 )

@@ -60,7 +60,7 @@ def calibrated(folder: Path) -> Calibration:
     target = folder / CALIBRATION_FILE
     words = ["calibrate", "--force", "--out", str(target), "--", str(folder)]
     run = subprocess.run(
-        [sys.executable, "-m", "tumble.cli", *words],
+        [sys.executable, "-m", "tumble", *words],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

@@ -98,8 +98,13 @@ def _make(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any]
         programme, serial = programme or rest.partition("@")[0] or "rough-table", serial or "virtual-1"
         folders.begin(folder, log=log, serial=serial, site=site, programme=programme)
         return
-    if serial is None:
-        raise InputError(f"{folder}: expected --serial with the number of the unit for a new session, found none")
+    told = {"--serial": serial, "--latitude": site.get("latitude_deg")}
+    missing = [option for option, given in told.items() if given is None]
+    if serial is None or missing:
+        raise InputError(
+            f"{folder}: expected --serial (of the unit) and --latitude (of the place) for a new session, found no "
+            f"{' and no '.join(missing)}"
+        )
     log = dict(MOTIONCAL_LOG) if kind == "serial" and rest.endswith(":motioncal") else in_si()
     folders.begin(folder, log=log, serial=serial, site=site, programme=programme)
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-from tumble import usual_setup
 from tumble.commands.arguments import EXISTING_FOLDER, say
 
 GRADES = ["navigation", "tactical", "mems", "consumer"]
@@ -28,13 +27,7 @@ GRADES = ["navigation", "tactical", "mems", "consumer"]
     multiple=True,
     help="Serial number, where SESSION is new; again: for the next SESSION.",
 )
-@click.option(
-    "--latitude",
-    type=float,
-    default=usual_setup.LATITUDE_DEG,
-    show_default=True,
-    help="Of the site, °, of a new session.",
-)
+@click.option("--latitude", type=float, metavar="DEGREES", help="Of the place, ° north, of a new session.")
 @click.option("--gravity", type=float, help="Measured gravity, m/s², of a new session.")
 @click.option("--programme", help="Of a new session; default: free positions.")
 @click.option(
@@ -61,7 +54,7 @@ def bench(
     sessions: tuple[Path, ...],
     listen: tuple[str, ...],
     serial_numbers: tuple[str, ...],
-    latitude: float,
+    latitude: float | None,
     gravity: float | None,
     programme: str | None,
     wanted: tuple[str, ...],
@@ -80,13 +73,13 @@ def bench(
     from tumble.bench.opening import stations_of
     from tumble.bench.serve import serve
 
-    site = {"latitude_deg": latitude} | ({} if gravity is None else {"gravity": gravity})
+    given = {"latitude_deg": latitude, "gravity": gravity}
     stations = partial(
         stations_of,
         sessions,
         listen,
         serials=serial_numbers,
-        site=site,
+        site={key: value for key, value in given.items() if value is not None},
         programme=programme,
         wanted=wanted,
         grade=grade,

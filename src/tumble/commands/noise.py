@@ -18,7 +18,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, say
 @click.option("--gyro", metavar="COLUMNS", help="LOG: columns of the gyros.")
 @click.option("--gyro-unit", default="rad/s", show_default=True, help="LOG: their unit.")
 @click.option("--time", "time_column", metavar="COLUMN", help="LOG: column of the time, s.")
-@click.option("--rate-hz", type=float, help="LOG: sample rate, where there is no time column.")
+@click.option("--rate", type=float, metavar="HZ", help="LOG: samples per second, where there is no time column.")
 @JSON
 def noise(
     recording: Path,
@@ -28,12 +28,12 @@ def noise(
     gyro: str | None,
     gyro_unit: str,
     time_column: str | None,
-    rate_hz: float | None,
+    rate: float | None,
     as_json: bool,
 ) -> None:
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
-    LOG is a .csv (.gz, .zst) or .parquet file; it needs --accel, and --time or --rate-hz.
+    LOG is a .csv (.gz, .zst) or .parquet file; it needs --accel, and --time or --rate.
     """
     from tumble.calibration.quiet_samples import noise
     from tumble.report.allan_picture import plot as draw
@@ -46,7 +46,7 @@ def noise(
         layout = {"accel": {"columns": accel.split(","), "unit": accel_unit}}
         layout |= {"gyro": {"columns": gyro.split(","), "unit": gyro_unit}} if gyro else {}
         layout |= {"time": time_column} if time_column else {}
-        layout |= {"rate_hz": rate_hz} if rate_hz is not None else {}
+        layout |= {"rate_hz": rate} if rate is not None else {}
     found = noise(recording, layout)
     if plot is not None:
         draw(found.panels, plot)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, say
+from tumble.commands.arguments import FILE, number, say
 from tumble.errors import InputError
 from tumble.usual_setup import ON_TABLE
 
@@ -14,10 +14,10 @@ from tumble.usual_setup import ON_TABLE
 @click.command()
 @click.argument("name", metavar="[NAME]", required=False)
 @click.option("--attitude", "attitudes", multiple=True, help="Instead of NAME: a position's attitude code; repeat.")
-@click.option("--rest", type=float, default=ON_TABLE.rest, show_default=True, help="Duration of a rest, s.")
-@click.option("--rate", type=float, default=ON_TABLE.rate_deg_s, show_default=True, help="Rate of the turns, °/s.")
+@number("--rest", ON_TABLE.rest, "Duration of a rest, s.")
+@number("--turn-rate", ON_TABLE.rate_deg_s, "Rate of the turns, °/s.")
 @click.option("-o", "--out", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
-def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: float, out: Path | None) -> None:
+def programme(name: str | None, attitudes: tuple[str, ...], rest: float, turn_rate: float, out: Path | None) -> None:
     """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
     from tumble.programme.positions import programme_of
     from tumble.programme.sheet import write_sheet
@@ -28,8 +28,8 @@ def programme(name: str | None, attitudes: tuple[str, ...], rest: float, rate: f
     if (name is None) == (not attitudes):
         raise InputError("expected either the NAME of a programme or --attitude for each position")
     listed = programme_of(attitudes if name is None else name)
-    table = sheet_table(listed, rest=rest, rate=rate * DEGREE)
+    table = sheet_table(listed, rest=rest, rate=turn_rate * DEGREE)
     if out is not None:
-        write_sheet(out, listed, rest=rest, rate=rate * DEGREE)
+        write_sheet(out, listed, rest=rest, rate=turn_rate * DEGREE)
         say(f"written to {out}")
     print_report(table)

@@ -51,7 +51,13 @@ def registry() -> None:
 @click.option(
     "--state", type=click.Choice(["as-found", "as-left"]), help="Before or after an adjustment, if there is one."
 )
-@click.option("--date", "day", type=_DAY, help="When it was performed; default: when recorded, or the file made.")
+@click.option(
+    "--date",
+    "day",
+    metavar="YYYY-MM-DD",
+    type=_DAY,
+    help="When it was performed; default: when recorded, or the file made.",
+)
 @click.option("--supersedes", metavar="NUMBER", type=_NUMBER, help="The record that this one corrects.")
 @click.option("--reason", help="Why it is corrected.")
 @JSON
@@ -261,7 +267,7 @@ def limits(model: str | None, file: Path | None, as_json: bool, place: str | Non
 
 
 @registry.command()
-@click.option("--on", "day", type=_DAY, help="As on this day; default: today.")
+@click.option("--on", "day", metavar="YYYY-MM-DD", type=_DAY, help="As on this day; default: today.")
 @JSON
 @_place
 def due(day: datetime | None, as_json: bool, place: str | None) -> None:

@@ -19,9 +19,9 @@ from tumble.usual_setup import BY_HAND, ON_TABLE
 @click.option("--grade", default=usual_setup.GRADE, show_default=True, help="navigation, tactical, mems or consumer.")
 @click.option("--rest", type=float, help=f"Duration of a rest, s; default {ON_TABLE.rest:g}, by hand {BY_HAND.rest:g}.")
 @click.option(
-    "--rate",
+    "--turn-rate",
     type=float,
-    help=f"Rate, °/s; default {ON_TABLE.rate_deg_s:g}, by hand {BY_HAND.rate_deg_s:g}.",
+    help=f"Rate of the turns, °/s; default {ON_TABLE.rate_deg_s:g}, by hand {BY_HAND.rate_deg_s:g}.",
 )
 @click.option("--sample-rate", type=float, help=f"Samples per second; default {usual_setup.SAMPLE_RATE:g}.")
 @click.option(
@@ -54,7 +54,7 @@ def simulate(
     positions: int | None,
     grade: str,
     rest: float | None,
-    rate: float | None,
+    turn_rate: float | None,
     sample_rate: float | None,
     table_error: float,
     mounting_error: float,
@@ -78,7 +78,7 @@ def simulate(
         programme=programme,
         positions=positions,
         rest=rest,
-        rate_deg_s=rate,
+        rate_deg_s=turn_rate,
         sample_rate=sample_rate,
         table_error_deg=table_error,
         mounting_error_deg=mounting_error,

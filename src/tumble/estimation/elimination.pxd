@@ -30,12 +30,6 @@ cdef void _put_back(
     const double[:, :, ::1] by_next, const double[:, :, ::1] by, double[:, :] unknowns, double[:, :, :, ::1] own,
     double[:, :, ::1] shared,
 )
-@cython.locals(part=double, along=double, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t, d=Py_ssize_t, k=Py_ssize_t)
-cdef void _score(
-    const double[:, :, ::1] directions, const int64_t[:] component, const double[:, :] residual,
-    const double[:, :, ::1] covariance, double[:, ::1] work, double[::1] product, double[::1] slope,
-    double[:, ::1] information,
-)
 @cython.locals(v=double, part=double, total=double, scale=double, a=Py_ssize_t, b=Py_ssize_t, c=Py_ssize_t, k=Py_ssize_t)
 cdef bint _whiten(
     const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,

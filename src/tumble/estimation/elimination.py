@@ -61,7 +61,10 @@ def eliminate(rest: Array, turn: Array, link: IntArray, counts: BoolArray, facto
     count = _eliminate(
         rest, turn, link, counts, factor, triangle, ROUNDING * ROUNDING, work, carried, kept, length, product
     )
-    fold(kept[:count], triangle)
+    if p < MANY:
+        _fold(kept, product, count, triangle)
+    else:
+        fold(kept[:count], triangle)
 
 
 def fold(rows: Array, triangle: Array) -> None:
@@ -318,50 +321,6 @@ def _whiten(noise: Array, directions: Array, component: IntArray, variance: Arra
                         factors[k, a, b] -= part * factors[k, c, b]
                 factors[k, a, a] = scale
     return True
-
-
-def score(directions: Array, component: IntArray, left: tuple[Array, Array], slope: Array, information: Array) -> None:
-    """Add to the `slope` (5,) and `information` (5, 5) of a restricted likelihood by the variances of its components
-    what residuals r (N, n) of covariance C (N, n, n) say, whitened `directions` Z (N, n, q) being each of a component:
-
-    ½ (|Zᵀ r|² − tr Zᵀ C Z),    ½ Σ (Zᵀ C Z)²
-    """
-    residual, covariance = left
-    work, product = np.zeros(directions.shape[1:]), np.zeros(len(component))
-    _score(directions, component, residual, covariance, work, product, slope, information)
-
-
-def _score(
-    directions: Array,
-    component: IntArray,
-    residual: Array,
-    covariance: Array,
-    work: Array,
-    product: Array,
-    slope: Array,
-    information: Array,
-) -> None:
-    """One residual after the other."""
-    N, n, q = directions.shape[0], directions.shape[1], directions.shape[2]
-    with cython.nogil:
-        for k in range(N):
-            work[:, :] = 0.0
-            for a in range(n):
-                for b in range(n):
-                    part = covariance[k, a, b]
-                    for c in range(q):
-                        work[a, c] += part * directions[k, b, c]
-            for c in range(q):
-                product[:] = 0.0
-                along = 0.0
-                for a in range(n):
-                    part = directions[k, a, c]
-                    along += part * residual[k, a]
-                    for d in range(q):
-                        product[d] += part * work[a, d]
-                slope[component[c]] += 0.5 * (along * along - product[c])
-                for d in range(q):
-                    information[component[c], component[d]] += 0.5 * product[d] * product[d]
 
 
 def _solve_for(inverse: Array, factor: Array, by_next: Array, by: Array, value: Array) -> None:

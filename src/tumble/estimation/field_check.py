@@ -196,14 +196,9 @@ def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where
         point, about = new, integral
     rows = linearise(problem, point, about)
     weight = weights(problem, rows, known.scatter)
-    reduced = _reduced(problem, (rows.rest, rows.merged(_first(problem))), weight)
+    reduced = _reduced(problem, (rows.rest, rows.merged(problem.before_turn)), weight)
     off = np.append(point.gravity, point.values) - problem.measured[0]
     return _Where(problem=problem, point=point, about=about), replace(reduced, d=reduced.d + reduced.R @ off)
-
-
-def _first(problem: Problem) -> IntArray:
-    turns = problem.observations.turns
-    return np.zeros(0, dtype=np.int64) if turns is None else turns.first
 
 
 def _reduced(problem: Problem, rows: tuple[Array, Array], weight: Weights) -> _Reduced:

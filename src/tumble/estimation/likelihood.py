@@ -191,10 +191,25 @@ class Noise:
 
     def weights(self, scatter: Scatter) -> Weights:
         """The weights of the rows with a scatter."""
+        variances = scatter.variances
         return Weights(
-            rest=whitening(self.rest, *self.rest_directions, scatter.variances),
-            merged=whitening(self.merged, *self.merged_directions, scatter.variances),
+            rest=whitening(self.rest, *self.rest_directions, variances),
+            merged=whitening(self.merged, *self.merged_directions, variances),
         )
+
+    def variances_at_rest(self, scatter: Scatter) -> Array:
+        """The variances of the rows of the rests (N, r) with a scatter, and"""
+        return _variances(self.rest, self.rest_directions, scatter)
+
+    def variances_merged(self, scatter: Scatter) -> Array:
+        """those of the merged rows (K, r + t)."""
+        return _variances(self.merged, self.merged_directions, scatter)
+
+
+def _variances(noise: Array, directions: tuple[Array, IntArray], scatter: Scatter) -> Array:
+    """The diagonals (N, n) of N + Σ v Z Zᵀ."""
+    Z, component = directions
+    return np.asarray(np.diagonal(noise, axis1=1, axis2=2) + Z**2 @ scatter.variances[component])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -255,7 +270,7 @@ class Problem:
         link = np.full(len(observations.rests), -1, dtype=np.int64)
         turns = observations.turns
         if turns is not None and len(turns):
-            if np.any(turns.last != turns.first + 1) or len(np.unique(turns.first)) < len(turns):
+            if np.any(turns.last != turns.first + 1) or np.bincount(turns.first).max() > 1:
                 raise ValueError("turns: expected at most one between neighbouring rests, found others")
             link[turns.first] = np.arange(len(turns))
         known = limits_of(instrument.names)
@@ -296,6 +311,12 @@ class Problem:
             (slice(own.start + further, own.stop + further), base, variable) for own, base, variable in self.own.changes
         ]
         return self.instrument.changes + shifted
+
+    @cached_property
+    def before_turn(self) -> IntArray:
+        """The rest (K,) before each turn."""
+        turns = self.observations.turns
+        return np.zeros(0, dtype=np.int64) if turns is None else turns.first
 
     @cached_property
     def lag(self) -> int | None:
@@ -394,7 +415,7 @@ class Problem:
         change = self.warmed(point).goes[1] * self.changes_in(point, 1)
         return np.asarray(change @ D.reshape(-1, D.shape[2]).T).reshape(len(change), *D.shape[:2])
 
-    @property
+    @cached_property
     def spread(self) -> Array:
         """How far the parameters (m,) may reasonably be from nominal."""
         return limits_of(self.instrument.names)

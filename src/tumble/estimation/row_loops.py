@@ -259,14 +259,6 @@ def _turn(attitudes: Array, angles: Array, out: Array, work: Array) -> None:
             _product(E, F, out[i])
 
 
-def left_jacobian(r: Array) -> Array:
-    """J_l(r) (…, 3, 3) of rotation vectors: exp([(r + dr)×]) = exp([J_l dr×]) exp([r×]) to first order in dr."""
-    out = np.zeros((*r.shape, 3))
-    for each, J in zip(r.reshape(-1, 3), out.reshape(-1, 3, 3), strict=True):
-        _left_jacobian(each, J)
-    return out
-
-
 def inverse_left_jacobian(r: Array) -> Array:
     """J_l⁻¹(r) (…, 3, 3); its transpose is J_r⁻¹(r)."""
     out = np.zeros((*r.shape, 3))

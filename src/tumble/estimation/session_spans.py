@@ -25,6 +25,11 @@ class SessionSpan:
         return self.link < 0
 
     @cached_property
+    def last_rests(self) -> IntArray:
+        """The same by number."""
+        return np.flatnonzero(self.last)
+
+    @cached_property
     def first(self) -> IntArray:
         """The rest before each turn."""
         linked = np.flatnonzero(self.link >= 0)

@@ -15,8 +15,8 @@ from scipy.linalg.lapack import dtrtri
 
 from tumble.estimation.elimination import eliminate, fold, put_back
 from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, Weights
-from tumble.estimation.session_spans import SessionSpan
-from tumble.units import Array
+from tumble.estimation.residual_loops import leave
+from tumble.units import Array, IntArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -126,7 +126,7 @@ def joined(problem: Problem, rows: Rows, told: Told) -> Known:
         own=np.array([each[0] for each in own]),
         roots=np.array([each[1] for each in own]),
         square=float(triangle[-1, -1] ** 2),
-        pivots=np.concatenate([*map(np.diag, heads), np.diag(triangle)[:-1]]),
+        pivots=np.concatenate([each.diagonal() for each in (*heads, triangle[:-1])]),
     )
 
 
@@ -143,9 +143,7 @@ def with_own(problem: Problem, session: Array, residual: Array) -> Array:
 def whitened_rows(problem: Problem, rows: Rows, weight: Weights) -> tuple[Array, Array]:
     """The whitened rows of the rests, and of the turns with the rests before them, as the elimination has them: after
     the angles what a session has of its own, then gravity and the common parameters."""
-    turns = problem.observations.turns
-    first = np.zeros(0, dtype=np.int64) if turns is None else turns.first
-    merged = weight.merged @ rows.merged(first)
+    merged = weight.merged @ rows.merged(problem.before_turn)
     return _own_first(problem, weight.rest @ rows.rest, 3), _own_first(problem, merged, 6)
 
 
@@ -174,8 +172,8 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
 def _deviance(problem: Problem, told: Told, known: Known) -> float:
     """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
     own = told.weights.rest[problem.link < 0], told.weights.merged
-    whitened = np.concatenate([np.diagonal(each, axis1=1, axis2=2).ravel() for each in own])
-    pivots = np.abs(np.concatenate([np.diagonal(told.factor, axis1=1, axis2=2).ravel(), known.pivots]))
+    whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in own])
+    pivots = np.abs(np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), known.pivots]))
     return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum()) + known.square)
 
 
@@ -200,69 +198,51 @@ def inverse_of(triangle: Array) -> Array:
 
 def left(problem: Problem, step: Step) -> Left:
     """What a step leaves of the residuals: nothing of rests that do not count."""
-    r = step.told.whitened[0].shape[1]
-    rest, covariance = np.zeros((len(problem.link), r)), np.zeros((len(problem.link), r, r))
-    found = [
-        [_leave(seen, np.concatenate([own, step.parameters]), known) for seen in _seen(step, part)]
-        for part, own, known in zip(problem.parts, step.own, step.roots, strict=True)
-    ]
-    at_rest, merged = ([np.concatenate(each) for each in zip(*of, strict=True)] for of in zip(*found, strict=True))
-    rest[problem.link < 0], covariance[problem.link < 0] = at_rest
-    return Left(rest=(rest, covariance), merged=(merged[0], merged[1]))
+    rest, merged = step.told.whitened
+    of_rests = np.zeros(rest.shape[:2]), np.zeros((*rest.shape[:2], rest.shape[1]))
+    of_merged = np.empty(merged.shape[:2]), np.empty((*merged.shape[:2], merged.shape[1]))
+    known = step.angles, *step.shared
+    for s, part in enumerate(problem.parts):
+        last, others = part.rests.start + part.last_rests, np.concatenate([step.own[s], step.parameters])
+        for rows, first, (residual, covariance), own in (
+            (rest[last], last, of_rests, last),
+            (merged[part.turns], part.rests.start + part.first, of_merged, part.turns),
+        ):
+            predicted = _predicted(rows, step.roots[s])
+            residual[own] = leave(rows, first, known, others, predicted)
+            covariance[own] = predicted
+    return Left(rest=of_rests, merged=of_merged)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Seen:
-    """Whitened rows (M, r, ·), the angles (M, a) in them, their covariances (M, a, a), and those of the angles with the
-    parameters (M, a, p)."""
-
-    rows: Array
-    angles: Array
-    own: Array
-    shared: Array
-
-    def with_parameters(self, covariance: Array) -> Array:
-        """Covariances (M, r, p) of what the rows predict with the parameters, of `covariance` (p, p)."""
-        a, (M, r, _) = self.angles.shape[1], self.rows.shape
-        by = self.rows[:, :, a:-1].reshape(M * r, len(covariance))
-        return np.asarray(self.rows[:, :, :a] @ self.shared + (by @ covariance).reshape(M, r, len(covariance)))
-
-
-def _seen(step: Step, part: SessionSpan) -> tuple[_Seen, _Seen]:
-    """The rests of a session that count, and its merged rows."""
-    (rest, merged), first, last = step.told.whitened, part.first, part.last
-    (own, by_next), shared, angles = step.shared[0][:, part.rests], step.shared[1][part.rests], step.angles[part.rests]
-    both = np.empty((len(first), 6, 6))
-    both[:, :3, :3], both[:, :3, 3:], both[:, 3:, 3:] = own[first], by_next[first], own[first + 1]
-    both[:, 3:, :3] = np.swapaxes(by_next[first], 1, 2)
-    pair, pair_shared = (np.concatenate([of[first], of[first + 1]], axis=1) for of in (angles, shared))
-    return (
-        _Seen(rows=rest[part.rests][last], angles=angles[last], own=own[last], shared=shared[last]),
-        _Seen(rows=merged[part.turns], angles=pair, own=both, shared=pair_shared),
-    )
-
-
-def _leave(seen: _Seen, parameters: Array, root: Array) -> tuple[Array, Array]:
-    """Residuals (M, r) of rows for these parameters, and 1 − A C Aᵀ (M, r, r), C being the covariance of the unknowns,
-    of which that of the parameters has this `root`."""
-    a, (M, r, _) = seen.angles.shape[1], seen.rows.shape
-    by_angle, by = seen.rows[:, :, :a], seen.rows[:, :, a:-1]
-    residual = seen.rows[:, :, -1] - (by_angle @ seen.angles[:, :, None])[:, :, 0] - by @ parameters
-    with_angles = 0.5 * by_angle @ seen.own + by @ np.swapaxes(seen.shared, 1, 2)
-    half = with_angles @ np.swapaxes(by_angle, 1, 2)
-    along = dtrmm(1.0, root.T, by.reshape(M * r, len(root)).T, lower=1).T.reshape(M, r, len(root))
-    return residual, np.eye(r) - half - np.swapaxes(half, 1, 2) - along @ np.swapaxes(along, 1, 2)
+def _predicted(rows: Array, root: Array) -> Array:
+    """Covariances (M, r, r) of what rows predict with unknowns (p,) whose covariance has this `root`, alone."""
+    M, r, _ = rows.shape
+    by = rows[:, :, -1 - len(root) : -1].reshape(M * r, len(root))
+    along = dtrmm(1.0, root.T, by.T, lower=1).T.reshape(M, r, len(root))
+    return np.asarray(along @ np.swapaxes(along, 1, 2))
 
 
 def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
     """Derivatives (c, 1 + m) of the variances of gravity and the parameters by those of the components of scatter: with
     the covariances S of what rows predict with the parameters, Σ (Zᵀ Wᵀ S)² over the directions of a component."""
-    q, slopes = len(problem.own_known), np.zeros((len(COMPONENTS), len(step.parameters)))
+    slopes = np.zeros((len(COMPONENTS), len(step.parameters)))
+    (rest, merged), weights = step.told.whitened, step.told.weights
     (at_rest, of_rest), (of_merged, component) = noise.rest_directions, noise.merged_directions
-    Z = step.told.weights.rest @ at_rest, step.told.weights.merged @ of_merged
     for covariance, part in zip(step.own_covariance, problem.parts, strict=True):
-        rests, turns = _seen(step, part)
-        for seen, of, along in ((rests, of_rest, Z[0][part.rests][part.last]), (turns, component, Z[1][part.turns])):
-            S = seen.with_parameters(covariance)[:, :, q:]
-            np.add.at(slopes, of, ((np.swapaxes(along, 1, 2) @ S) ** 2).sum(axis=0))
+        last, first = part.rests.start + part.last_rests, part.rests.start + part.first
+        of_rests = weights.rest[last] @ at_rest[last], _with_parameters(step, covariance, rest[last], last[:, None])
+        two = np.stack([first, first + 1], axis=1)
+        Z = weights.merged[part.turns] @ of_merged[part.turns]
+        of_turns = Z, _with_parameters(step, covariance, merged[part.turns], two)
+        for of, (Z, S) in ((of_rest, of_rests), (component, of_turns)):
+            np.add.at(slopes, of, ((np.swapaxes(Z, 1, 2) @ S) ** 2).sum(axis=0))
     return slopes
+
+
+def _with_parameters(step: Step, covariance: Array, rows: Array, rests: IntArray) -> Array:
+    """Covariances (M, r, 1 + m) of what whitened rows of some `rests` (M, ·) each predict with gravity and the
+    parameters, of those of a session (p, p)."""
+    M, r, q = *rows.shape[:2], len(covariance) - len(step.parameters)
+    shared = step.shared[1][rests].reshape(M, 3 * rests.shape[1], len(covariance))[:, :, q:]
+    by = rows[:, :, shared.shape[1] : -1].reshape(M * r, len(covariance)) @ covariance[:, q:]
+    return np.asarray(rows[:, :, : shared.shape[1]] @ shared + by.reshape(M, r, len(step.parameters)))

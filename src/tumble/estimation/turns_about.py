@@ -41,6 +41,8 @@ SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
 VELOCITY_SHARE = 0.1  # of the noise of its velocity
 CHANGES_SHARE = 0.1  # of the noise: second order of changes from turn to turn that are not integrated about
 
+_FIRST, _SECOND = np.array(PAIRS).T
+
 Ends = tuple[tuple[Array, Array], tuple[Array, Array]]
 """Specific forces, then rates (K, 3), at rest at the start and at the end of the turns."""
 
@@ -68,7 +70,7 @@ class TurnsAbout:
     ) -> TurnsAbout:
         """The turns of a session, integrated about these values, and about `changes` (K, n, 15) of the coefficients of
         the accelerometers and gyros in each turn."""
-        accel, gyro, K = instrument.accel, instrument.gyro, instrument.all_coefficients(values)
+        accel, gyro, K = instrument.accel, instrument.gyro, instrument.all_coefficients(values).copy()
         assert gyro is not None
         K[: accel.size], K[accel.size :, PRODUCTS] = _compensable(accel, K[: accel.size]), 0.0
         late, own = instrument.delay(values), own_axes(instrument)
@@ -265,16 +267,19 @@ def _compensation(block: Block, K: Array) -> BlockCompensation:
 
 def _square(block: Block, K: Array) -> Array:
     """The part (n,) along each axis of a quadratic form in f, aᵀ (…) a: K₂ where it is K₂ (aᵀf)²."""
-    by_pair = (block.axes[:, k] * block.axes[:, other] for k, other in PAIRS)
-    return np.asarray(sum(K[:, b] * each for b, each in enumerate(by_pair, start=PRODUCTS.start)))
+    return np.asarray((K[:, PRODUCTS] * _products(block)).sum(axis=1))
+
+
+def _products(block: Block) -> Array:
+    """The products (n, 6) of the components of the axes, in the order of PAIRS."""
+    return np.asarray(block.axes[:, _FIRST] * block.axes[:, _SECOND])
 
 
 def _compensable(block: Block, K: Array) -> Array:
     """The coefficients that samples of accelerometers are compensated with: of the products of forces, the square along
     each axis."""
     out, square = K.copy(), _square(block, K)
-    for b, (k, other) in enumerate(PAIRS, start=PRODUCTS.start):
-        out[:, b] = (1.0 if k == other else 2.0) * square * block.axes[:, k] * block.axes[:, other]
+    out[:, PRODUCTS] = np.where(_FIRST == _SECOND, 1.0, 2.0) * square[:, None] * _products(block)
     out[:, RATE] = 0.0
     return out
 

@@ -85,15 +85,13 @@ def new_work(rows: int, linear: int) -> Work:
     """Memory for so many regressors in all, and so many that go with C_m × V too. Each array begins on a line of the
     processor's cache: vectors that straddle two take twice the time."""
     sizes = (16 * ROW, 18 * ROW, rows * ROW, 9 * ROW, _STATE_ROWS * LANES, (rows * 10 + linear * 9 + 27) * LANES)
-    tile, left, right, swept, state, total = (_aligned(size) for size in sizes)
+    memory = np.empty(sum(sizes) + 8 * len(sizes))
+    begin, out = -memory.__array_interface__["data"][0] // 8 % 8, []
+    for size in sizes:
+        out.append(memory[begin : begin + size])
+        begin += -(-size // 8) * 8
+    tile, left, right, swept, state, total = out
     return tile, left, right, swept, state, total
-
-
-def _aligned(size: int) -> Array:
-    """So many numbers from an address that is a multiple of 64."""
-    memory = np.empty(size + 8)
-    begin = -memory.ctypes.data // 8 % 8
-    return memory[begin : begin + size]
 
 
 def integrate_stretches(

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -162,7 +163,7 @@ class OwnAxes:
 NO_OWN_AXES = OwnAxes(gyro=NO_AXES, accel=NO_AXES)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Pieces:
     """Samples of pieces of turns: `rates` (S, 3) rad/s and `forces` (S, 3) m/s² of the body from nominal sensors,
     `intervals` (S,) s; piece j belongs to turn[j] and is samples start[j] … stop[j] − 1. The two samples before a piece
@@ -176,18 +177,28 @@ class Pieces:
     start: IntArray
     stop: IntArray
 
+    @cached_property
+    def stretches(self) -> _kernels.Stretches:
+        """The stretches of all pieces in which the loops integrate them."""
+        return self.stretches_of(slice(None))
+
+    def stretches_of(self, part: slice) -> _kernels.Stretches:
+        """Those of some of the pieces."""
+        starts, stops = (np.ascontiguousarray(x[part], dtype=np.int64) for x in (self.start, self.stop))
+        piece, first, stop = _kernels.stretches_of(starts, stops)
+        return piece + (part.start or 0), first, stop
+
 
 def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
     """Moments of every piece, by the step about the middle attitude (A1).
 
     Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
-    return _integrated(pieces, [(slice(None), compensation)], own)
+    return _integrated(pieces, [(pieces.stretches, compensation)], own)
 
 
-def _integrated(pieces: Pieces, parts: list[tuple[slice, Compensation]], own: OwnAxes) -> Moments:
-    """Moments of every piece, parts of them with compensations of their own."""
-    starts, stops = (np.ascontiguousarray(x, dtype=np.int64) for x in (pieces.start, pieces.stop))
-    count, n, m = len(starts), len(own.gyro), len(own.accel)
+def _integrated(pieces: Pieces, parts: list[tuple[_kernels.Stretches, Compensation]], own: OwnAxes) -> Moments:
+    """Moments of every piece, stretches of them with compensations of their own."""
+    count, n, m = len(pieces.start), len(own.gyro), len(own.accel)
     rows, linear = _kernels.COMMON + 2 * n + 2 * m, _kernels.LINEAR + 2 * n
     attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
     products, moved, sweep = (np.zeros((count, size, 9)) for size in (rows, linear, 3))
@@ -198,9 +209,7 @@ def _integrated(pieces: Pieces, parts: list[tuple[slice, Compensation]], own: Ow
         for each in (pieces.rates, pieces.forces, pieces.intervals, own.gyro, own.accel)
     )
     samples, axes, work = (rates, forces, intervals), (gyros, accels), _kernels.new_work(rows, linear)
-    for part, compensation in parts:
-        piece, first, stop = _kernels.stretches_of(starts[part], stops[part])
-        stretches = piece + (part.start or 0), first, stop
+    for stretches, compensation in parts:
         _kernels.integrate_stretches(samples, stretches, compensation._kernel_model(), axes, sums, work, _kernels.LANES)
     C = np.empty((count, 3, 3))
     _kernels.finish(sums, C)
@@ -293,7 +302,7 @@ def integrate_each(
     """The same with a compensation for each turn."""
     whole = _nothing(len(compensations), compensations[0], own)
     for pieces in batches:
-        parts = [(slice(i, i + 1), compensations[turn]) for i, turn in enumerate(pieces.turn)]
+        parts = [(pieces.stretches_of(slice(i, i + 1)), compensations[turn]) for i, turn in enumerate(pieces.turn)]
         _add(whole, pieces, _integrated(pieces, parts, own))
     return whole
 
@@ -350,29 +359,6 @@ def _add(whole: Moments, pieces: Pieces, moments: Moments) -> None:
 
 
 # Columns -------------------------------------------------------------------------------------------------------
-
-
-def gyro_columns(moments: Moments, left_inverse: Array, w: Array) -> tuple[Array, Array]:
-    """∂φ and ∂V (K, 3, m) of gyro parameters with regressors w (n, 13, m), Eq. (A6); of ∂V the linear regressors."""
-    weights = np.tensordot(left_inverse, w, axes=1)
-    return -_contracted(moments.Phi, weights), -_contracted(moments.Psi, weights[:, : _kernels.LINEAR])
-
-
-def accel_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
-    """∂V (K, 3, m) of accelerometer parameters with regressors w (n, 13, m), Eq. (A6); ∂φ is 0."""
-    return -_contracted(moments.Phi, np.tensordot(left_inverse, w, axes=1))
-
-
-def gyro_own_columns(moments: Moments, left_inverse: Array, w: Array) -> tuple[Array, Array]:
-    """∂φ and ∂V (K, 3, m) of gyro parameters that add w_p0m |a_p·ω| + w_p1m (a_p·ω)³, w (n, 2, m)."""
-    weights = np.einsum("jp,pqm->jqpm", left_inverse, w)
-    return -_contracted(moments.Phi_gyro, weights), -_contracted(moments.Psi_gyro, weights)
-
-
-def accel_own_columns(moments: Moments, left_inverse: Array, w: Array) -> Array:
-    """∂V (K, 3, m) of accelerometer parameters that add w_p0m |a_p·f| + w_p1m (a_p·f)³, w (n, 2, m)."""
-    weights = np.einsum("jp,pqm->jqpm", left_inverse, w)
-    return -_contracted(moments.Phi_accel, weights)
 
 
 def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tuple[Array, Array]) -> Array:

@@ -88,7 +88,7 @@ class Compensator:
             if block is None or model is None:
                 coefficients.append(np.zeros((0, FUNCTIONS)))
                 continue
-            K = instrument.coefficients(block, further)
+            K = instrument.coefficients(block, further).copy()
             K[:, measured_by(block)], K[:, CONSTANT] = model.matrix, K[:, CONSTANT] + model.bias
             coefficients.append(K)
         return Compensator(

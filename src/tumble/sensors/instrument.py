@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -168,15 +168,20 @@ class Instrument:
         return block.model(values[self.own(block)])
 
     def coefficients(self, block: Block, values: Array) -> Array:
-        """K (n, 15) of a block."""
-        model = self.model(block, values)
-        out = np.asarray(self._constant[block.kind] @ values)
-        out[:, CONSTANT], out[:, measured_by(block)] = model.bias, model.matrix
-        return out
+        """K (n, 15) of a block; not to be written to."""
+        K = self.all_coefficients(values)
+        return K[: block.size] if block.kind == "accel" else K[self.accel.size :]
 
     def all_coefficients(self, values: Array) -> Array:
-        """K (n, 15) of accelerometers and gyros."""
-        return np.concatenate([self.coefficients(block, values) for block in self.blocks])
+        """K (n, 15) of accelerometers and gyros; not to be written to."""
+        return _coefficients(self, np.asarray(values, dtype=float).tobytes())
+
+    def _all_coefficients(self, values: Array) -> Array:
+        out = np.concatenate([self._constant[block.kind] @ values for block in self.blocks])
+        for block, rows in zip(self.blocks, (slice(self.accel.size), slice(self.accel.size, None)), strict=False):
+            model = self.model(block, values)
+            out[rows, CONSTANT], out[rows, measured_by(block)] = model.bias, model.matrix
+        return out
 
     def derivative(self, block: Block, values: Array) -> Array:
         """∂K/∂θ (n, 15, m) of a block with respect to all parameters."""
@@ -209,6 +214,14 @@ class Instrument:
             nonzero[CONSTANT], nonzero[measured_by(block)] = True, True
             out[block.kind] = np.flatnonzero(nonzero)
         return out
+
+
+@lru_cache(maxsize=8)
+def _coefficients(instrument: Instrument, values: bytes) -> Array:
+    """`Instrument.all_coefficients`: an estimate asks for those of one point again and again."""
+    out = instrument._all_coefficients(np.frombuffer(values))
+    out.flags.writeable = False
+    return out
 
 
 def measured_by(block: Block) -> slice:

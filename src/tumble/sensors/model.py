@@ -16,7 +16,7 @@ to it, the body axis with the smallest component in d). `accel.axis.3.1` is θ�
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -62,7 +62,7 @@ def thermometers_of(count: int, accel: int, gyro: int) -> tuple[int, ...] | None
     return None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
     """n sensors of one kind with nominal sensing directions `axes` (n, 3) in the body frame, and what their
     parameters are called. Parameter vectors of a block are in the order of `names`. `thermometers` are the numbers of
@@ -72,17 +72,17 @@ class Block:
     axes: Array
     thermometers: tuple[int, ...] = ()
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of sensors."""
         return len(self.axes)
 
-    @property
+    @cached_property
     def triad(self) -> bool:
         """Whether the sensors are three, each along a body axis (in any order and with either sign)."""
         return _along_body_axes(np.asarray(self.axes, dtype=float).tobytes())
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
         return _names(self.kind, self.size, self.triad)
@@ -92,22 +92,22 @@ class Block:
         """What the sensors are called in the names of parameters: x, y, z of a triad, else 0, 1, …"""
         return ("x", "y", "z") if self.triad else tuple(str(p) for p in range(self.size))
 
-    @property
+    @cached_property
     def angles(self) -> tuple[str, ...]:
         """What the axis angles are called in the names of parameters."""
         return _angles(self.kind, self.size, self.triad)
 
-    @property
+    @cached_property
     def channels(self) -> IntArray:
-        """The channel (n,) of each sensor in the order of `sensors`."""
-        return self._channel_of_axis() if self.triad else np.arange(self.size)
+        """The channel (n,) of each sensor in the order of `sensors`: of a triad, which senses body axis 0, 1, 2."""
+        return np.argmax(np.abs(self.axes), axis=0) if self.triad else np.arange(self.size)
 
-    @property
+    @cached_property
     def thermometer(self) -> IntArray:
         """The number of the thermometer of each channel (n,)."""
         return np.array(self.thermometers or self.size * (0,), dtype=np.int64)
 
-    @property
+    @cached_property
     def units(self) -> tuple[str, ...]:
         """SI units of the parameters, in the order of `names`."""
         n = self.size
@@ -123,14 +123,14 @@ class Block:
         bias, scale, angles = values[:n], values[n : 2 * n], values[2 * n :]
         if self.triad:
             rows = (1.0 + scale)[:, None] * axes_matrix(*self._six(angles))
-            return SensorModel(matrix=self.axes @ rows, bias=bias[np.argsort(self._channel_of_axis())])
+            return SensorModel(matrix=self.axes @ rows, bias=bias[self._axis_of_channel])
         rotated = self._rotated(angles)
         return SensorModel(matrix=(1.0 + scale)[:, None] * rotated, bias=np.array(bias))
 
     def parameters(self, model: SensorModel) -> Array:
         """Parameter values of a sensor model given in this block's frame: `model` inverted."""
         if self.triad:
-            order = self._channel_of_axis()
+            order = self.channels
             rows = self.axes.T @ model.matrix
             norms = np.linalg.norm(rows, axis=1)
             six = dict(zip(_ANGLE_PAIRS, axes_angles(rows / norms[:, None]), strict=True))
@@ -142,8 +142,7 @@ class Block:
     def jacobian(self, values: Array) -> Array:
         """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the
         parameters: shape (n, 4, m), so that d(reading) = jacobian · dθ applied to (true, 1); not to be written to."""
-        axes, values = np.ascontiguousarray(self.axes, dtype=float), np.ascontiguousarray(values, dtype=float)
-        return _jacobian(self.kind, axes.tobytes(), values.tobytes())
+        return _jacobian(self, np.asarray(values, dtype=float).tobytes())
 
     def _jacobian(self, values: Array) -> Array:
         n, m = self.size, len(values)
@@ -151,7 +150,7 @@ class Block:
         scale, angles = values[n : 2 * n], values[2 * n :]
         if self.triad:
             six, places = self._six(angles), _FREE_PLACES[self.kind]
-            out[self._channel_of_axis(), 3, np.arange(3)] = 1.0
+            out[self.channels, 3, np.arange(3)] = 1.0
             out[:, :3, 3:6] = self.axes[:, None, :] * axes_matrix(*six).T
             by_row = (self.axes * (1.0 + scale))[:, places // 2]
             out[:, :3, 6:] = by_row[:, None, :] * axes_derivatives(*six)[places].T
@@ -177,9 +176,10 @@ class Block:
             six[place] = angle
         return six
 
-    def _channel_of_axis(self) -> IntArray:
-        """For a triad: which channel senses body axis 0, 1, 2."""
-        return np.asarray(np.argmax(np.abs(self.axes), axis=0))
+    @cached_property
+    def _axis_of_channel(self) -> IntArray:
+        """The place (n,) of each channel in the order of `sensors`."""
+        return np.argsort(self.channels)
 
     def _free_angles(self) -> list[tuple[int, int]]:
         """(sensor, 0 or 1) of every axis angle that is a parameter."""
@@ -225,10 +225,9 @@ def _along_body_axes(axes: bytes) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _jacobian(kind: SensorKind, axes: bytes, values: bytes) -> Array:
-    """`Block.jacobian` of sensing axes (n, 3) and parameters, float64: an estimate asks for that of one point again and
-    again."""
-    out = Block(kind=kind, axes=np.frombuffer(axes).reshape(-1, 3))._jacobian(np.frombuffer(values))
+def _jacobian(block: Block, values: bytes) -> Array:
+    """`Block.jacobian` of parameters, float64: an estimate asks for that of one point again and again."""
+    out = block._jacobian(np.frombuffer(values))
     out.flags.writeable = False
     return out
 
@@ -275,7 +274,7 @@ def to_accelerometer_frame(
     """The same sensors in the frame fixed by the accelerometers (`block`): accelerometer 0 along its nominal
     axis, accelerometer 1 in the nominal plane of 0 and 1; for a triad, X along the X accelerometer and Y in
     the plane of X and Y."""
-    order = block._channel_of_axis() if block.triad else np.arange(block.size)
+    order = block.channels
     signs = np.sign(block.axes[order].sum(axis=1)) if block.triad else np.ones(block.size)
     found = _frame_of(signs[:, None] * accel.matrix[order])
     nominal = _frame_of(signs[:, None] * block.axes[order])

@@ -474,6 +474,12 @@ def shown_in(name: str, unit: str, magnitude: float) -> tuple[float, str]:
 
 def limits_of(parameters: Iterable[str]) -> Array:
     """How far from nominal parameters of these names may reasonably be, SI."""
+    return _limits_of(tuple(parameters)).copy()
+
+
+@lru_cache(maxsize=64)
+def _limits_of(parameters: tuple[str, ...]) -> Array:
+    """The same: every estimate of instruments of one kind asks for it."""
     by_name = {group.name: group.limit for group in groups()}
     return np.array([by_name[group_name(parameter)] for parameter in parameters])
 

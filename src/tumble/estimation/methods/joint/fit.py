@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.estimation.estimate import Fit
 from tumble.estimation.likelihood import COMPONENTS, Problem, Scatter, Weights
 from tumble.estimation.methods.joint.iteration import MAX_ITERATIONS, At, Out, Solved, iterate
-from tumble.estimation.methods.joint.scatter import scatter_of, seen_components
+from tumble.estimation.methods.joint.scatter import CLOSELY, ROUGHLY, Scattered, scatter_of, seen_components
 from tumble.estimation.methods.joint.widening import with_wider_priors
-from tumble.estimation.step import Left, left
-from tumble.units import Array
+from tumble.estimation.step import Left, completed, left
+from tumble.units import Array, BoolArray, IntArray
 
 ROUNDS = 6
 ALL_STEPS = MAX_ITERATIONS * (ROUNDS + 2)  # more than there can be
@@ -48,71 +48,85 @@ class Fitted:
         return self.solved.last.out
 
 
-def fit_of(problem: Problem, start: At, most: int = ALL_STEPS) -> Fitted:
-    """The solution with the scatter that it shows, after so many steps at most."""
-    scatter, components, wide = Scatter(), np.zeros((len(COMPONENTS), len(COMPONENTS))), problem
-    solved = iterate(problem, start, scatter, most)
+def fit_of(problem: Problem, start: At, most: int = ALL_STEPS, guess: Scatter | None = None) -> Fitted:
+    """The solution with the scatter that it shows, after so many steps at most; a `guess` of the scatter saves time."""
+    wide, solved = problem, iterate(problem, start, Scatter(), most)
     increments, steps = solved.increments, len(solved.increments)
-    after = without = left(problem, solved.step), solved.step.told.weights
+    found = Scattered.begun(solved.step, left(problem, solved.step), Scatter())
+    without = found.left, solved.step.told.weights
     seen = seen_components(problem, solved.last.noise, *without)
     for _ in range(ROUNDS):
         at = solved.last
-        found, components, told = scatter_of(wide, at, (solved.step, after[0]), scatter, seen)
-        if found.aliased > MOST_ALIASED:
-            seen &= np.array(COMPONENTS) != "aliased"
-            plain = at.solved(wide, Scatter())
-            found, components, told = scatter_of(wide, at, (plain, left(wide, plain)), Scatter(), seen)
-        wider = with_wider_priors(wide, at, told)
-        if (found == scatter and wider is wide) or steps >= most:
+        shown, wider, seen = _shown(wide, at, found, seen, guess)
+        if (shown.scatter == found.scatter and wider is wide) or steps >= most:
+            found = replace(found, components=shown.components)
             break
-        settled, wide, scatter = wider is wide, wider, found
-        solved = iterate(wide, at.with_priors(wide), scatter, most - steps, told)  # the last step again, with scatter
+        found, settled, wide = shown, wider is wide, wider
+        if not settled:
+            at = at.with_priors(wide)
+            step = completed(wide, at.rows, found.step.told)
+            found = replace(found, step=step, left=left(wide, step))
+        solved = iterate(wide, at, found.scatter, most - steps, found.step)  # the last step again, with scatter
         increments, steps = increments[:-1] + solved.increments, steps + len(solved.increments)
-        after = left(wide, solved.step), solved.step.told.weights
+        if solved.step is not found.step:
+            found = replace(found, step=solved.step, left=left(wide, solved.step))
         if settled and len(solved.increments) == 1:
             break
     return Fitted(
         problem=wide,
         solved=solved,
-        left=after,
+        left=(found.left, solved.step.told.weights),
         without=without,
-        scatter=scatter,
-        components=components,
-        fits=_fits(wide, after[0], scatter, without[0]),
+        scatter=found.scatter,
+        components=found.components,
+        fits=_fits(wide, found.left, found.scatter, without[0]),
         increments=increments,
         settled=steps < most,
     )
 
 
-def _parts(problem: Problem, after: Left) -> Iterator[list[tuple[Array, Array]]]:
-    """Residuals and their covariances of the groups, in the order of GROUPS: of the rests that no turn follows, and of
-    the others."""
-    n = problem.observations.accel_block.size
-    stop = n + problem.observations.rests.gyro.shape[1]
-    r = after.rest[0].shape[1]
-    last = problem.link < 0
-    for part in (slice(0, n), slice(n, stop)):
-        yield [
-            (residual[:, part], covariance[:, part, part])
-            for residual, covariance in ((after.rest[0][last], after.rest[1][last]), after.merged)
-        ]
-    v = r + 6 if problem.instrument.in_velocities else r + 3
-    for rows in (np.r_[r : r + 3, v : after.merged[0].shape[1]], np.arange(r + 3, v)):
-        yield [(after.merged[0][:, rows], after.merged[1][:, rows[:, None], rows])]
+def _shown(
+    problem: Problem, at: At, begun: Scattered, seen: BoolArray, guess: Scatter | None
+) -> tuple[Scattered, Problem, BoolArray]:
+    """The scatter that a linearisation shows, the problem with the priors that go with it, and the components seen."""
+    found = scatter_of(problem, at, begun, seen, ROUGHLY, guess)
+    if found.scatter.aliased > MOST_ALIASED:
+        seen = seen & (np.array(COMPONENTS) != "aliased")
+        plain = at.solved(problem, Scatter())
+        found = scatter_of(problem, at, Scattered.begun(plain, left(problem, plain), Scatter()), seen, ROUGHLY)
+    wider = with_wider_priors(problem, at, found.step.told)
+    if wider is problem:
+        found = scatter_of(problem, at, found, seen, CLOSELY)
+    return found, wider, seen
+
+
+def _rows_of(problem: Problem, after: Left) -> list[IntArray]:
+    """The rows, of a turn with the rest before it, of the groups, in the order of GROUPS."""
+    n, r, rows = problem.observations.accel_block.size, after.rest[0].shape[1], np.arange(after.merged[0].shape[1])
+    stop, v = n + problem.observations.rests.gyro.shape[1], r + 6 if problem.instrument.in_velocities else r + 3
+    return [rows[:n], rows[n:stop], np.r_[r : r + 3, v : len(rows)], rows[r + 3 : v]]
 
 
 def _fits(problem: Problem, after: Left, scatter: Scatter, without: Left) -> dict[str, Fit]:
     """Chi-square of every group there is, and of everything with the noise within rests alone."""
-    found = [
-        (name, _fit(part, getattr(scatter, component), unit))
-        for name, component, unit, part in zip(GROUPS, SCATTER_OF, SCATTER_UNITS, _parts(problem, after), strict=True)
-    ]
+    rows, (squares, expected) = _rows_of(problem, after), _sums(after)
     there = 1 if problem.observations.gyro_block is None else 4 if problem.instrument.in_velocities else 3
-    out = dict(found[:there])
-    return out | {TOTAL: _fit([one for part in _parts(problem, without) for one in part], 0.0, "")}
+    out = {
+        name: _fit(squares[own], expected[own], getattr(scatter, component), unit)
+        for name, component, unit, own in zip(GROUPS[:there], SCATTER_OF, SCATTER_UNITS, rows, strict=False)
+    }
+    squares, expected = (of[np.concatenate(rows)] for of in _sums(without))
+    return out | {TOTAL: _fit(squares, expected, 0.0, "")}
 
 
-def _fit(parts: list[tuple[Array, Array]], scatter: float, unit: str) -> Fit:
-    squares = float(sum((residual**2).sum() for residual, _ in parts))
-    expected = float(sum(np.trace(covariance, axis1=1, axis2=2).sum() for _, covariance in parts))
-    return Fit(chi_square=squares, degrees=expected, scatter=scatter, scatter_unit=unit)
+def _sums(after: Left) -> tuple[Array, Array]:
+    """Sums (r + t,) over the rests and turns of the squares of residuals, and of their variances."""
+    (rest, at_rest), (merged, of_merged) = after.rest, after.merged
+    squares, expected = np.einsum("ka,ka->a", merged, merged), np.einsum("kaa->a", of_merged)
+    squares[: rest.shape[1]] += np.einsum("ka,ka->a", rest, rest)
+    expected[: rest.shape[1]] += np.einsum("kaa->a", at_rest)
+    return squares, expected
+
+
+def _fit(squares: Array, expected: Array, scatter: float, unit: str) -> Fit:
+    return Fit(chi_square=float(squares.sum()), degrees=float(expected.sum()), scatter=scatter, scatter_unit=unit)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tumble.estimation.likelihood import Noise, Point, Problem, Rows, Scatter, noise_of
 from tumble.estimation.linearisation import linearise, with_priors
-from tumble.estimation.step import Step, Told, completed, solve
+from tumble.estimation.step import Step, solve
 from tumble.estimation.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
@@ -102,10 +102,12 @@ class Solved:
     increments: tuple[Array, ...]
 
 
-def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS, told: Told | None = None) -> Solved:
-    """Gauss–Newton with this scatter, by so many steps at most, and with what the first rows have `told` already."""
+def iterate(
+    problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIONS, first: Step | None = None
+) -> Solved:
+    """Gauss–Newton with this scatter, by so many steps at most, of which the `first` may be known already."""
     increments: list[Array] = []
-    step = at.solved(problem, scatter) if told is None else completed(problem, at.rows, told)
+    step = at.solved(problem, scatter) if first is None else first
     while True:
         point, change = moved(problem, at.point, step)
         increments.append(change)
@@ -118,7 +120,7 @@ def iterate(problem: Problem, at: At, scatter: Scatter, most: int = MAX_ITERATIO
 
 def negligible(problem: Problem, step: Step) -> bool:
     """Whether what is left to do after a step is: Gauss–Newton squares the error, in units of the spreads."""
-    change, u = np.abs(step.parameters[1:]), np.sqrt(np.diag(step.covariance)[1:])
+    change, u = np.abs(step.parameters[1:]), np.sqrt(step.covariance.diagonal()[1:])
     after = change * min(1.0, SQUARED * float(np.max(change / problem.spread)))
     return bool(np.all(after <= CONVERGED * u + 1e-15))
 
@@ -127,10 +129,11 @@ def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
     parameters. Chains whose heading is hardly seen keep it."""
     share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
-    angles = share * step.angles
-    seen = np.bincount(problem.chain, heading_information(problem, step))
-    mean = np.bincount(problem.chain, angles[:, 2]) / np.bincount(problem.chain)
-    angles[:, 2] -= np.where(seen < UNSEEN**-2, mean, 0.0)[problem.chain]
+    angles, chain = share * step.angles, problem.chain
+    hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2
+    if hidden.any():
+        mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
+        angles[:, 2] -= np.where(hidden, mean, 0.0)[chain]
     return point.moved(share * step.parameters, angles, share * step.own), share * step.parameters[1:]
 
 
@@ -139,9 +142,8 @@ def heading_information(problem: Problem, step: Step) -> Array:
     rest, merged = step.told.whitened
     n = problem.observations.accel_block.size
     own = (rest[:, n:, 2] ** 2).sum(axis=1)
-    linked = problem.link >= 0
-    of_both = merged[problem.link[linked], n:, 2] + merged[problem.link[linked], n:, 5]
-    own[linked] = (of_both**2).sum(axis=1)
+    of_both = merged[:, n:, 2] + merged[:, n:, 5]
+    own[problem.before_turn] = (of_both**2).sum(axis=1)
     return np.asarray(own)
 
 

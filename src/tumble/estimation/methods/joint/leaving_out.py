@@ -27,48 +27,46 @@ STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 with
 LEAST_CHANCE = 1e-300
 
 
-def _judged(fitted: Fitted, left_of: tuple[Left, Weights]) -> Iterator[tuple[Array, Array]]:
+def _judged(fitted: Fitted, left_of: tuple[Left, Weights], scatter: Scatter) -> Iterator[tuple[Array, Array]]:
     """Of accelerometers and gyros at rest, by rest, and of the turns, by turn: by how much chi-square falls without
-    them, and in how many directions they have residuals."""
+    them, and in how many directions they have residuals, where weights are those with a `scatter`."""
     problem, out, (after, weight) = fitted.problem, fitted.out, left_of
-    n = problem.observations.accel_block.size
-    stop = n + problem.observations.rests.gyro.shape[1]
-    r, linked = after.rest[0].shape[1], problem.link >= 0
-    last = fitted.solved.last
-    noise = noise_of(problem, last.rows) if out.any else last.noise
-    at_rest, merged = (
-        _pulls(*found) for found in ((weight.rest, after.rest, noise.rest), (weight.merged, after.merged, noise.merged))
-    )
+    n, last = problem.observations.accel_block.size, fitted.solved.last
+    stop, r = n + problem.observations.rests.gyro.shape[1], after.rest[0].shape[1]
+    plain = noise_of(problem, last.rows) if out.any else last.noise
+    at_rest = _pulls(weight.rest, after.rest, last.noise.variances_at_rest(scatter), plain.rest)
+    merged = _pulls(weight.merged, after.merged, last.noise.variances_merged(scatter), plain.merged)
     for part in (slice(0, n), slice(n, stop)):
         rows = at_rest.part(part)
         for own, of_turn in zip(rows, merged.part(part), strict=True):
-            own[linked] = of_turn[problem.link[linked]]
+            own[problem.before_turn] = of_turn
         yield _falls(rows, out.rest)
     yield _falls(merged.part(slice(r, None)), out.turn)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Pulls:
-    """Of rows (N, r): the pull P r on them, the block of P, their covariance, and what is added to its diagonal where
-    they are left out."""
+    """Of rows (N, r): the pull P r on them, the block of P, their standard deviations, and what is added to their
+    variances where they are left out."""
 
     pull: Array
     projector: Array
-    noise: Array
+    size: Array
     left_out: Array
 
     def part(self, rows: slice) -> tuple[Array, Array, Array, Array]:
         """The same of some of the rows."""
-        of = self.projector[:, rows, rows].copy(), self.noise[:, rows, rows].copy()
-        return self.pull[:, rows].copy(), *of, self.left_out[:, rows].copy()
+        own = self.pull[:, rows], self.projector[:, rows, rows], self.size[:, rows], self.left_out[:, rows]
+        pull, projector, size, left_out = (each.copy() for each in own)
+        return pull, projector, size, left_out
 
 
-def _pulls(W: Array, left_of: tuple[Array, Array], noise: Array) -> _Pulls:
+def _pulls(W: Array, left_of: tuple[Array, Array], variances: Array, noise: Array) -> _Pulls:
     back = np.swapaxes(W, 1, 2)
     return _Pulls(
-        pull=np.einsum("kab,kb->ka", back, left_of[0]),
+        pull=(back @ left_of[0][:, :, None])[:, :, 0],
         projector=back @ left_of[1] @ W,
-        noise=np.asarray(np.linalg.inv(back @ W)),
+        size=np.sqrt(variances),
         left_out=LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2),
     )
 
@@ -76,10 +74,9 @@ def _pulls(W: Array, left_of: tuple[Array, Array], noise: Array) -> _Pulls:
 def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tuple[Array, Array]:
     """Falls of chi-square (N,) without rows, see `_Pulls`, and directions (N,) in which they have residuals; of those
     that are left out, the chi-square of their readings about what all others predict."""
-    pull, Q, noise, inflation = rows
+    pull, Q, size, inflation = rows
     if not pull.size:
         return np.zeros(len(left_out)), np.zeros(len(left_out), dtype=np.int64)
-    size = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
     variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
     seen = variance > FREE
     square = np.einsum("ia,iab->ib", pull * size, directions) ** 2
@@ -100,7 +97,7 @@ def sigmas_of(fitted: Fitted, scatter: Scatter) -> tuple[Array, Array, Array]:
     Groups that have a `scatter` when nothing is left out are judged by their own scale: that they have none without
     some of them may be by choice of these."""
     out, found = fitted.out, []
-    judged = _judged(fitted, fitted.left)
+    judged = _judged(fitted, fitted.left, fitted.scatter)
     scales = (scatter.accel, scatter.gyro, scatter.of_turns)
     for (fall, count), left_out, name, scale in zip(
         judged, (out.rest, out.rest, out.turn), GROUPS[:3], scales, strict=True
@@ -121,7 +118,7 @@ def _suspect(fitted: Fitted) -> Out | None:
     scales = (scatter.accel, scatter.gyro, scatter.of_turns)
     if not any(scales):
         return None
-    judged = _judged(fitted, fitted.without)
+    judged = _judged(fitted, fitted.without, Scatter())
     for group, ((fall, count), left_out, scale) in enumerate(
         zip(judged, (out.rest, out.rest, out.turn), scales, strict=True)
     ):

@@ -7,13 +7,15 @@ SCATTER_PROBABILITY.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import special
 
-from tumble.estimation.elimination import score
 from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Scatter, Weights
 from tumble.estimation.methods.joint.iteration import At
-from tumble.estimation.step import Left, Step, Told, left
+from tumble.estimation.residual_loops import score
+from tumble.estimation.step import Left, Step, left
 from tumble.units import Array, BoolArray
 
 SCATTER_PROBABILITY = 0.25
@@ -21,7 +23,8 @@ SCATTER_PROBABILITY = 0.25
 median would find scatter in most sessions that have none, and give intervals that cover too much; a strict one would
 miss scatter that is there."""
 SCATTER_STEPS = 40
-SCATTER_CONVERGED = 0.02  # of the standard deviation of a component of variance
+CLOSELY = 5e-4  # of the standard deviation of a component of variance: what a step would still change
+ROUGHLY = 0.005  # likewise, where priors that are about to be widened will change it anyway
 FURTHEST = 1e3  # of it, that a step may go: two components that nearly are one would send each other anywhere
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
@@ -41,47 +44,68 @@ def seen_components(problem: Problem, noise: Noise, after: Left, weight: Weights
     return np.asarray(degrees > LEAST_DEGREES)
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Scattered:
+    """The components of scatter, the covariance (c, c) of their variances, the step with them and what it leaves, and
+    the `share` of a step of scoring that was right."""
+
+    scatter: Scatter
+    components: Array
+    step: Step
+    left: Left
+    share: float = 1.0
+
+    @staticmethod
+    def begun(step: Step, after: Left, scatter: Scatter, share: float = 1.0) -> Scattered:
+        """Where a search begins, with a scatter."""
+        none = np.zeros((len(COMPONENTS), len(COMPONENTS)))
+        return Scattered(scatter=scatter, components=none, step=step, left=after, share=share)
+
+
 def scatter_of(
-    problem: Problem, at: At, begun: tuple[Step, Left], start: Scatter, seen: BoolArray
-) -> tuple[Scatter, Array, Told]:
-    """The components of scatter that are `seen` (c,) by restricted maximum likelihood at one linearisation, from a
-    start, of which the step and what it leaves are known; the covariance (c, c) of their variances, and what the rows
-    tell with them. Steps of Fisher scoring, halved while the likelihood falls. The information lacks what rests and
-    turns tell of each other: `share` is the part that it was of how the score fell in the step before."""
-    step, after = begun
-    variance, share = start.variances, 1.0
-    active = variance > 0.0
+    problem: Problem, at: At, begun: Scattered, seen: BoolArray, within: float, guess: Scatter | None = None
+) -> Scattered:
+    """The components of scatter that are `seen` (c,) by restricted maximum likelihood at one linearisation, from those
+    with which it has `begun`, `within` so much; where there were none, by way of a `guess`. Steps of Fisher scoring,
+    halved while the likelihood falls. The information lacks what rests and turns tell of each other: only a `share` of
+    a step is right, the part that the change before was of how much less the scoring asked for after it, as if what it
+    asks for were linear."""
+    step, after, share, found, variance = begun.step, begun.left, begun.share, begun.scatter, begun.scatter.variances
+    active, change, before = variance > 0.0, np.zeros_like(variance), np.zeros_like(variance)
     deviance, slope, information = step.deviance, *_scored(problem, at, step, after)
     if not active.any():
-        size = np.sqrt(np.where(np.diag(information) > 0.0, np.diag(information), np.inf))
+        size = np.sqrt(np.where(information.diagonal() > 0.0, information.diagonal(), np.inf))
         active = seen & (slope / size > -special.ndtri(SCATTER_PROBABILITY))
     for _ in range(SCATTER_STEPS):
         active &= (variance > 0.0) | (slope > 0.0)
         if not active.any():
             break
-        index = np.ix_(active, active)
-        change = np.zeros_like(variance)
-        change[active] = share * np.linalg.solve(information[index], slope[active])
-        deviation = np.where(active, 1.0 / np.sqrt(np.where(active, np.diag(information), 1.0)), np.inf)
-        wanted = np.clip(variance + change, 0.0, variance + FURTHEST * deviation)
-        before, above = variance, slope
+        scoring = np.zeros_like(variance)
+        scoring[active] = np.linalg.solve(information[np.ix_(active, active)], slope[active])
+        change[~active] = 0.0
+        if change.any():
+            expected, less = change @ information @ change, change @ information @ (before - scoring)
+            share = float(np.clip(expected / less, *SHARES)) if less > 0.0 else SHARES[1]
+        deviation = np.where(active, 1.0 / np.sqrt(np.where(active, information.diagonal(), 1.0)), np.inf)
+        wanted = np.clip(variance + share * scoring, 0.0, variance + FURTHEST * deviation)
+        if np.all(np.abs(wanted - variance) <= within * deviation):
+            break
+        if guess is not None and not variance.any():
+            wanted = np.where(active & (guess.variances > 0.0), guess.variances, wanted)
+        before, old = scoring, variance
         for _ in range(5):
-            variance = wanted
-            step = at.solved(problem, Scatter.of_variances(variance))
+            found, variance = Scatter.of_variances(wanted), wanted
+            step = at.solved(problem, found)
             if step.deviance <= deviance + 1e-6:
                 break
-            wanted = 0.5 * (wanted + before)
-        deviance, slope, information = step.deviance, *_scored(problem, at, step, left(problem, step))
-        change = np.where(active, variance - before, 0.0)
-        if np.all(np.abs(change) <= SCATTER_CONVERGED * deviation):
-            break
-        expected, fallen = change @ information @ change, change @ (above - slope)
-        share = float(np.clip(expected / fallen, *SHARES)) if fallen > 0.0 else SHARES[1]
+            wanted = 0.5 * (wanted + old)
+        after, change = left(problem, step), variance - old
+        deviance, slope, information = step.deviance, *_scored(problem, at, step, after)
     active = variance > 0.0
     components = np.zeros((len(COMPONENTS), len(COMPONENTS)))
     if active.any():
         components[np.ix_(active, active)] = np.linalg.inv(information[np.ix_(active, active)])
-    return Scatter.of_variances(variance), components, step.told
+    return Scattered(scatter=found, components=components, step=step, left=after, share=share)
 
 
 def _scored(problem: Problem, at: At, step: Step, after: Left) -> tuple[Array, Array]:

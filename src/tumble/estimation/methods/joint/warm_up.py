@@ -78,7 +78,7 @@ def _warmed(
     settling, found, by = first, fitted, np.zeros(0)
     for _ in range(WARM_UP_ROUNDS):
         before, warm = settling, _settling(problem, settling, variables)
-        found = fit_of(warm, _without_own(warm, found.solved))
+        found = fit_of(warm, _without_own(warm, found.solved), guess=found.scatter)
         closest = _closest(found, settling, variables, (first, known))
         if closest is None:
             return None
