@@ -14,7 +14,7 @@ from tumble.estimation.turns_about import TurnsAbout
 from tumble.estimation.variables import GROWING
 from tumble.rotation import UP, rotation_vector
 from tumble.sensors.model import beyond_body
-from tumble.sensors.parameters import CONSTANT
+from tumble.sensors.parameters import CONSTANT, RATE
 from tumble.units import Array
 
 
@@ -104,7 +104,7 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
     assert turns is not None
     by = about.rows(instrument, point.values, model, problem.width)
     _add_changes(problem, point, by, 0, 1, about.growing_columns(model[1]))
-    (spare, free), t = _spare_rows(problem, point, model[1]), 6 if instrument.in_velocities else 3
+    (spare, free), t = _spare_rows(problem, point, about, model), 6 if instrument.in_velocities else 3
     rows = np.zeros((len(turns), problem.rows_of_turn, 8 + problem.width))
     bias = np.zeros((len(turns), problem.rows_of_turn, about.paths.shape[2]))
     ends, turned = (point.attitudes, turns.first, turns.last), (about.C, turns.duration, problem.earth_turned)
@@ -117,20 +117,21 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
     return rows, bias
 
 
-def _spare_rows(problem: Problem, point: Point, D: Array) -> tuple[Array, Array]:
-    """What n gyros say of themselves: ∫ ŷ dt − b T has nothing in the n − 3 directions that no rate explains. Rows
-    (K, n − 3, ·) of the parameters, and these directions."""
+def _spare_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]) -> tuple[Array, Array]:
+    """What n gyros say of themselves: ∫ (ŷ − Σ_b K_b β_b) dt of all functions but the rate has nothing in the n − 3
+    directions that no rate explains. Rows (K, n − 3, ·) of the parameters, and these directions."""
     readings, gyro, turns = problem.observations.turn_readings, problem.instrument.gyro, problem.observations.turns
     assert gyro is not None
     assert turns is not None
     if readings is None:
         return np.zeros((len(turns), 0, 1 + problem.width)), np.zeros((0, gyro.size))
-    model = problem.gyro_model(point.values)
-    free = beyond_body(model.matrix)
-    y = readings.integral - np.outer(turns.duration, model.bias)
-    beta = np.column_stack([turns.duration, y @ model.inverse().T])
+    K, D = (of[problem.instrument.accel.size :] for of in model)
+    free, beta = beyond_body(K[:, RATE]), about.in_body(gyro.size)
+    beta[..., CONSTANT], beta[..., RATE] = turns.duration[:, None], 0.0
+    y = readings.integral - np.einsum("kpb,pb->kp", beta, K)
+    beta[..., RATE] = (y @ np.linalg.pinv(K[:, RATE]).T)[:, None]
     rows = np.zeros((len(y), gyro.size, 1 + problem.width))
-    rows[:, :, : len(point.values)] = np.einsum("kb,pbm->kpm", beta, D[problem.instrument.accel.size :, :4])
+    rows[:, :, : len(point.values)] = np.einsum("kpb,pbm->kpm", beta, D)
     rows[:, :, -1] = y
     _add_changes(problem, point, rows, 0, 1)
     return free @ rows, free

@@ -127,7 +127,7 @@ class TurnsAbout:
             lateness=about[1],
             moments=moments,
             paths=paths,
-            in_motion={} if ends is None else _in_motion(moments, accel, to_force, ends),
+            in_motion={} if ends is None else _in_motion(moments, accel, (to_force, _sensed(about[0], a)), ends),
             to_rate=to_rate,
             growing=None if growing is None else _paths(growing, lefts),
         )
@@ -170,6 +170,15 @@ class TurnsAbout:
                 out[:, 3:, -1] -= by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
         return out
 
+    def in_body(self, gyros: int) -> Array:
+        """∫ β_pb dt (K, n, 15) in the body of the functions of the n gyros; 0 of sums that were not asked for."""
+        moments = self.moments
+        out = np.zeros((len(moments), gyros, FUNCTIONS))
+        out[..., : moments.body.shape[1]] = moments.body[:, None]
+        if moments.body_gyro.shape[-1]:
+            out[..., OWN_SIZE], out[..., OWN_CUBE] = moments.body_gyro[:, 0], moments.body_gyro[:, 1]
+        return out
+
     def growing_columns(self, D: Array) -> Array | None:
         """−∂φ/∂θ and −∂V/∂θ (K, 6, m) of parameters, with ∂K/∂θ, that grow by 1 a second about the middle of the
         turns."""
@@ -207,13 +216,19 @@ class TurnsAbout:
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
 
 
-def _in_motion(moments: Moments, accel: Block, to_force: Array, ends: Ends) -> dict[Motion, Array]:
-    """−∂V (K, 3, m) of what a turn alone sees of accelerometers."""
-    forces, rates = ends
+def _sensed(coefficients: Array, count: int) -> Array:
+    """What the accelerometers read of the specific force, (1 + k) a_p (n, 3), in the mean of the turns."""
+    return np.asarray(coefficients[..., :count, FORCE].reshape(-1, count, 3).mean(axis=0))
+
+
+def _in_motion(moments: Moments, accel: Block, sensors: tuple[Array, Array], ends: Ends) -> dict[Motion, Array]:
+    """−∂V (K, 3, m) of what a turn alone sees of accelerometers: of `sensors` with the left inverse s_p and what they
+    read of the specific force, (1 + k) a_p, so that Σ s_p (1 + k) a_pᵀ = I."""
+    (to_force, sensed), (forces, rates) = sensors, ends
     return {
-        "lever": -lever_columns(moments, to_force, accel.axes, rates)[:, :, _lever_order(accel)],
+        "lever": -lever_columns(moments, to_force, sensed, rates)[:, :, _lever_order(accel)],
         "delay": -delay_column(moments)[:, :, None],
-        "single delay": -single_delay_columns(moments, to_force, accel.axes, forces)[:, :, accel.channels[:-1]],
+        "single delay": -single_delay_columns(moments, to_force, sensed, forces)[:, :, accel.channels[:-1]],
     }
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.estimation.causes.chances import fall_chance
+from tumble.estimation.causes.chances import fall_chance, noise_chance
 from tumble.estimation.causes.linearised_session import LinearisedSession
 from tumble.estimation.causes.projection import Projection
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -48,27 +48,51 @@ class Candidate:
     """A session that knows the size to no better, SI, says nothing of it."""
 
 
-def tested(candidate: Candidate, session: LinearisedSession, projection: Projection) -> Cause | None:
-    """A candidate by Eq. (11) of the dynamics method; None where the session does not see it."""
+def tested(candidate: Candidate, session: LinearisedSession, seen_by: tuple[Projection, Projection]) -> Cause | None:
+    """A candidate by Eq. (11) of the dynamics method, with the noise `alone` and with the scatter of the estimate: it
+    is no more likely than by either. None where the session does not see it."""
+    alone, projection = seen_by
     columns = projection.whitened(candidate.rest, candidate.turn)
-    length = np.sqrt((columns**2).sum(axis=0))
-    columns = columns / np.where(length > 0.0, length, 1.0)
-    left = projection.left_of(columns)
-    size, directions = np.linalg.eigh(left.T @ left)
-    seen = size > UNSEEN**2
-    if not seen.any() or 1.0 / np.sqrt(size[seen].min()) > candidate.known * length.max():
+    fit = _fitted(columns, projection, candidate.known)
+    if fit is None:
         return None
-    along = directions[:, seen].T @ (left.T @ projection.residual)
-    fall, q = float((along**2 / size[seen]).sum()), int(seen.sum())
-    values = directions[:, seen] @ (along / size[seen])
+    probability = fall_chance(projection, session.linearised.scatter, fit.fall, fit.q)
+    if alone is not projection:
+        by_noise = _fitted(alone.whitened(candidate.rest, candidate.turn), alone, np.inf)
+        probability = max(probability, 1.0 if by_noise is None else noise_chance(by_noise.fall, by_noise.q))
     m = session.problem.instrument.linear_count
-    damage = float(np.max(np.abs(projection.change(columns, values)[:m]) / projection.u[:m]))
-    largest = float(np.max(np.abs(values / np.where(length > 0.0, length, np.inf))))
-    scale, unit = candidate.unit
+    damage = float(np.max(np.abs(projection.change(columns, fit.values)[:m]) / projection.u[:m]))
+    largest, (scale, unit) = float(np.abs(fit.values).max()), candidate.unit
     return Cause(
         name=candidate.name,
         concerns=candidate.concerns,
-        probability=fall_chance(projection, session.linearised.scatter, fall, q),
+        probability=probability,
         damage=damage,
         sentence=candidate.sentence.format(size=f"{largest / scale:.2g} {unit}".replace(" °", "°")),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Explained:
+    """What whitened columns explain: by how much chi-square falls, with how many combinations `q` that are seen, and
+    the `values` of the columns, SI."""
+
+    fall: float
+    q: int
+    values: Array
+
+
+def _fitted(columns: Array, projection: Projection, known: float) -> _Explained | None:
+    """Whitened columns by least squares; None where one is not seen better than it is `known`, SI."""
+    length = np.sqrt((columns**2).sum(axis=0))
+    left = projection.left_of(columns / np.where(length > 0.0, length, 1.0))
+    size, directions = np.linalg.eigh(left.T @ left)
+    seen = size > UNSEEN**2
+    if not seen.any() or 1.0 / np.sqrt(size[seen].min()) > known * length.max():
+        return None
+    along = directions[:, seen].T @ (left.T @ projection.residual)
+    return _Explained(
+        fall=float((along**2 / size[seen]).sum()),
+        q=int(seen.sum()),
+        values=directions[:, seen] @ (along / size[seen]) / np.where(length > 0.0, length, np.inf),
     )

@@ -41,13 +41,21 @@ def sum_of_squares(projection: Projection, directions: Array) -> tuple[float, Ar
 
 
 def fall_chance(projection: Projection, scatter: Scatter, fall: float, q: int) -> float:
-    """Probability of a fall of chi-square with q parameters."""
+    """Probability of a fall of chi-square with q parameters; 1 where nothing is left beside them to tell the scatter
+    by."""
     if not np.any(scatter.variances > 0.0):
-        return float(special.chdtrc(q, fall))
-    others = max(projection.degrees - q, 1.0)
+        return noise_chance(fall, q)
+    others = projection.degrees - q
+    if others < 1.0:
+        return 1.0
     rest = max(projection.chi_square - fall, 1e-9)
     overstated = min(1.0, projection.chi_square / projection.degrees)  # noise that is less than said proves nothing
     return float(special.fdtrc(q, others, overstated * fall / q / (rest / others)))
+
+
+def noise_chance(fall: float, q: int) -> float:
+    """Probability of a fall of chi-square with q parameters where the noise is known."""
+    return float(special.chdtrc(q, fall))
 
 
 def ratio_chance(one: tuple[float, Array], other: tuple[float, Array]) -> float:

@@ -5,8 +5,9 @@ rows A of all unknowns, their residuals e and the whitened columns A_c of a cand
 
     B = A_c − Q Qᵀ A_c,    ĉ = (BᵀB)⁻¹ Bᵀe,    Δχ² = eᵀ B ĉ,    Δθ = −A⁺ A_c ĉ                                    (11)
 
-Q being an orthonormal basis of what A spans. Δχ² is judged as chi-square of q degrees of freedom, or, where scatter was
-estimated from the same residuals, by F = (Δχ²/q) / ((χ² − Δχ²)/(ν − q)).
+Q being an orthonormal basis of what A spans. Δχ² is judged as chi-square of q degrees of freedom by the noise alone,
+and, where scatter was estimated from the same residuals, by F = (Δχ²/q) / ((χ² − Δχ²)/(ν − q)) too: of few degrees of
+freedom a scatter may be had by chance, and what is left beside a cause be nothing.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ from tumble.estimation.causes.quantisation import quantisation
 from tumble.estimation.likelihood import Linearised
 
 
-def causes(linearised: Linearised, projection: Projection) -> list[Cause]:
-    """All candidates, the most significant first, one of a name and kind of sensor. The `projection` is that with the
-    scatter of the estimate."""
+def causes(linearised: Linearised, alone: Projection, projection: Projection) -> list[Cause]:
+    """All candidates, the most significant first, one of a name and kind of sensor. The first projection is that with
+    the noise alone, the second that with the scatter of the estimate too: the same where there is none."""
     session = LinearisedSession(linearised)
     found: dict[tuple[str, str], Cause] = {}
     tried: dict[tuple[str, str], int] = {}
     for candidate in _candidates(session):
         key = candidate.name, candidate.concerns
         tried[key] = tried.get(key, 0) + 1
-        cause = tested(candidate, session, projection)
+        cause = tested(candidate, session, (alone, projection))
         if cause is not None and (key not in found or cause.probability < found[key].probability):
             found[key] = cause
     several = [replace(c, probability=min(1.0, tried[key] * c.probability)) for key, c in found.items()]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.estimation.diagnosis.accelerometer_unit import times_wrong
 from tumble.estimation.diagnosis.exchanged_columns import columns_said, signed_permutations
-from tumble.estimation.diagnosis.upside_down import upside_down, verticals
+from tumble.estimation.diagnosis.upside_down import specific_forces, upside_down, verticals
+from tumble.estimation.observability import rough_directions
 from tumble.recording.session import Channels, LogSpec, Session
 from tumble.reduction.observations import Observations
 from tumble.sensors.model import SensorModel
@@ -33,12 +34,13 @@ BIAS_LIMIT = 100.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Carrying:
-    """Gyros as the session states them, with the bias that they show at rest, and the angles (K,), rad, by which they
-    `miss` the vertical after each turn."""
+    """Gyros as the session states them, with the bias that they show at rest, the `vertical` (N, 3) of each rest in the
+    body, and the angles (K,), rad, by which they `miss` that after each turn."""
 
     observations: Observations
     channels: Channels
     stated: SensorModel
+    vertical: Array
     miss: Array
 
     @staticmethod
@@ -48,8 +50,17 @@ class _Carrying:
         if turns is None or block is None or channels is None or len(turns) == 0:
             return None
         stated = SensorModel(matrix=block.nominal().matrix, bias=np.median(observations.rests.gyro, axis=0))
-        miss = _misses(observations, stated)
-        return _Carrying(observations=observations, channels=channels, stated=stated, miss=miss)
+        vertical = verticals(observations)
+        miss = _misses(observations, stated, vertical)
+        carrying = _Carrying(observations=observations, channels=channels, stated=stated, vertical=vertical, miss=miss)
+        return carrying._less_accelerometer_biases() if carrying.evident else carrying
+
+    def _less_accelerometer_biases(self) -> _Carrying:
+        """The same with verticals about the centre of all of them, where biases of the accelerometers explain what the
+        gyros miss: half a g moves a vertical by 30°."""
+        vertical = rough_directions(specific_forces(self.observations))
+        miss = _misses(self.observations, self.stated, vertical)
+        return replace(self, vertical=vertical, miss=miss) if self._explains(miss) else self
 
     @property
     def evident(self) -> bool:
@@ -67,9 +78,12 @@ class _Carrying:
 
     def explained(self, matrix: Array) -> float:
         """Mean miss, rad, of gyros with another matrix; infinite where it does not explain what is missed."""
-        trial = _misses(self.observations, SensorModel(matrix=matrix, bias=self.stated.bias))
-        fits = trial.mean() < 0.5 * min(float(self.miss.mean()), CARRIED) and trial.max() < 0.5 * self.miss.max()
-        return float(trial.mean()) if fits else np.inf
+        trial = _misses(self.observations, SensorModel(matrix=matrix, bias=self.stated.bias), self.vertical)
+        return float(trial.mean()) if self._explains(trial) else np.inf
+
+    def _explains(self, trial: Array) -> bool:
+        """Whether what a trial misses (K,) is so little that it explains what is missed."""
+        return bool(trial.mean() < 0.5 * min(float(self.miss.mean()), CARRIED) and trial.max() < 0.5 * self.miss.max())
 
 
 def sense_faults(observations: Observations, session: Session, rate: float) -> list[str]:
@@ -184,11 +198,10 @@ def _turned(observations: Observations, gyro: SensorModel) -> Array:
     return turns.duration * (rate if rate < FASTEST_TURN else 0.0)
 
 
-def _misses(observations: Observations, gyro: SensorModel) -> Array:
-    """Angles (K,), rad, between the vertical after each turn carried back by the gyros and the one before it."""
+def _misses(observations: Observations, gyro: SensorModel, vertical: Array) -> Array:
+    """Angles (K,), rad, between the vertical (N, 3) after each turn carried back by the gyros and the one before it."""
     with np.errstate(invalid="ignore", over="ignore"):  # a wrong unit may make it thousands of radians a sample
         turns = observations.turns_about(gyro)
-    vertical = verticals(observations)
     back = np.einsum("kij,kj->ki", turns.C, vertical[turns.last])
     cosine = np.einsum("ki,ki->k", back, vertical[turns.first])
     return np.asarray(np.arccos(np.clip(np.nan_to_num(cosine, nan=-1.0), -1.0, 1.0)))

@@ -120,10 +120,11 @@ def _of_all(found: list[tuple[str, Misfit]]) -> Misfit:
 def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     """What the residuals of a session say, which has this share of the false alarms."""
     observations, limit = linearised.problem.observations, share * CAUSE_PROBABILITY
-    chances = group_chances(linearised)
+    alone = Projection(linearised, Scatter())
+    chances = group_chances(linearised, alone)
     larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
-    projection = Projection(linearised, linearised.scatter)
-    found = causes(linearised, projection)
+    scatters = bool(np.any(linearised.scatter.variances > 0.0))
+    found = causes(linearised, alone, Projection(linearised, linearised.scatter) if scatters else alone)
     named = [cause for cause in found if cause.probability < limit]
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     if larger:
@@ -199,9 +200,10 @@ def _likely(
     return random + [c for c in standing if c not in lost]
 
 
-def group_chances(linearised: Linearised) -> list[float]:
-    """Probability, by group, that chance alone makes residuals as large, from the noise within rests."""
-    alone, noise = Projection(linearised, Scatter()), linearised.noise
+def group_chances(linearised: Linearised, alone: Projection) -> list[float]:
+    """Probability, by group, that chance alone makes residuals as large, by the projection with the noise within rests
+    alone."""
+    noise = linearised.noise
     (rest, of_rest), (merged, of_merged), r = noise.rest_directions, noise.merged_directions, noise.rest.shape[1]
     found = []
     for group in GROUPS:

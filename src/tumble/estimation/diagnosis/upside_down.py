@@ -19,8 +19,12 @@ _SIGN = "an accelerometer at rest with its axis up must read +g"
 
 def verticals(observations: Observations) -> Array:
     """Verticals (N, 3) in the body, from nominal accelerometers."""
-    force = observations.accel_block.nominal().apply(observations.rests.accel)
-    return unit_vector(force)
+    return unit_vector(specific_forces(observations))
+
+
+def specific_forces(observations: Observations) -> Array:
+    """Specific forces (N, 3) at rest, m/s^2, from nominal accelerometers."""
+    return observations.accel_block.nominal().apply(observations.rests.accel)
 
 
 def upside_down(observations: Observations, session: Session) -> list[str]:

@@ -21,6 +21,9 @@ mean and spread to 1e-8."""
 _APART = np.concatenate([[0.5], 2.0 ** np.arange(0.0, 9.5, 0.5)])
 LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
 """s: the same from a lag of which Gauss–Newton does not say how well it is known."""
+RESOLVED, HALVINGS = 0.3, 10
+"""Largest probability of one lag of a grid that resolves the likelihood (0.27 of the first one where that is a
+Gaussian), and how often steps beside likelier ones are halved at most."""
 LESS_LIKELY = 6.0
 """−2 log of the likelihoods of two lags: the first is taken for a wrong one."""
 KEPT = 1e-3  # learned fraction of a group that the session says anything of
@@ -99,15 +102,7 @@ def with_posterior(fitted: Fitted, free: Problem) -> Fitted:
     if not fitted.problem.lag_known and 1.0 - (u / expected[where]) ** 2 < KEPT:
         return fitted
     grid = LAGS_ABOUT if fitted.problem.lag_known else u * LAG_GRID
-    lags = solved.point.values[free.lag] + grid
-    at = At.of(fitted.problem, solved.point, solved.last.about, fitted.out)
-    deviance, moved_by = np.empty(len(lags)), np.empty((len(lags), len(expected)))
-    for i, lag in enumerate(lags.tolist()):
-        step = _at_lag(fitted.problem, at, lag, fitted.scatter)
-        deviance[i], moved_by[i] = step.deviance + _prior_of_lag(free, lag), step.parameters
-    moved_by[:, where] = lags
-    weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)
-    weight /= weight.sum()
+    lags, weight, moved_by = _resolved(fitted, free, solved.point.values[free.lag] + grid)
     mean = float(weight @ lags)
     moved_by -= weight @ moved_by
     held = _held(fitted.problem, mean)
@@ -117,6 +112,42 @@ def with_posterior(fitted: Fitted, free: Problem) -> Fitted:
     after = left(held, there.step), there.step.told.weights
     problem = replace(fitted.problem, measured=_lag_freed(fitted.problem, free), lag_known=False)
     return replace(fitted, problem=problem, solved=replace(there, step=step), left=after)
+
+
+def _resolved(fitted: Fitted, free: Problem, lags: Array) -> tuple[Array, Array, Array]:
+    """Lags, their probabilities, and what the solutions move gravity and the parameters by (L, 1 + m): those of a first
+    grid, and between them as many as resolve the likelihood, which may be much narrower than where the steps of the
+    estimate end, and steep to one side."""
+    at = At.of(fitted.problem, fitted.solved.point, fitted.solved.last.about, fitted.out)
+    deviance, moved_by = _about(fitted, free, at, lags)
+    for _ in range(HALVINGS):
+        weight = _probabilities(lags, deviance)
+        if weight.max() < RESOLVED:
+            break
+        heavy = weight > 0.1 * RESOLVED
+        between = np.flatnonzero(heavy[1:] | heavy[:-1])
+        more = 0.5 * (lags[between] + lags[between + 1])
+        others, moved_others = _about(fitted, free, at, more)
+        lags, deviance = np.insert(lags, between + 1, more), np.insert(deviance, between + 1, others)
+        moved_by = np.insert(moved_by, between + 1, moved_others, axis=0)
+    return lags, _probabilities(lags, deviance), moved_by
+
+
+def _about(fitted: Fitted, free: Problem, at: At, lags: Array) -> tuple[Array, Array]:
+    """−2 log of the likelihoods (L,) of lags, with the prior, and what their solutions move gravity and the parameters
+    by (L, 1 + m)."""
+    assert free.lag is not None
+    steps = [_at_lag(fitted.problem, at, lag, fitted.scatter) for lag in lags.tolist()]
+    deviance = [step.deviance + _prior_of_lag(free, lag) for step, lag in zip(steps, lags.tolist(), strict=True)]
+    moved_by = np.array([step.parameters for step in steps])
+    moved_by[:, 1 + free.lag] = lags
+    return np.array(deviance), moved_by
+
+
+def _probabilities(lags: Array, deviance: Array) -> Array:
+    """Of lags of these −2 log likelihoods, in ascending order."""
+    weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)
+    return np.asarray(weight / weight.sum())
 
 
 def _lag_freed(problem: Problem, free: Problem) -> tuple[Array, Array]:

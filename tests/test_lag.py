@@ -1,0 +1,34 @@
+"""The probability of a lag: sums over a grid that follows the likelihood to where it is."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tumble.estimation.methods.joint import lag as of_lag
+from tumble.units import Array
+
+
+@pytest.mark.parametrize(("centre", "spread"), [(-20.0, 190.0), (3.0, 15.0), (17.0, 2.0), (-41.0, 0.6)])
+def test_mean_and_spread_of_a_lag_are_those_of_its_likelihood(
+    monkeypatch: pytest.MonkeyPatch, centre: float, spread: float
+) -> None:
+    """The likelihood of a ramp that is much narrower than the u with which the steps of the estimate end, 190 s, and
+    away from there; the parameters move with the lag."""
+
+    def about(_fitted: object, _free: object, _at: object, lags: Array) -> tuple[Array, Array]:
+        return ((lags - centre) / spread) ** 2, np.column_stack([np.zeros_like(lags), 2.0 * lags])
+
+    monkeypatch.setattr(of_lag, "_about", about)
+    monkeypatch.setattr(of_lag, "At", SimpleNamespace(of=lambda *_: None))
+    solved = SimpleNamespace(point=None, last=SimpleNamespace(about=None))
+    fitted = cast(Any, SimpleNamespace(problem=None, solved=solved, out=None))
+    lags, weight, moved = of_lag._resolved(fitted, cast(Any, None), -20.0 + 190.0 * of_lag.LAG_GRID)
+    mean = float(weight @ lags)
+    assert mean == pytest.approx(centre, abs=0.03 * spread)
+    assert np.sqrt(weight @ (lags - mean) ** 2) == pytest.approx(spread, rel=0.03)
+    assert np.sqrt(weight @ (moved[:, 1] - 2.0 * mean) ** 2) == pytest.approx(2.0 * spread, rel=0.03)
+    assert len(lags) < 60
