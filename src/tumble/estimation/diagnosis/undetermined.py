@@ -41,8 +41,9 @@ def undetermined(
     """What the data do not determine, the parameters that are `missing`, or else determine poorly, and what would; with
     the sensors it concerns."""
     if missing:
-        said = one_attitude(observations) or f"not observable in this session: {listed(missing)}"
-        return [(_concerned(missing), _and(said, _most_helpful(estimate, observations, estimate.null)))]
+        said = f"not observable in this session: {listed(missing)}"
+        helpful = "" if (alone := one_attitude(observations)) else _most_helpful(estimate, observations, estimate.null)
+        return [(_concerned(missing), _and(alone, said, helpful))]
     combinations, known = _weak(estimate, observations)
     if not len(known):
         return []
