@@ -10,6 +10,7 @@ import pytest
 
 from tumble.calibration.found_log import samples_in
 from tumble.calibration.log_times import Stamps, times_of_column
+from tumble.calibration.new_session import new_session
 from tumble.calibration.raw_scale import accel_scale, plain_unit
 from tumble.calibration.respelled import respelled
 from tumble.recording.clock import seconds_of
@@ -45,6 +46,19 @@ def test_unread_rows_do_not_hide_what_columns_are(read: Array) -> None:
     blemished = read.copy()
     blemished[[17, 400]] = np.nan
     assert triads_of(blemished) == triads_of(read) == {ACCEL: ("1", "2", "3"), GYRO: ("4", "5", "6")}
+
+
+def test_columns_of_which_no_stretch_is_whole_are_not_told_by_how_they_vary(read: Array) -> None:
+    holed = read.copy()
+    holed[::7, 0] = np.nan
+    assert ACCEL not in triads_of(holed)
+
+
+def test_accelerometers_that_read_nothing_or_zero_are_said(tmp_path: Path) -> None:
+    rows = {"t": 0.01 * np.arange(400), "ax": np.zeros(400), "ay": np.zeros(400), "az": np.zeros(400)}
+    pl.DataFrame(rows).write_csv(tmp_path / "zero.csv")
+    draft, _ = new_session(tmp_path / "zero", tmp_path / "zero.csv")
+    assert any("they read zero, so that the scale is unknown" in said for said in draft.said)
 
 
 def test_a_counter_that_starts_anew_is_a_time(read: Array) -> None:

@@ -261,7 +261,7 @@ def test_each_session_alone_knows_what_all_know_and_names_its_cause() -> None:
     found = misfit(estimate, observations)
     assert found is not None
     assert "warm-up" in found.causes
-    assert any("session-2: fits: biases of the accelerometers settle" in said for _, said in found.remarks)
+    assert any("session-2: probable cause: biases of the accelerometers settle" in said for _, said in found.remarks)
     assert all("session-2" in said for _, said in found.remarks if "settle" in said)
 
 

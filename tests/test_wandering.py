@@ -31,7 +31,7 @@ def test_a_gyro_that_wanders_has_a_scatter_of_its_own() -> None:
     assert 5.0 * noise < scatter.gyro_wandering < 20.0 * noise
     assert scatter.gyro < 2.0 * noise
     said = verdict(found, seen)
-    assert any(remark.startswith("biases gyro.bias.4 wander from rest to rest by ") for remark in said.remarks)
+    assert any(remark.startswith("gyro.bias.4 wanders from rest to rest by ") for remark in said.remarks)
 
 
 def test_sensors_that_are_alike_have_one_scatter() -> None:
@@ -45,4 +45,4 @@ def test_a_gyro_that_wanders_beyond_use_is_refused_by_name() -> None:
     seen = of_six(1, 300.0)
     said = verdict(joint(seen), seen)
     assert not said.gyro.accepted
-    assert any(reason.startswith("biases gyro.bias.4 wander from rest to rest by ") for reason in said.reasons)
+    assert any(reason.startswith("gyro.bias.4 wanders from rest to rest by ") for reason in said.reasons)

@@ -171,8 +171,8 @@ def _usual(session: Session, observations: Observations, terms: Terms) -> tuple[
     if terms == "linear":
         return {}, ()
     grade, guessed = grade_of(session, observations)
-    said = f"usual sizes of what is not bias, scale or axis angle: those of the grade {grade}"
-    origin = ", guessed from the noise; [device] grade says another" if guessed else ""
+    said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
+    origin = ", guessed from the noise; state another as [device] grade" if guessed else ""
     return usual_sizes(grade, session.device.prior), (said + origin,)
 
 

@@ -93,6 +93,9 @@ def _accel_scaled(
         sphere = radius, [0.0] * 3
     offset: Any = sphere[1][0] if len(set(sphere[1])) == 1 else sphere[1]
     made = {"columns": accel["columns"], "unit": "count", "scale": 1.0, "scale_per": "g", "offset": offset}
+    if sphere[0] == 0.0:
+        said = f"accelerometers: {named} in counts; they read zero, so that the scale is unknown: put that of the "
+        return {**log, "accel": made}, [said + "data sheet there"]
     unit = plain_unit(sphere[0])
     if unit is not None:
         said = f"{named} in {unit} (gravity draws a sphere of {sphere[0]:.4g}), zero at {offset} ({seen})"

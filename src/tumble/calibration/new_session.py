@@ -24,7 +24,7 @@ from tumble.calibration.log_detection import files_of, found_log
 from tumble.calibration.log_times import Times
 from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
-from tumble.errors import InputError
+from tumble.errors import InputError, LogError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
@@ -264,8 +264,13 @@ def _temperature_unit(log: FoundLog, column: str) -> tuple[str, str, float]:
 
 
 def _magnitude(log: FoundLog, sensors: Sensors) -> float:
-    """The median magnitude of what sensors read in the first rows."""
-    return float(np.nanmedian(np.linalg.norm(log.read(sensors.columns, rows=_HEAD), axis=1)))
+    """The median magnitude of what sensors read in the first rows. Raises LogError where they read nothing."""
+    read = np.linalg.norm(log.read(sensors.columns, rows=_HEAD), axis=1)
+    if not np.isfinite(read).any():
+        raise LogError(
+            f"{log.files[0]}: {', '.join(sensors.columns)}: expected readings, found none in the first {len(read)} rows"
+        )
+    return float(np.nanmedian(read))
 
 
 def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, Any], list[str]]:

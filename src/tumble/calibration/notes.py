@@ -60,8 +60,8 @@ def one_rate(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
     if not len(rates) or not rates.max() < ONE_RATE * rates.min():
         return ()
     return (
-        f"all turns have about {rates.mean() / DEGREE:.2g} °/s: scale factors of the gyros are those at this rate; "
-        "what they are at others, turns at two rates show, or gyro_cubic in [device.prior] puts into u",
+        f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate; "
+        "for others turn at a second rate too, or state gyro_cubic in [device.prior]",
     )
 
 

@@ -180,7 +180,9 @@ def convergence(name: str, steps: Sequence[Mapping[str, float]], parameters: Seq
             )
         axes.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
         axes.set(yscale="log", xlabel="iteration", ylabel="largest increment / u")
-        axes.yaxis.set_major_formatter(lambda value, _: f"10{raised(round(np.log10(value)))}")
+        axes.yaxis.set_major_formatter(
+            lambda value, _: f"10{raised(round(np.log10(value)))}" if 0.0 < value < np.inf else ""
+        )
         axes.yaxis.set_minor_formatter("")
         axes.set_xticks(range(1, len(steps) + 1))
         _grid(axes)

@@ -142,7 +142,7 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     remarks = list(_settled(linearised))
     remarks += [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
     remarks += [(concerns, f"{said}; u contains it") for concerns, said, many in wandering if not many]
-    remarks += [(cause.concerns, f"fits: {cause.sentence}") for cause in named]
+    remarks += [(cause.concerns, f"probable cause: {cause.sentence}") for cause in named]
     warm = ("warm-up",) if observations.warm_up is not None else ()
     return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=(*warm, *(cause.name for cause in named)))
 
@@ -178,7 +178,7 @@ def _wandering(linearised: Linearised, observations: Observations) -> Iterator[t
         if own:
             (size, unit), names = group.unit, ", ".join(f"{block.kind}.bias.{sensor}" for sensor in own)
             by, others = getattr(linearised.scatter, f"{block.kind}_wandering"), _scatter(group, linearised)
-            said = f"biases {names} wander from rest to rest by {by / size:.2g} {unit}, those of the other "
+            said = f"{names} wander{'s' if len(own) == 1 else ''} from rest to rest by {by / size:.2g} {unit}, those of the other "
             said += f"{WORDS[block.kind]} by {others / size:.2g} {unit}"
             many = by > max(MANY * _noise(group, observations), NOTHING[block.kind])
             yield group.concerns, said.replace(" °", "°"), many
@@ -287,7 +287,7 @@ def lost_by_velocities(linear: Linearised, observations: Observations) -> tuple[
     found = _standing_loss(next(each_session(whole)))
     if found is None:
         return (), ()
-    return ((_damaging(found),), ()) if found.damage > DAMAGE else ((), (f"fits: {found.sentence}",))
+    return ((_damaging(found),), ()) if found.damage > DAMAGE else ((), (f"probable cause: {found.sentence}",))
 
 
 def _standing_loss(linearised: Linearised) -> Cause | None:

@@ -116,15 +116,20 @@ def _means(columns: Array) -> tuple[Array, Array]:
 def _quiet(columns: Array) -> BoolArray:
     """The blocks of rows in which all columns scatter least."""
     _, scatter = _means(columns)
-    size = np.nanmedian(scatter, axis=0)
-    largest = np.max(scatter / np.where(size > 0.0, size, 1.0), axis=1)  # nan, so not quiet, where a row is unread
-    return np.asarray(largest <= np.nanquantile(largest, _QUIET_SHARE))
+    read = np.asarray(np.isfinite(scatter).all(axis=1))
+    if not read.any():
+        return read
+    size = np.median(scatter[read], axis=0)
+    largest = np.max(scatter / np.where(size > 0.0, size, 1.0), axis=1)
+    return np.asarray(read & (largest <= np.quantile(largest[read], _QUIET_SHARE)))
 
 
 def _kind(columns: Array, quiet: BoolArray) -> str | None:
     """What three columns side by side are."""
     means = _means(columns)[0][quiet]
     means = means[np.isfinite(means).all(axis=1)]
+    if not len(means):
+        return None
     everything = columns[np.isfinite(columns).all(axis=1)]
     spread = np.linalg.norm(means.std(axis=0))
     if spread < _STEADY * np.linalg.norm(everything.std(axis=0)):
