@@ -110,10 +110,12 @@ def scatter_of(
 
 def _scored(problem: Problem, at: At, step: Step, after: Left) -> tuple[Array, Array]:
     """The score (c,) of the restricted likelihood and its information (c, c) with respect to the variances, at a step
-    with them and what it leaves."""
+    with them and what it leaves. Raises LinAlgError where residuals are beyond all measure."""
     weight, last = step.told.weights, problem.link < 0
     slope, information = np.zeros(len(COMPONENTS)), np.zeros((len(COMPONENTS),) * 2)
     (at_rest, of_rest), (Z, of_merged) = at.noise.rest_directions, at.noise.merged_directions
     score(weight.rest[last] @ at_rest[last], of_rest, (after.rest[0][last], after.rest[1][last]), slope, information)
     score(weight.merged @ Z, of_merged, after.merged, slope, information)
+    if not (np.isfinite(slope).all() and np.isfinite(information).all()):
+        raise np.linalg.LinAlgError("residuals are beyond all measure")
     return slope, information
