@@ -178,8 +178,8 @@ def _wandering(linearised: Linearised, observations: Observations) -> Iterator[t
         if own:
             (size, unit), names = group.unit, ", ".join(f"{block.kind}.bias.{sensor}" for sensor in own)
             by, others = getattr(linearised.scatter, f"{block.kind}_wandering"), _scatter(group, linearised)
-            said = f"{names} wander{'s' if len(own) == 1 else ''} from rest to rest by {by / size:.2g} {unit}, those of the other "
-            said += f"{WORDS[block.kind]} by {others / size:.2g} {unit}"
+            said = f"{names} wander{'s' if len(own) == 1 else ''} from rest to rest by {by / size:.2g} {unit}"
+            said += f", those of the other {WORDS[block.kind]} by {others / size:.2g} {unit}"
             many = by > max(MANY * _noise(group, observations), NOTHING[block.kind])
             yield group.concerns, said.replace(" °", "°"), many
 
