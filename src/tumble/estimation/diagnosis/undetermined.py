@@ -42,8 +42,8 @@ def undetermined(
     the sensors it concerns."""
     if missing:
         said = f"not observable in this session: {listed(missing)}"
-        helpful = "" if (alone := one_attitude(observations)) else _most_helpful(estimate, observations, estimate.null)
-        return [(_concerned(missing), _and(alone, said, helpful))]
+        helpful = _most_helpful(estimate, observations, estimate.null)
+        return [(_concerned(missing), _and(one_attitude(observations), said, helpful))]
     combinations, known = _weak(estimate, observations)
     if not len(known):
         return []
