@@ -50,6 +50,17 @@ def test_u_of_a_curve_has_the_degrees_of_freedom_of_the_sum() -> None:
         assert found.expanded[0] == pytest.approx(coverage_factor(float(nu)) * combined, rel=1e-6)
 
 
+def test_a_curve_of_too_few_degrees_of_freedom_has_no_u() -> None:
+    """As a single parameter has none: t of half a degree of freedom is 199."""
+    made = warmed(calibration())
+    assert made.reference_temperature is not None
+    for degrees, stated in ((0.5, False), (1.5, True)):
+        few = replace(made, parameters=tuple(replace(p, dof=degrees) for p in made.parameters))
+        found = curve(few, "accel.bias.x", np.array([made.reference_temperature]))
+        assert (found.expanded is not None) == stated
+        assert np.isfinite(found.value).all()
+
+
 def test_coefficients_against_each_other_leave_u_its_degrees_of_freedom() -> None:
     """Where the sum is known a thousand times better than its parts, k is at most that of the part with fewest."""
     made = warmed(calibration(), curved=False)

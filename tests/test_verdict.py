@@ -20,13 +20,14 @@ import pytest
 from tumble.calibration.calibrate import Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.estimation.causes.chances import weighted_chance
-from tumble.estimation.causes.projection import Projection
+from tumble.estimation.causes.projection import Projection, by_north
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
 from tumble.estimation.diagnosis.undetermined import listed
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.likelihood import Scatter
+from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -244,6 +245,23 @@ def test_the_projection_is_that_of_the_elimination() -> None:
     np.testing.assert_allclose(projection.u[: len(estimate.u)], estimate.u, rtol=1e-5)
     degrees = sum(estimate.fits[name].degrees for name in list(estimate.fits)[:4])
     assert projection.degrees == pytest.approx(degrees, rel=1e-4)
+
+
+def test_the_rate_along_north_is_predicted_at_rest_and_in_the_turns() -> None:
+    """What it predicts is by how much residuals are larger without it, to the size of the errors of the sensors."""
+    estimate, _ = estimated("none", setting=2)
+    linearised = estimate.linearised
+    assert linearised is not None
+    problem = linearised.problem
+    still = replace(problem, earth=problem.earth * np.array([0.0, 1.0, 1.0]))
+    without = linearise(still, linearised.point, linearised.about)
+    for found, there, here in zip(
+        by_north(linearised), (without.rest, without.turn), (linearised.rows.rest, linearised.rows.turn), strict=True
+    ):
+        expected = there[..., -1] - here[..., -1]
+        assert np.abs(expected).max() > 0.0
+        for rows in (slice(0, 3), slice(3, 6)):
+            np.testing.assert_allclose(found[:, rows], expected[:, rows], atol=0.05 * np.abs(expected[:, rows]).max())
 
 
 def test_a_cause_that_is_put_in_comes_out_with_its_damage() -> None:

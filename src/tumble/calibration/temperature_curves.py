@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Parameter, RestResult, coverage_factor
+from tumble.calibration.results import Parameter, RestResult, stated_factor
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
 
@@ -85,7 +85,7 @@ def changing(calibration: Calibration) -> tuple[str, ...]:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Curve:
     """A parameter (N,) over temperatures (N,), °C, and its expanded uncertainty U (N,), both SI; U is None where the
-    calibration has no covariance."""
+    calibration has no covariance, or somewhere too few degrees of freedom for a U."""
 
     name: str
     unit: str
@@ -107,7 +107,8 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
     if calibration.covariance is not None:
         S = calibration.covariance[np.ix_(own, own)]
         u2 = np.einsum("ni,ij,nj->n", P, S, P)
-        expanded = _coverage(u2, P**2 * np.diag(S), [calibration.parameters[i] for i in own]) * np.sqrt(u2)
+        k = _coverage(u2, P**2 * np.diag(S), [calibration.parameters[i] for i in own])
+        expanded = None if k is None else k * np.sqrt(u2)
     return Curve(
         name=name,
         unit=calibration[name].unit,
@@ -117,17 +118,18 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
     )
 
 
-def _coverage(u2: Array, parts: Array, parameters: list[Parameter]) -> Array:
+def _coverage(u2: Array, parts: Array, parameters: list[Parameter]) -> Array | None:
     """k (N,) of sums of variance u2 (N,) by the Welch–Satterthwaite formula, of what each parameter contributes to it,
     (N, m); JCGM 100:2008, G.4.1. Parameters that go against each other have a sum known better than they are, to which
     the formula does not apply: a sum has at least the degrees of freedom of the parameter that has least, as it has
-    where they are independent."""
+    where they are independent. None where these are too few for a U."""
     known = [p.dof for p in parameters if p.dof is not None]
     per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
     spread = parts**2 @ per_degree
     degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
     degrees = np.maximum(degrees, min(known, default=math.inf))
-    return np.array([coverage_factor(float(nu)) for nu in degrees])
+    factors = [k for k in map(stated_factor, degrees.tolist()) if k is not None]
+    return np.array(factors) if len(factors) == len(degrees) else None
 
 
 def coefficients(calibration: Calibration, kind: str, what: str) -> Array:

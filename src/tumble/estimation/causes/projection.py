@@ -53,19 +53,14 @@ class Projection:
         gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
         if gyro is None or problem.earth[0] == 0.0:
             return np.zeros((self.whitened(rows.rest[..., :0], rows.turn[..., :0]).shape[0], 0))
-        chains = np.arange(problem.chain[-1] + 1)
-        own = (problem.chain[:, None] == chains)[:, None]
-        turn = np.zeros((*rows.turn.shape[:2], len(chains)))
-        stop = n + gyro.size
-
-        def whitened(seen: Array) -> Array:
-            rest = np.zeros((*rows.rest.shape[:2], len(chains)))
-            rest[:, n:stop] = seen * own
-            return self.whitened(rest, turn)
-
-        headings = whitened(rows.rest[:, n:stop, 2:3])
-        north = whitened((linearised.point.attitudes[:, 0] * problem.earth[0] @ gyro.axes.T)[:, :, None])
-        return np.asarray(north[:, (headings**2).sum(axis=0) < SEEN_HEADING**-2])
+        own = problem.chain[:, None, None] == np.arange(problem.chain[-1] + 1)
+        heading, none = np.zeros((*rows.rest.shape[:2], own.shape[2])), np.zeros((*rows.turn.shape[:2], own.shape[2]))
+        heading[:, n : n + gyro.size] = rows.rest[:, n : n + gyro.size, 2:3] * own
+        hardly = (self.whitened(heading, none) ** 2).sum(axis=0) < SEEN_HEADING**-2
+        rest, turn = (
+            of[:, :, None] * some for of, some in zip(by_north(linearised), (own, own[self.first]), strict=True)
+        )
+        return self.whitened(rest, turn)[:, hardly]
 
     @property
     def chi_square(self) -> float:
@@ -115,6 +110,23 @@ class Projection:
         """Standard uncertainties (m,) of the parameters."""
         inverse = solve_triangular(self._triangle, np.eye(len(self._triangle)))
         return np.asarray(np.sqrt((inverse**2).sum(axis=1))[self._parameters :])
+
+
+def by_north(linearised: Linearised) -> tuple[Array, Array]:
+    """What the part of the Earth's rate along north predicts of the rows of the rests (N, r) and of the turns (K, t):
+    the rate that gyros read at rest, T Ω_N along north of a rotation, and ½ T² Ω_N g along east of a velocity."""
+    problem, rows, L = linearised.problem, linearised.rows, linearised.point.attitudes
+    gyro, n, north = problem.observations.gyro_block, problem.observations.accel_block.size, problem.earth[0]
+    assert gyro is not None
+    rest, turn = np.zeros(rows.rest.shape[:2]), np.zeros(rows.turn.shape[:2])
+    rest[:, n : n + gyro.size] = north * L[:, 0] @ gyro.axes.T
+    turns = problem.observations.turns
+    if turns is not None:
+        T, start = turns.duration[:, None], L[turns.first]
+        turn[:, :3] = T * north * start[:, 0]
+        if problem.instrument.in_velocities:
+            turn[:, 3:6] = 0.5 * T**2 * north * linearised.point.gravity * start[:, 2]
+    return rest, turn
 
 
 def _joined(wide: Array) -> Array:
