@@ -148,7 +148,7 @@ def _functions(samples: MotionSamples, start: int, stop: int, array: MovedArray)
     bend = _products(inner, bent) + 2.0 * _products(turning, turning) + _products(bent, inner)
     parts = one, readings[1:-1], _products(inner, inner), change, bend, turning, _products(force, force), jerk
     moves = (inner**2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
-    return np.concatenate(parts, axis=1)[moves & usable[:-2] & usable[1:-1] & usable[2:]]
+    return np.asarray(np.concatenate(parts, axis=1)[moves & usable[:-2] & usable[1:-1] & usable[2:]])
 
 
 def _products(u: Array, v: Array) -> Array:
