@@ -57,10 +57,8 @@ class Projection:
         heading, none = np.zeros((*rows.rest.shape[:2], own.shape[2])), np.zeros((*rows.turn.shape[:2], own.shape[2]))
         heading[:, n : n + gyro.size] = rows.rest[:, n : n + gyro.size, 2:3] * own
         hardly = (self.whitened(heading, none) ** 2).sum(axis=0) < SEEN_HEADING**-2
-        rest, turn = (
-            of[:, :, None] * some for of, some in zip(by_north(linearised), (own, own[self.first]), strict=True)
-        )
-        return self.whitened(rest, turn)[:, hardly]
+        rest, turn = by_north(linearised)
+        return self.whitened(rest[:, :, None] * own, turn[:, :, None] * own[self.first])[:, hardly]
 
     @property
     def chi_square(self) -> float:
