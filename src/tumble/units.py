@@ -121,6 +121,11 @@ def quantity(text: str, unit: str) -> float:
     return float(number.group()) * _READ[unit][name]
 
 
+def two_digits(value: float) -> str:
+    """A positive number to two significant digits, 3.0 and not 3, without an exponent."""
+    return rounded(value, value)[1]
+
+
 def rounded(value: float, u: float) -> tuple[str, str]:
     """`value` and its uncertainty as text, both to the second significant digit of the uncertainty."""
     if not (math.isfinite(u) and u > 0.0):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from datetime import UTC, date, datetime
@@ -17,7 +18,21 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.registry.records import ParameterRow, Record
 
-_NUMBER = click.IntRange(min=1, max=2**62)
+
+
+class _Number(click.ParamType):
+    """The number of a record, such as a database can hold."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """The number that a text says."""
+        if re.fullmatch(r"[0-9]{1,18}", str(value)) and int(value) > 0:
+            return int(value)
+        self.fail(f"expected the number of a record as `tumble registry list` shows it, found {value!r}", param, ctx)
+
+
+_NUMBER = _Number()
 _DAY = click.DateTime(["%Y-%m-%d"])
 
 

@@ -23,7 +23,7 @@ from tumble.registry.trend import Change, Trend
 from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
-from tumble.units import rounded
+from tumble.units import rounded, two_digits
 
 _BARS = "▁▂▃▄▅▆▇█"
 _LONG = 24  # points of a sparkline
@@ -350,4 +350,4 @@ def limit_cell(value: float, size: float) -> str:
 
 def significant(value: float | None, size: float) -> str:
     """A standard deviation to two digits."""
-    return "" if value is None else f"{float(f'{value / size:.2g}'):g}"
+    return "" if value is None else two_digits(value / size)
