@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from tumble.terminal.calibration import (
     method_table,
 )
 from tumble.terminal.text import shown_units
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 
@@ -219,8 +220,27 @@ def test_the_tables_fit_a_terminal_of_100_columns(full: Calibration) -> None:
     assert any("truth: 25 parameters" in line for line in lines_of(report))
 
 
+@pytest.mark.parametrize("width", [20, 60])
+def test_no_number_is_cut_on_a_narrow_terminal(full: Calibration, width: int) -> None:
+    out = io.StringIO()
+    Console(file=out, width=width).print(calibration_report(full))
+    whole = {word for line in lines_of(calibration_report(full)) for word in line.split() if is_number(word)}
+    assert "…" not in out.getvalue()
+    assert whole <= set(out.getvalue().split())
+
+
+def is_number(word: str) -> bool:
+    return re.fullmatch(r"-?\d+\.\d+", word) is not None
+
+
+def test_a_value_that_rounds_to_zero_has_no_sign() -> None:
+    assert rounded(-0.004, 0.12) == ("0.00", "0.12")
+    assert rounded(-3.0, 120.0) == ("0", "120")
+    assert [two_digits(value) for value in (2.98, 0.05, 78.0, 996.0)] == ["3.0", "0.050", "78", "1000"]
+
+
 def test_what_corrected_readings_are_known_to_is_said(full: Calibration) -> None:
-    said = "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.4 °/h"
+    said = "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.40 °/h"
     assert said in lines_of(calibration_report(full))
     assert full.prediction is not None
     assert predicted(replace(full.prediction, rate_u=None, at_rate=None)) == said.partition(";")[0]

@@ -83,7 +83,7 @@ def test_a_turn_by_number_is_left_out(whole: Path) -> None:
 
 
 def test_a_number_that_does_not_exist_is_refused(whole: Path) -> None:
-    with pytest.raises(SessionError, match=r"exclude\.rest: expected the number of one of 9, found 10"):
+    with pytest.raises(SessionError, match=r"exclude\.rest: expected a rest from 1 to 9, found 10"):
         _calibrated(whole, "rest = 10")
 
 

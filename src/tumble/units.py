@@ -134,4 +134,4 @@ def rounded(value: float, u: float) -> tuple[str, str]:
     if round(u * 10.0**digits) >= 100:
         digits -= 1
     shown = max(digits, 0)
-    return f"{round(value, digits):.{shown}f}", f"{round(u, digits):.{shown}f}"
+    return f"{round(value, digits):z.{shown}f}", f"{round(u, digits):.{shown}f}"

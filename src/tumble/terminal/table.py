@@ -1,7 +1,8 @@
 """Tables for a terminal: no lines, words set to the left, numbers to the right.
 
 Where a table is wider than the terminal its headings are broken between words; where that is not enough, it is set as
-several tables below each other, each with the first column. A number is never cut or broken.
+several tables below each other, each with the first column. A number is never cut or broken; where not even one column
+has room beside the names of the first, these are.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ from rich.table import Column, Table
 from rich.text import Text
 
 
+_LEAST = 4
+"""Characters of a name that are kept on a line."""
+
+
 class PlainTable(Table):
     """A table without lines that fits the terminal."""
 
@@ -26,6 +31,7 @@ class PlainTable(Table):
         for number, group in enumerate(_groups(columns, options.max_width)):
             if number:
                 yield Text("")
+            group = _with_room(group, options.max_width)
             widths = _widths(group, options.max_width)
             sized = (replace(column, _cells=[], width=width) for column, width in zip(group, widths, strict=True))
             part = Table(*sized, box=None, pad_edge=False)
@@ -62,6 +68,22 @@ def _together(columns: Sequence[Column]) -> int:
 def _width(column: Column) -> int:
     """Of its widest line; where it may be broken between words, of its widest word."""
     return max((cell_len(line) for cell in (column.header, *column.cells) for line in _lines(cell, column)), default=0)
+
+
+def _with_room(columns: Sequence[Column], width: int) -> Sequence[Column]:
+    """The columns with the lines of the first broken anywhere, where they are too wide together."""
+    first, *rest = columns
+    over = _together(columns) - 2 - width  # no blank at the edges
+    room = max(_width(first) - over, _LEAST)
+    if over <= 0 or room >= _width(first):
+        return columns
+    return [replace(first, header=_broken(first.header, room), _cells=[_broken(c, room) for c in first.cells]), *rest]
+
+
+def _broken(cell: object, width: int) -> Text:
+    """A cell with its lines broken after `width` characters."""
+    lines = (line[i : i + width] for line in str(cell).split("\n") for i in range(0, max(len(line), 1), width))
+    return Text("\n".join(lines))
 
 
 def _widths(columns: Sequence[Column], width: int) -> list[int]:
