@@ -1,8 +1,8 @@
 """Tables for a terminal: no lines, words set to the left, numbers to the right.
 
 Where a table is wider than the terminal its headings are broken between words; where that is not enough, it is set as
-several tables below each other, each with the first column, or those that together name a row. A number is never cut or broken; where not even one column
-has room beside the names of the first, these are.
+several tables below each other, each with the first column, or those that together name a row. A number is never cut or
+broken; where not even one column has room beside the names of the first, these are.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Column, Table
 from rich.text import Text
-
 
 _LEAST = 4
 """Characters of a name that are kept on a line."""
@@ -33,11 +32,11 @@ class PlainTable(Table):
         for number, group in enumerate(_groups(columns, self.named_by, options.max_width)):
             if number:
                 yield Text("")
-            group = _with_room(group, options.max_width)
-            widths = _widths(group, options.max_width)
-            sized = (replace(column, _cells=[], width=width) for column, width in zip(group, widths, strict=True))
+            shown = _with_room(group, options.max_width)
+            widths = _widths(shown, options.max_width)
+            sized = (replace(column, _cells=[], width=width) for column, width in zip(shown, widths, strict=True))
             part = Table(*sized, box=None, pad_edge=False)
-            for row in zip_longest(*(column.cells for column in group), fillvalue=""):
+            for row in zip_longest(*(column.cells for column in shown), fillvalue=""):
                 part.add_row(*row)
             yield part
 
