@@ -31,6 +31,7 @@ from tumble.terminal.calibration import (
     launch_table,
     method_table,
 )
+from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 
@@ -227,6 +228,17 @@ def test_no_number_is_cut_on_a_narrow_terminal(full: Calibration, width: int) ->
     whole = {word for line in lines_of(calibration_report(full)) for word in line.split() if is_number(word)}
     assert "…" not in out.getvalue()
     assert whole <= set(out.getvalue().split())
+
+
+def test_rows_of_tables_below_each_other_keep_all_that_names_them() -> None:
+    table = plain_table("method", "pass", "parameters", "estimator", named_by=2)
+    table.add_row("staged", "1", "accelerometers", "lengths")
+    table.add_row("staged", "2", "gyros", "turns")
+    out = io.StringIO()
+    Console(file=out, width=30).print(table)
+    rows = [line.split() for line in out.getvalue().splitlines() if line.startswith("staged")]
+    expected = ("1 accelerometers", "2 gyros", "1 lengths", "2 turns")
+    assert rows == [["staged", *words.split()] for words in expected]
 
 
 def is_number(word: str) -> bool:
