@@ -301,3 +301,14 @@ def test_deviations_of_few_launches_are_believed_less() -> None:
     i = known.instrument.names.index("gyro.bias.z")
     u = next(p.u or 0.0 for p in calibration.parameters if p.name == "gyro.bias.z")
     assert known.doubt[1 + i, 1 + i] == pytest.approx((2.0 * u) ** 2 / np.sqrt(2.0))
+
+
+def test_one_launch_is_as_far_from_the_mean_as_the_one_that_is_checked() -> None:
+    """The change from a calibration of one power-on to another has twice the variance of one; of several, u has it."""
+    _, calibration = device()
+    launch = Launch(session="a", parameters=(), covariance=None, log_sha256="")
+    once, often = (
+        known_before(replace(calibration, launches=launches), seen(3), "mems", {}) for launches in ((), (launch,) * 3)
+    )
+    i = 1 + once.instrument.names.index("accel.bias.x")
+    assert once.covariance[i, i] - often.covariance[i, i] == pytest.approx(5e-3**2, rel=1e-6)

@@ -6,7 +6,8 @@ What is known of the parameters at the check is the calibration, with
 
 Σ its covariance, estimated with ν degrees of freedom for each parameter, and s what turning on again changes: the
 standard deviation from launch to launch where the calibration has several, with ν_s = L − 1, else what is usual of the
-grade (`tumble.sensors.grades`), where 1/ν_s = 0. D says how well P itself is known, and with it by how much more than
+grade (`tumble.sensors.grades`), where 1/ν_s = 0, and √2 times that, since a single launch is as far from the mean of all
+as the one that is checked. D says how well P itself is known, and with it by how much more than
 normal numbers the tests exceed a limit. Groups of parameters that the calibration does not have, and
 drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
 temperatures, parameters are taken to that of the session by their slopes and curvatures, with the usual size of those
@@ -174,11 +175,8 @@ def _check_given(calibration: Calibration, session: Session) -> None:
 
 def _seen_by(calibration: Calibration, observations: Observations) -> Observations:
     """The observations of the sensors that the calibration has."""
-    if calibration.gyro is not None or observations.gyro_block is None:
-        return observations
-    rests, none = observations.rests, np.zeros((len(observations.rests), 0))
-    at_rest = replace(rests, gyro=none, gyro_covariance=np.zeros((len(rests), 0, 0)), gyro_drift=none, gyro_noise=none)
-    return replace(observations, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
+    with_gyros = calibration.gyro is not None or observations.gyro_block is None
+    return observations if with_gyros else observations.of_accelerometers()
 
 
 def _notes(calibration: Calibration, observations: Observations, grade: str, *, guessed: bool) -> tuple[str, ...]:
@@ -268,12 +266,14 @@ def _to_temperature(calibration: Calibration, observations: Observations, instru
 
 
 def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> Array:
-    """Standard deviations (m,) by which parameters change when the device is turned on again."""
+    """Standard deviations (m,) by which parameters change from the calibration to another power-on. What a calibration
+    of one power-on has of it is in its values, that of several in u."""
     launched = {p.name: p.run_to_run for p in calibration.parameters if p.run_to_run is not None}
+    powered_on = 1.0 if calibration.launches or calibration.together else 2.0
     out = np.zeros(len(instrument.names))
     for i, name in enumerate(instrument.names[: instrument.linear_count]):
         out[i] = launched.get(name, spread_of(TURN_ON[grade], name))
-    return out
+    return np.sqrt(powered_on) * out
 
 
 def _scatter(calibration: Calibration, grade: str) -> Scatter:
