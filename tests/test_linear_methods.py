@@ -58,9 +58,7 @@ def test_a_group_left_out_moves_the_fit_by_as_much_as_is_said(observed: Observat
 
 def test_the_paper_s_methods_do_not_accept_in_silence_what_is_not_linear(tmp_path: Path) -> None:
     """Quadratic terms and g-sensitivity of usual size: the turns contradict 21 parameters, and their size is said."""
-    folder = simulate_session(
-        tmp_path / "whole", Setup.of(grade="navigation", programme="rough-table", terms="full"), seed=2
-    )
+    folder = simulate_session(tmp_path / "whole", Setup.of(grade="navigation", sample_rate=20.0, terms="full"), seed=2)
     for method in ("staged", "sequential"):
         found = calibrate(folder, method=method)
         assert found.outcome.verdict != "accepted"
@@ -73,7 +71,7 @@ def test_the_paper_s_methods_do_not_accept_in_silence_what_is_not_linear(tmp_pat
 
 def test_a_linear_instrument_is_accepted_by_all_of_them(tmp_path: Path) -> None:
     """The note stands: nothing in a session tells a bias from what is quadratic with faces up and down alone."""
-    folder = simulate_session(tmp_path / "linear", Setup.of(grade="navigation", programme="rough-table"), seed=3)
+    folder = simulate_session(tmp_path / "linear", Setup.of(grade="navigation", sample_rate=20.0), seed=3)
     for method in ("staged", "scalar", "ellipsoid"):
         found = calibrate(folder, method=method)
         assert found.outcome.verdict == "accepted"

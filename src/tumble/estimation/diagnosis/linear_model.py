@@ -100,4 +100,6 @@ def moved_by(names: set[str], observations: Observations) -> Array:
     rows = np.einsum("ipr,ipm->irm", basis[:, :, 2:], changes).reshape(-1, len(values))
     linear = instrument.linear_count
     usual = np.array([observations.usual[group.name] for group in instrument.further for _ in group.names(block)])
-    return np.asarray(np.linalg.norm(np.linalg.pinv(rows[:, :linear], rcond=_NOTHING) @ rows[:, linear:] * usual, axis=1))
+    return np.asarray(
+        np.linalg.norm(np.linalg.pinv(rows[:, :linear], rcond=_NOTHING) @ rows[:, linear:] * usual, axis=1)
+    )
