@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,11 @@ SIZES = {
     "accel.cubic": 1e-5 / G_STANDARD**2,
     "accel.asymmetry": 1e-5,
 }
-FUNCTIONS = {"accel.quadratic": np.square, "accel.cubic": lambda f: f**3, "accel.asymmetry": np.abs}
+FUNCTIONS: Mapping[str, Callable[[Array], Array]] = {
+    "accel.quadratic": lambda f: f**2,
+    "accel.cubic": lambda f: f**3,
+    "accel.asymmetry": np.abs,
+}
 
 
 @pytest.fixture(scope="module")

@@ -5,16 +5,17 @@ What is known of the parameters at the check is the calibration, with
     P = Σ + diag(s²),   D = N Σ N + diag(s²/√ν_s),   N = diag(ν^(−1/4))                                         (1)
 
 Σ its covariance, estimated with ν degrees of freedom for each parameter, and s what turning on again changes. That is
-√2 times what is usual of the grade, s_g (`tumble.sensors.grades`), where 1/ν_s = 0: a single launch is as far from the mean
-of all as the one that is checked. Of L launches the mean has its part in Σ, and by their standard deviation s_L
+√2 times what is usual of the grade, s_g (`tumble.sensors.grades`), where 1/ν_s = 0: a single launch is as far from the
+mean of all as the one that is checked. Of L launches the mean has its part in Σ, and by their standard deviation s_L
 
     s² = max(s_L², [4 s_g² + (L − 1) s_L²]/(L + 3)),   ν_s = L − 1 or L + 3                                       (2)
 
-for two launches that happen to agree do not say that the third will: s_g counts as if it were known by four degrees. Groups of parameters that the calibration does not have, and
-drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
-temperatures, parameters are taken to that of the session by their slopes and curvatures, with the usual size of those
-that are not known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite
-sign.
+for two launches that happen to agree do not say that the third will: s_g counts as if it were known by four degrees. D
+says how well P itself is known, and with it by how much more than normal numbers the tests exceed a limit. Groups of
+parameters that the calibration does not have, and drifts, which belong to a session, are zero with the usual size of
+the grade. Where the calibration and the session have temperatures, parameters are taken to that of the session by their
+slopes and curvatures, with the usual size of those that are not known. Where both use the same stated gravity, its
+error is in the scale factors too, with the opposite sign.
 
 Rests scatter as they did in the calibration, at least by the in-run instability of the grade.
 """

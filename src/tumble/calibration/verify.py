@@ -172,8 +172,8 @@ def positions_of_table(path: Path, calibration: Calibration) -> Positions:
 
 
 def _variance_of_a_row(calibration: Calibration, worth: Readings) -> Array:
-    """Variance (3,) of a row beside the scatter between positions: of a mean as long as the rests of the calibration, or
-    of a row of its table. Raises CalibrationError where nothing says how uncertain a reading is."""
+    """Variance (3,) of a row beside the scatter between positions: of a mean as long as the rests of the calibration,
+    or of a row of its table. Raises CalibrationError where nothing says how uncertain a reading is."""
     if worth.row_u:
         return np.array(worth.row_u) ** 2
     variances = [

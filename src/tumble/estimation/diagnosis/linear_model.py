@@ -72,8 +72,8 @@ def left_out(estimate: Estimate, observations: Observations, whole: Observations
         return ()
     return (
         f"not in the model: {', '.join(_AT_REST[name] for name in _AT_REST if name in names)} of the accelerometers; "
-        f"where they are of the size usual in instruments of the grade, they move {', '.join(said)} (rms), which u does "
-        "not contain; the method joint with all its terms does",
+        f"where they are of the size usual in instruments of the grade, they move {', '.join(said)} (rms), which u "
+        "does not contain; the method joint with all its terms does",
     )
 
 

@@ -100,8 +100,8 @@ def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
     if linearised is None:
         return None
     if observations.together is None:
-        found = _of_session(next(each_session(linearised)))
-        return found if estimate.method == "joint" else _about_joint(found)
+        alone = _of_session(next(each_session(linearised)))
+        return alone if estimate.method == "joint" else _about_joint(alone)
     names = observations.together.names
     found = [_of_session(each, share=1.0 / len(names)) for each in each_session(linearised)]
     return _of_all([(name, each) for name, each in zip(names, found, strict=True) if each.remarks or each.reasons])
