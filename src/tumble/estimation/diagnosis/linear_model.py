@@ -78,7 +78,7 @@ def left_out(estimate: Estimate, observations: Observations, whole: Observations
 
 
 _AT_REST = {
-    "accel.quadratic": "quadratic",
+    "accel.quadratic": "quadratic terms",
     "accel.cubic": "cubic terms",
     "accel.asymmetry": "asymmetry",
 }
