@@ -129,7 +129,7 @@ def test_deviations_from_the_systematic_values_stand_beside_the_totals(
         expected = [d / size for d in deviations if d is not None]
         assert len(expected) == 2
         np.testing.assert_allclose(rows[p.name][:2], expected, atol=0.1 * (p.u or 0.0) / size)
-    assert printed(calibration_report(mean)).count("launch1") == 2
+    assert printed(calibration_report(replace(mean, notes=()))).count("launch1") == 2
     assert "deviation of" in printed(calibration_report(mean))
 
 
