@@ -56,7 +56,7 @@ from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 COMPONENTS = (
     *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart"),
@@ -317,6 +317,11 @@ class Problem:
         """The rest (K,) before each turn."""
         turns = self.observations.turns
         return np.zeros(0, dtype=np.int64) if turns is None else turns.first
+
+    @cached_property
+    def unlinked(self) -> BoolArray:
+        """The rests (N,) that no turn follows, whose own rows count."""
+        return self.link < 0
 
     @cached_property
     def lag(self) -> int | None:

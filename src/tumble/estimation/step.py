@@ -171,7 +171,7 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
 
 def _deviance(problem: Problem, told: Told, known: Known) -> float:
     """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
-    own = told.weights.rest[problem.link < 0], told.weights.merged
+    own = told.weights.rest[problem.unlinked], told.weights.merged
     whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in own])
     pivots = np.abs(np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), known.pivots]))
     return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum()) + known.square)
