@@ -42,6 +42,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
@@ -63,6 +64,7 @@ COMPONENTS = (
     *("accel_wandering", "gyro_wandering"),
 )
 """The components of variance, in the order of `Scatter`."""
+_components_of = attrgetter(*COMPONENTS)
 OF_TURNS = slice(2, 8)
 """Those that concern turns alone."""
 WANDERING = 8
@@ -112,7 +114,7 @@ class Scatter:
     @property
     def variances(self) -> Array:
         """The squares, in the order of COMPONENTS."""
-        return np.array([getattr(self, name) for name in COMPONENTS]) ** 2
+        return np.array(_components_of(self)) ** 2
 
     @property
     def of_turns(self) -> float:

@@ -18,6 +18,8 @@ from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, Weigh
 from tumble.estimation.residual_loops import leave
 from tumble.units import Array, IntArray
 
+_EVERY = np.arange(len(COMPONENTS))
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Known:
@@ -235,7 +237,7 @@ def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
         Z = weights.merged[part.turns] @ of_merged[part.turns]
         of_turns = Z, _with_parameters(step, covariance, merged[part.turns], two)
         for of, (Z, S) in ((of_rest, of_rests), (component, of_turns)):
-            np.add.at(slopes, of, ((np.swapaxes(Z, 1, 2) @ S) ** 2).sum(axis=0))
+            slopes += (_EVERY[:, None] == of) @ ((np.swapaxes(Z, 1, 2) @ S) ** 2).sum(axis=0)
     return slopes
 
 

@@ -261,7 +261,7 @@ def angles(moments: Moments) -> Array:
 def _compensation(block: Block, K: Array) -> BlockCompensation:
     """The compensation of a block with these coefficients."""
     measured = FORCE if block.kind == "accel" else RATE
-    terms = np.column_stack([_square(block, K), K[:, OWN_CUBE], K[:, OWN_SIZE]])
+    terms = np.array([_square(block, K), K[:, OWN_CUBE], K[:, OWN_SIZE]]).T
     return BlockCompensation.of(block.axes, SensorModel(matrix=K[:, measured], bias=K[:, CONSTANT]), terms)
 
 

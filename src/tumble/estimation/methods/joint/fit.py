@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from tumble.estimation.likelihood import COMPONENTS, Problem, Scatter, Weights
 from tumble.estimation.methods.joint.iteration import MAX_ITERATIONS, At, Out, Solved, iterate
 from tumble.estimation.methods.joint.scatter import CLOSELY, ROUGHLY, Scattered, scatter_of, seen_components
 from tumble.estimation.methods.joint.widening import has_groups, with_wider_priors
-from tumble.estimation.step import Left, completed, left
+from tumble.estimation.step import Left, completed
 from tumble.units import Array, BoolArray, IntArray
 
 ROUNDS = 6

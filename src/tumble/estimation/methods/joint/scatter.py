@@ -63,9 +63,7 @@ class Scattered:
         """What a step with a scatter leaves, and the score there."""
         after = left(problem, step)
         slope, information = _scored(problem, at, step, after)
-        return Scattered(
-            scatter=scatter, step=step, left=after, slope=slope, information=information, share=share
-        )
+        return Scattered(scatter=scatter, step=step, left=after, slope=slope, information=information, share=share)
 
     @property
     def components(self) -> Array:
