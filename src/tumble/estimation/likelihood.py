@@ -449,6 +449,13 @@ class Linearised:
     noise: Noise
     scatter: Scatter
 
+    @property
+    def rotations(self) -> Array:
+        """The rotations (K, 3, 3) of the turns, body at the end → body at the start, by the gyros of the point."""
+        about, changes = self.about, self.problem.changed_in_turns(self.point)
+        assert about is not None
+        return about.rotations(self.problem.instrument, self.point.values, 0.0 if changes is None else changes)
+
 
 def instruments_of(observations: Observations) -> tuple[Instrument, Instrument | None]:
     """The instrument with all groups whose usual size observations know and which they may show; and, of several
