@@ -9,7 +9,6 @@ judged by what the others predict.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
@@ -41,45 +40,33 @@ def _judged(
     plain = noise_of(problem, last.rows) if out.any else last.noise
     at_rest = _pulls(weight.rest, after.rest, last.noise.variances_at_rest(scatter), plain.rest)
     merged = _pulls(weight.merged, after.merged, last.noise.variances_merged(scatter), plain.merged)
+    for of_rests, before_turns in zip(at_rest, _part(merged, slice(r)), strict=True):
+        of_rests[problem.before_turn] = before_turns
     for group in groups:
         if group == TURNS:
-            yield _falls(merged.part(slice(r, None)), out.turn)
-            continue
-        part = (slice(0, n), slice(n, stop))[group]
-        rows = at_rest.part(part)
-        for own, of_turn in zip(rows, merged.part(part), strict=True):
-            own[problem.before_turn] = of_turn
-        yield _falls(rows, out.rest)
+            yield _falls(_part(merged, slice(r, None)), out.turn)
+        else:
+            yield _falls(_part(at_rest, (slice(n), slice(n, stop))[group]), out.rest)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Pulls:
-    """Of rows (N, r): the pull P r on them, the block of P, their standard deviations, and what is added to their
-    variances where they are left out."""
-
-    pull: Array
-    projector: Array
-    size: Array
-    left_out: Array
-
-    def part(self, rows: slice) -> tuple[Array, Array, Array, Array]:
-        """The same of some of the rows."""
-        own = self.pull[:, rows], self.projector[:, rows, rows], self.size[:, rows], self.left_out[:, rows]
-        pull, projector, size, left_out = (each.copy() for each in own)
-        return pull, projector, size, left_out
+_Pulls = tuple[Array, Array, Array, Array]
+"""Of rows (N, r): the pull P r on them, P (N, r, r), their standard deviations, and what is added to their variances
+where they are left out."""
 
 
 def _pulls(W: Array, left_of: tuple[Array, Array], variances: Array, noise: Array) -> _Pulls:
     back = np.swapaxes(W, 1, 2)
-    return _Pulls(
-        pull=(back @ left_of[0][:, :, None])[:, :, 0],
-        projector=back @ left_of[1] @ W,
-        size=np.sqrt(variances),
-        left_out=LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2),
-    )
+    pull = (back @ left_of[0][:, :, None])[:, :, 0]
+    return pull, back @ left_of[1] @ W, np.sqrt(variances), LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2)
 
 
-def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tuple[Array, Array]:
+def _part(pulls: _Pulls, rows: slice) -> _Pulls:
+    """The same of some of the rows."""
+    pull, projector, size, left_out = pulls
+    return pull[:, rows], projector[:, rows, rows], size[:, rows], left_out[:, rows]
+
+
+def _falls(rows: _Pulls, left_out: BoolArray) -> tuple[Array, Array]:
     """Falls of chi-square (N,) without rows, see `_Pulls`, and directions (N,) in which they have residuals; of those
     that are left out, the chi-square of their readings about what all others predict."""
     pull, Q, size, inflation = rows
@@ -87,8 +74,8 @@ def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tupl
         return np.zeros(len(left_out)), np.zeros(len(left_out), dtype=np.int64)
     variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
     seen = variance > FREE
-    square = np.einsum("ia,iab->ib", pull * size, directions) ** 2
-    fall = np.where(seen, square / np.where(seen, variance, 1.0), 0.0).sum(axis=1)
+    square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
+    fall = (square / np.where(seen, variance, np.inf)).sum(axis=1)
     count = seen.sum(axis=1)
     for i in np.flatnonzero(left_out):
         kept = variance[i] > ROUNDED * variance[i].max()
