@@ -38,7 +38,7 @@ def _onto_body(axes: bytes) -> Array:
 def left_inverse(matrix: Array) -> Array:
     """The matrix (3, n) that takes readings of sensors, less their biases, to the vector in the body, by least squares,
     of their sensitivities (n, 3). Raises LinAlgError where these are all in one plane."""
-    return np.linalg.solve(matrix.T @ matrix, matrix.T)
+    return np.asarray(np.linalg.solve(matrix.T @ matrix, matrix.T), dtype=float)
 
 
 def skew(vector: Array) -> Array:
