@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
@@ -16,8 +17,9 @@ from tumble.calibration.sensor_rows import sensor_column, split_by_sensor
 from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
-from tumble.recording.formats.columns import ACCEL, columns_by_name, time_unit
+from tumble.recording.formats.columns import ACCEL, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
+from tumble.recording.formats.message import Sensors
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text_pieces import opened
@@ -172,19 +174,41 @@ def _numeric(log: FoundLog) -> list[str]:
 
 
 def _by_data(log: FoundLog) -> FoundLog:
-    """A log whose sensors are told by their numbers, if they can be."""
+    """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
+    whose names say that they are something else are left aside."""
     names = list(next(iter(log.sources())).names)
-    numeric = [name for name in _numeric(log) if names.count(name) == 1]
+    named = {kind: sensors for kind, sensors in log.columns.triads.items() if kind != ACCEL}
+    taken = {column for sensors in named.values() for column in sensors.columns}
+    told = [name not in taken and names.count(name) == 1 and not is_no_sensor(name) for name in names]
+    numeric = [name for name in _numeric(log) if told[names.index(name)]]
     if len(numeric) < 3:
         return log
     read = log.read(numeric, rows=LONGEST // 10)
-    found = columns_by_data(numeric, read[: samples_in(read)])
-    time, unit = log.columns.time, log.columns.time_unit
-    columns = replace(found, time=time or found.time, time_unit=unit, counter=log.columns.counter)
+    every = np.full((samples_in(read), len(names)), np.nan)
+    every[:, [names.index(name) for name in numeric]] = read[: len(every)]
+    found = columns_by_data(names, every)
     if ACCEL not in found.triads:
         return log
-    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in found.triads.items()]
+    time, unit = log.columns.time, log.columns.time_unit
+    columns = replace(
+        found,
+        triads={**{kind: _with_unit(kind, s) for kind, s in found.triads.items()}, **named},
+        time=time or found.time,
+        time_unit=unit,
+        temperatures=log.columns.temperatures,
+        counter=log.columns.counter,
+    )
+    said = [
+        f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)"
+        for kind, s in found.triads.items()
+        if kind not in named
+    ]
     return replace(log, columns=columns, said=(*log.said, *said))
+
+
+def _with_unit(kind: str, sensors: Sensors) -> Sensors:
+    """Sensors with the unit that the names of their columns say."""
+    return replace(sensors, unit=unit_of_name(kind, sensors.columns[0]))
 
 
 def _with_time(log: FoundLog) -> FoundLog:

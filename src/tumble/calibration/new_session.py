@@ -40,7 +40,13 @@ from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS
 _HEAD = 20_000
 _TOLERANCE = 0.3
 _SOFT = 0.03
-_FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
+_FIELDS = {
+    "uT": (15.0, 150.0),
+    "nT": (15e3, 150e3),
+    "gauss": (0.15, 1.5),
+    "mgauss": (150.0, 1500.0),
+    "T": (15e-6, 150e-6),
+}  # with iron about
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 
 

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.recording.formats.columns_by_data import ACCEL_STEPS, MIDDLES
 from tumble.reduction.observations import Observations
 from tumble.reduction.sphere import sphere_through
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array
-
-ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
-"""Counts per g: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
 
 GYRO_STEPS: tuple[float, ...] = tuple(
     sorted(
@@ -31,9 +29,6 @@ GYRO_STEPS: tuple[float, ...] = tuple(
     )
 )  # fmt: skip
 """Counts per °/s: of full scales of 16 bits, of the mdps per count of other makers, and of thousandths."""
-
-MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
-"""Where a converter that knows no sign, and so writes nothing negative, has its zero."""
 
 _NEAR = 0.06
 _NO_OFFSET = 0.3
