@@ -60,7 +60,10 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
-    logs = [_by_data(log) if ACCEL not in log.columns.triads else _with_time(log) for log in logs]
+    whole = [log for log in logs if ACCEL in log.columns.triads]
+    beside = [log for log in logs if whole and log not in whole and not all(map(str.isdecimal, log.cells))]
+    left += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
+    logs = [_by_data(log) if log not in whole else _with_time(log) for log in logs if log not in beside]
     first = logs[0]
     for log in logs[1:]:
         if (

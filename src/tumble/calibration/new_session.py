@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.calibration.archive import is_archive, unzipped
 from tumble.calibration.draft import Draft, session_text
 from tumble.calibration.draft_trials import tried
 from tumble.calibration.found_log import FoundLog, times_of
@@ -97,6 +98,7 @@ def new_session(
     if given.rate is not None and not 0.0 < given.rate < 1e9:
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
+        files = [found for file in files for found in (unzipped(file, folder) if is_archive(file) else [file])]
         draft = _of_files(files, folder, given)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         draft, faults = tried(draft, progress)

@@ -87,6 +87,10 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 }  # fmt: skip
 
 
+_RATES = ("rad/s", "deg/s", "mdps", "deg/h")
+"""Units that nothing but gyros has."""
+
+
 def _unit(text: str) -> str:
     """A unit as `_UNITS` has it: `m·s⁻²`, `m/sec^2` and `m / s²` are ms-2, m/s2 and m/s2."""
     out = re.sub(
@@ -194,6 +198,8 @@ def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
     for name in names:
         for axis, stem in _axes(_split(name)[0]):
             kind = next((kind for kind, pattern in _KINDS.items() if pattern.search(stem)), None)
+            if kind is None and _UNITS[GYRO].get(_split(name)[1]) in _RATES:
+                kind = GYRO
             if kind is not None:
                 found.setdefault((kind, stem), {}).setdefault(axis, name)
                 break
