@@ -13,7 +13,7 @@ import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
 from tumble.calibration.respelled import respelled
-from tumble.calibration.sensor_rows import sensor_column, split_by_sensor
+from tumble.calibration.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
 from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
@@ -109,6 +109,9 @@ def _found(file: Path, folder: Path) -> list[FoundLog]:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
         raise InputError(f"{file}: expected a log, found an empty file")
+    kinds = headed_kinds(seen)
+    if kinds:
+        return [log for part in split_by_header(file, kinds, folder) for log in _found(part, folder)]
     copied = respelled(file, seen, folder)
     if copied is not None:
         return [replace(log, said=(copied[1], *log.said)) for log in _found(copied[0], folder)]

@@ -12,6 +12,7 @@ import polars as pl
 
 from tumble.calibration.found_log import SHOWN, FoundLog, check_has_accelerometers
 from tumble.calibration.log_times import times_of_column
+from tumble.calibration.raw_scale import PLAIN
 from tumble.errors import InputError
 from tumble.recording import formats
 from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name, unit_of_name
@@ -19,7 +20,8 @@ from tumble.recording.formats.columns_by_data import time_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
 from tumble.units import TIME_UNITS
 
-_UNCALIBRATED = re.compile(r"acc.*uncal", re.IGNORECASE)
+_HEAD, _NEAR = 20_000, 0.1
+_UNCALIBRATED = re.compile(r"acc.*uncal|uncal.*acc", re.IGNORECASE)
 _NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
 
@@ -35,23 +37,33 @@ def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
 
 
 def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
-    """The first log of each kind of sensors by the names of its columns, or where they do not say of its file."""
+    """The first log of each kind of sensors by the names of its columns, or where they do not say of its file; of
+    accelerometers the first that reads gravity, if one does: what a phone calls so may be without it."""
     by_kind: dict[str, FoundLog] = {}
     for log in logs:
         name = log.files[0].stem
         named = next((kind for kind in (ACCEL, GYRO) if kind in log.columns.triads), None)
         kind = named or next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
+        if kind == ACCEL and not _NOT_ACCEL.search(name) and ACCEL in by_kind:
+            by_kind[ACCEL] = by_kind[ACCEL] if _reads_gravity(by_kind[ACCEL]) or not _reads_gravity(log) else log
         if kind is not None and not (kind == ACCEL and _NOT_ACCEL.search(name)):
             by_kind.setdefault(kind, log)
-    return by_kind
+    uncalibrated = [log for log in logs if _UNCALIBRATED.search(log.files[0].stem)]
+    return {ACCEL: uncalibrated[0], **by_kind} if uncalibrated else by_kind
+
+
+def _reads_gravity(log: FoundLog) -> bool:
+    """Whether the three sensors of a log of accelerometers read gravity in m/s², g or thousandths of it."""
+    columns = _three(log, ACCEL)[1]
+    if not columns:
+        return False
+    length = float(np.nanmedian(np.linalg.norm(log.read(columns, rows=_HEAD), axis=1)))
+    return any(abs(length / one - 1.0) < _NEAR for one in PLAIN.values())
 
 
 def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
     """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
-    uncalibrated = next((log for log in logs if _UNCALIBRATED.search(log.files[0].stem)), None)
-    if ACCEL not in by_kind and uncalibrated is not None:
-        by_kind[ACCEL] = uncalibrated
     if ACCEL not in by_kind:
         check_has_accelerometers(logs[0])
     accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None
