@@ -25,6 +25,7 @@ from tumble.calibration.log_detection import files_of, found_log
 from tumble.calibration.log_times import Times
 from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
+from tumble.calibration.opposite_sign import with_sign
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
@@ -36,7 +37,7 @@ from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.recording.session_keys.temperature import TemperatureTable
-from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS
+from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
 
 _HEAD = 20_000
 _TOLERANCE = 0.3
@@ -102,6 +103,8 @@ def new_session(
         draft = _of_files(files, folder, given)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         draft, faults = tried(draft, progress)
+        content, signed = with_sign(draft.content)
+        draft = replace(draft, content=content, said=(*draft.said, *signed))
         folder.mkdir(parents=True, exist_ok=True)
         text = session_text(draft, folder, given.programme, named=bool(given.serial))
         with whole_file(path) as temporary:
@@ -138,8 +141,15 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
         magnetometer=magnetometer,
         rate_guessed=times.guessed,
         gyro_unknown=unknown,
+        time_guessed=times.unit_guessed,
+        gyro_whole=GYRO in found.triads and _is_whole(log.read(found.triads[GYRO].columns, rows=_HEAD)),
         accel_magnitude=magnitude,
     )
+
+
+def _is_whole(read: Array) -> bool:
+    """Whether readings are whole numbers."""
+    return bool((read == np.floor(read))[np.isfinite(read)].all())
 
 
 def _of_recording(recordings: Sequence[Path], folder: Path, given: Given) -> Draft:

@@ -43,11 +43,12 @@ _SLOW = 1e12
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scale:
-    """Counts per unit as written down, as found, and where it is from in words."""
+    """Counts per unit as written down, as found, and where it is from in words; whether a data sheet has it."""
 
     value: float
     found: float
     said: str
+    known: bool = True
 
 
 PLAIN: Mapping[str, float] = {"m/s^2": G_STANDARD, "g": 1.0, "mg": 1e3}
@@ -69,7 +70,7 @@ def matched(found: float, steps: Sequence[float], unit: str) -> Scale:
     off = found / nearest - 1.0
     if abs(off) > _NEAR:
         said = f"{found:.4g} counts per {unit} found, and no data sheet has a value near it"
-        return Scale(value=float(f"{found:.4g}"), found=found, said=said)
+        return Scale(value=float(f"{found:.4g}"), found=found, said=said, known=False)
     value = float(f"{nearest:.6g}")
     return Scale(
         value=value, found=found, said=f"{value:g} counts per {unit} as in data sheets, {found:.4g} found ({off:+.1%})"
