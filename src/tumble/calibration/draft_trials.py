@@ -30,6 +30,7 @@ from tumble.errors import TumbleError
 from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
 from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
+from tumble.rotation import unit_vector
 from tumble.units import DEGREE, GYRO_UNITS
 
 _LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
@@ -38,6 +39,7 @@ _USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
 _RATE_NEAR = 0.04
 _SLOW_RATE = 25.0  # Hz
 _RATE_UNITS = ("rad/s", "deg/s")
+_TURNED = 0.99  # cosine of 8°
 _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
 
 
@@ -140,8 +142,8 @@ def _doubts(draft: Draft, scale: Scale) -> list[str]:
         return []
     column = draft.content["log"]["time"]
     return [
-        f"time: the unit of column {column!r} is a guess, and no data sheet has the gyros' {scale.value:g} counts per "
-        "deg/s: if it counts samples or ticks, give the rate (--rate)"
+        f"time: the unit of column {column!r} is a guess, and no data sheet has the gyros' {scale.value:g} counts "
+        "per deg/s: if it counts samples or ticks, give the rate (--rate)"
     ]
 
 
@@ -161,8 +163,14 @@ def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress
     if found is None:
         return draft, faults
     unit, rate = _unit_and_rate(found, log["gyro"]["unit"], draft)
+    if doubted and unit != log["gyro"]["unit"] and abs(rate.found / draft.rate - 1.0) < _RATE_NEAR:
+        content = _with_gyro_unit(draft.content, unit)
+        told = f"gyros: in {unit}, not {log['gyro']['unit']}: so they carry the vertical at the rate of the times"
+        return replace(draft, content=content, said=(*draft.said, told)), _looked_at(content, progress)[1]
     seen = f"{rate.found:.4g} found"
-    said = [f"time: rate_hz = {rate.value:g} from the turns ({seen}): a guess to some percent; put the log's rate there"]
+    said = [
+        f"time: rate_hz = {rate.value:g} from the turns ({seen}): a guess to some percent; put the log's rate there"
+    ]
     if doubted:
         said.insert(0, f"time: column {log['time']!r} counts samples or ticks: in no unit do the gyros fit it")
     if unit != log["gyro"]["unit"]:
@@ -214,13 +222,23 @@ def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str], bool]:
     if faults and draft.gyro_unknown and clocked and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
         return *_in_counts(draft, faults, progress), True
     gyro = draft.content["log"].get("gyro")
-    if not faults or unit is None or gyro["unit"] == "count":
+    if not faults or unit is None or gyro["unit"] == "count" or not _moves_the_vertical(draft, progress):
         return draft, faults, turned
     trial = _with_gyro_unit(draft.content, unit)
     if _looked_at(trial, progress)[1]:
         return draft, faults, turned
     said = f"gyros: in {unit}, not {gyro['unit']}: so they carry the vertical from rest to rest"
     return replace(draft, content=trial, said=(*draft.said, said)), [], True
+
+
+def _moves_the_vertical(draft: Draft, progress: Progress) -> bool:
+    """Whether most turns end with another side up: where they do not, gyros taken for too small carry it too."""
+    observations = _observed(draft.content, progress)
+    if observations is None or not observations.turns:
+        return False
+    vertical = unit_vector(observations.rests.accel)
+    cosine = (vertical[observations.turns.first] * vertical[observations.turns.last]).sum(axis=1)
+    return bool(np.median(cosine) < _TURNED)
 
 
 def _by_the_earth(draft: Draft, progress: Progress) -> Draft:

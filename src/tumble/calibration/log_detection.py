@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,15 @@ from tumble.calibration.sensor_rows import headed_kinds, sensor_column, split_by
 from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
-from tumble.recording.formats.columns import ACCEL, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.formats.columns import (
+    ACCEL,
+    GYRO,
+    Columns,
+    columns_by_name,
+    is_no_sensor,
+    time_unit,
+    unit_of_name,
+)
 from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
 from tumble.recording.formats.message import Sensors
 from tumble.recording.log_source import readable
@@ -181,35 +189,37 @@ def _numeric(log: FoundLog) -> list[str]:
 
 def _by_data(log: FoundLog) -> FoundLog:
     """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
-    whose names say that they are something else are left aside."""
-    names = list(next(iter(log.sources())).names)
+    whose names say that they are something else are left aside; gx, gy and gz may be no gyros."""
     named = {kind: sensors for kind, sensors in log.columns.triads.items() if kind != ACCEL}
-    taken = {column for sensors in named.values() for column in sensors.columns}
-    told = [name not in taken and names.count(name) == 1 and not is_no_sensor(name) for name in names]
-    numeric = [name for name in _numeric(log) if told[names.index(name)]]
-    if len(numeric) < 3:
-        return log
-    read = log.read(numeric, rows=LONGEST // 10)
-    every = np.full((samples_in(read), len(names)), np.nan)
-    every[:, [names.index(name) for name in numeric]] = read[: len(every)]
-    found = columns_by_data(names, every)
+    found = _told(log, named)
+    if ACCEL not in found.triads and GYRO in named:
+        named = {kind: sensors for kind, sensors in named.items() if kind != GYRO}
+        found = _told(log, named)
     if ACCEL not in found.triads:
         return log
-    time, unit = log.columns.time, log.columns.time_unit
+    known = log.columns
     columns = replace(
         found,
         triads={**{kind: _with_unit(kind, s) for kind, s in found.triads.items()}, **named},
-        time=time or found.time,
-        time_unit=unit,
-        temperatures=log.columns.temperatures,
-        counter=log.columns.counter,
+        time=known.time or found.time,
+        time_unit=known.time_unit,
+        temperatures=known.temperatures,
+        counter=known.counter,
     )
-    said = [
-        f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)"
-        for kind, s in found.triads.items()
-        if kind not in named
-    ]
+    told = {kind: s for kind, s in found.triads.items() if kind not in named}
+    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
     return replace(log, columns=columns, said=(*log.said, *said))
+
+
+def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Columns:
+    """What the columns of a log are by their numbers, but for those of sensors that are named."""
+    names = list(next(iter(log.sources())).names)
+    taken = {column for sensors in named.values() for column in sensors.columns}
+    numeric = [n for n in _numeric(log) if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
+    read = log.read(numeric, rows=LONGEST // 10) if len(numeric) >= 3 else np.empty((0, len(numeric)))
+    every = np.full((samples_in(read), len(names)), np.nan)
+    every[:, [names.index(name) for name in numeric]] = read[: len(every)]
+    return columns_by_data(names, every)
 
 
 def _with_unit(kind: str, sensors: Sensors) -> Sensors:

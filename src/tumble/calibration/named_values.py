@@ -8,9 +8,7 @@ import re
 from tumble.recording.dialect import is_clock
 
 LONGEST_LINE = 4096
-_KEY = re.compile(
-    r"([^\W\d][\w.]*)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))"
-)
+_KEY = re.compile(r"([^\W\d][\w.]*)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))")
 _NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _WHEN = re.compile(r"[\s\[\]()>,;|-]*$")
 _WORD = re.compile(r"([^\W\d]\w*)\s+$")

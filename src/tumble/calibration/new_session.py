@@ -46,7 +46,6 @@ _FIELDS = {
     "uT": (15.0, 150.0),
     "nT": (15e3, 150e3),
     "gauss": (0.15, 1.5),
-    "mgauss": (150.0, 1500.0),
     "T": (15e-6, 150e-6),
 }  # with iron about
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
@@ -142,6 +141,7 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
         rate_guessed=times.guessed,
         gyro_unknown=unknown,
         time_guessed=times.unit_guessed,
+        rate=times.rate,
         gyro_whole=GYRO in found.triads and _is_whole(log.read(found.triads[GYRO].columns, rows=_HEAD)),
         accel_magnitude=magnitude,
     )

@@ -1,6 +1,6 @@
 """Text logs that are no table, as one: `ax=0.01 ay=-0.02 …`, `acc: 0.1, 0.2, 9.8; gyro: …`, sentences `$VNYMR,…`,
-objects of JSON, samples of several lines, rows in brackets or behind the clock of a serial monitor, and lines that end in
-a carriage return alone.
+objects of JSON, samples of several lines, rows in brackets or behind the clock of a serial monitor, and lines that
+end in a carriage return alone.
 
 What is written is a CSV file in the session's folder, a row for each line, with the names before the signs. A name with
 three numbers behind it is three columns. A line with other names is left as it is, for the reader to report.
@@ -18,15 +18,18 @@ from tumble.calibration.novatel import novatel
 from tumble.calibration.sentences import sentences
 from tumble.calibration.several_lines import several_lines
 from tumble.calibration.spelling import Spelling, most_common, of_named_values
-from tumble.files import whole_file
 from tumble.errors import InputError
+from tumble.files import whole_file
 from tumble.recording.dialect import encoding_of
 from tumble.recording.log_source import readable
 from tumble.recording.text_pieces import opened
 
 _SEEN_LINES = 200
+_THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
+_QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
 _BRACKETED = re.compile(r"\s*[\[({][-+.\d][^\[\](){}:]*[\])}]\s*[,;]?\s*")
 _MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
+
 
 def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
     """The copy of a text log in a folder, made if need be, and what there is to say of it; None for one that can be
@@ -39,6 +42,10 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     spelling = spelling or of_named_values(cells, lines, "names before the numbers") or _framed(lines)
+    if spelling is None and sum(_without_thousands(line) != line for line in lines) > 1:
+        spelling = Spelling(
+            names=(), values=lambda line: [_without_thousands(line)], said="marks between thousands, as in 1'000"
+        )
     if spelling is None and text.count("\r") > 2 and "\n" not in text:
         spelling = Spelling(names=(), values=lambda line: [line], said="lines that end in a carriage return")
     if spelling is None:
@@ -64,6 +71,11 @@ def _framed(lines: Sequence[str]) -> Spelling | None:
     if most_common((bool(_MONITORED.fullmatch(line)) for line in lines), lines):
         return Spelling(names=(), values=_behind_the_clock, said="rows behind the clock of a serial monitor")
     return None
+
+
+def _without_thousands(line: str) -> str:
+    """A line whose numbers are written without the marks between their thousands."""
+    return _QUOTED_THOUSANDS.sub(lambda found: found[1].replace(",", ""), _THOUSANDS.sub("", line))
 
 
 def _behind_the_clock(line: str) -> list[str]:

@@ -165,11 +165,7 @@ def _names(cells: Sequence[str], width: int, dialect: Dialect) -> tuple[str, ...
     cells = [cell.strip().strip('"') for cell in cells]
     while len(cells) > width and not cells[-1]:
         cells = cells[:-1]
-    if (
-        not width - 1 <= len(cells) <= width
-        or not cells[min(1, width - 1)]
-        or sum(map(bool, cells)) < _LEAST_NUMBERS
-    ):
+    if not width - 1 <= len(cells) <= width or not cells[min(1, width - 1)] or sum(map(bool, cells)) < _LEAST_NUMBERS:
         return None
     if sum(map(dialect.is_number, cells)) > len(cells) // 2:
         return None

@@ -34,7 +34,7 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
 
 _NO_SENSOR = re.compile(
     r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|gravity|user|(^|_)lin|mag|compass|variance|bias|drift|"
-    r"latitude|longitude|altitude|height|position|vel(ocity)?(_|$)|press|baro|status|(^|_)q[wxyz0-3]?$"
+    r"(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|status|(^|_)q[wxyz0-3]?$"
 )
 _WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
 """Words for what a phone or a filter made of the readings, taken where nothing else is there."""
@@ -80,8 +80,8 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
         "counts": "count", "lsb": "count", "raw": "count", "adc": "count", "v": "V",
     },
     MAGNETOMETER: {
-        "nt": "nT", "ut": "uT", "µt": "uT", "microteslas": "uT", "gauss": "gauss", "ga": "gauss", "t": "T", "tesla": "T",
-        "mgauss": "mgauss", "mg": "mgauss",
+        "nt": "nT", "ut": "uT", "µt": "uT", "microteslas": "uT", "gauss": "gauss", "ga": "gauss",
+        "t": "T", "tesla": "T", "mgauss": "mgauss", "mg": "mgauss",
     },
     TIME_KIND: {"s": "s", "sec": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"},
 }  # fmt: skip
@@ -170,12 +170,13 @@ def temperature_unit(name: str) -> str | None:
 
 
 def is_no_sensor(name: str) -> bool:
-    """Whether the name of a column says that it is neither an accelerometer nor a gyro.
+    """Whether the name of a column says that it is no accelerometer, and no gyro that a name does not tell already.
 
     >>> is_no_sensor("attitude_roll(radians)"), is_no_sensor("user_acc_x(G)"), is_no_sensor("ch3")
     (True, True, False)
     """
-    return bool(_NO_SENSOR.search("_".join(_split(name)[0])))
+    words, unit = _split(name)
+    return bool(_NO_SENSOR.search("_".join(words))) or _UNITS[GYRO].get(unit) in _RATES
 
 
 def in_order(names: Sequence[str]) -> tuple[str, str, str]:

@@ -37,6 +37,8 @@ MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
 def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
     Columns of no numbers are NaN."""
+    if not len(read):
+        return Columns(time=None, time_unit=None, triads={}, temperatures=(), others=())
     growing = [j for j in range(len(names)) if grows(read[:, j])]
     numbers = [
         j
@@ -78,20 +80,23 @@ def _turns_alone(columns: Array) -> bool:
     """Whether vectors change their direction, and never their length."""
     columns = columns[np.isfinite(columns).all(axis=1)]
     length = np.linalg.norm(columns, axis=1)
-    return bool(len(length) and length.std() < _SAME_NORM * length.mean() < columns.std(axis=0).max() * 1e-3)
+    return bool(len(length) and length.std() < min(_SAME_NORM * length.mean(), 0.1 * columns.std(axis=0).max()))
 
 
 def _sensors(read: Array, runs: Sequence[Run], quiet: BoolArray, *, fused: bool) -> dict[str, Run]:
     """Accelerometers, which of those that read one length are those that read it as gravity, and the gyros that are
-    next to them, behind them first. Beside what a filter has `fused` there may be none: magnetometers are no stand-in.
-    """
+    next to them, behind them first. What is in no unit and
+    no counts of data sheets is none beside what a filter has `fused`, and without gyros."""
     kinds = {run: _kind(read[:, run], quiet) for run in runs}
     accels = [run for run in runs if kinds[run] == ACCEL]
     accel = min(accels, key=lambda run: _strangeness(read[:, run], quiet), default=None)
-    if accel is None or (fused and _strangeness(read[:, accel], quiet) >= _STRANGEST):
+    if accel is None:
         return {}
+    strange = _strangeness(read[:, accel], quiet)
     gyros = [run for run in runs if kinds[run] == GYRO and not set(run) & set(accel)]
     next_to = min(gyros, key=lambda run: (run[0] < accel[0], abs(run[0] - accel[0])), default=None)
+    if strange >= _STRANGEST and (fused or next_to is None):
+        return {}
     if next_to is None:
         return {ACCEL: accel}
     overlapping = [run for run in gyros if set(run) & set(next_to)]  # with a thermometer between, which stays as it is
@@ -102,11 +107,18 @@ def _strangeness(columns: Array, quiet: BoolArray) -> int:
     """How unlike those of accelerometers the readings of three columns are whose length is one at rest: in no unit and
     no counts of data sheets, or with a zero far off, as magnetometers with iron about have it."""
     means = _rests(columns, quiet)
-    centre = _centre(means)
-    length = float(np.linalg.norm(means - centre, axis=1).mean())
-    off = min(float(np.abs(centre - middle).max()) for middle in (0.0, *(MIDDLES if (means > 0.0).all() else ())))
-    near = {k: _is_near(length, ones) for k, ones in enumerate(((G_STANDARD,), (1.0, 1e3), ACCEL_STEPS))}
-    return next((k for k, is_near in near.items() if is_near), len(near)) + len(near) * (off > _OFF * length)
+    read = columns[np.isfinite(columns)]
+    counts = ACCEL_STEPS if (read == np.floor(read)).all() else ()
+    ones = (G_STANDARD,), (1.0, 1e3), counts
+
+    def strange(centre: Array | float) -> int:
+        lengths = np.linalg.norm(means - centre, axis=1)
+        length = float(lengths.mean())
+        off = min(float(np.abs(centre - middle).max()) for middle in (0.0, *(MIDDLES if (means > 0.0).all() else ())))
+        near = next((k for k, values in enumerate(ones) if _is_near(length, values)), len(ones))
+        return near + len(ones) * (off > _OFF * length or lengths.std() > _SAME_LENGTH * length)
+
+    return min(strange(0.0), strange(_centre(means)))  # a sphere is not seen from one side
 
 
 def _is_near(length: float, ones: Sequence[float]) -> bool:
