@@ -1,6 +1,6 @@
 """Raw sentences of NovAtel receivers, `%RAWIMUSXA,2075,507495.165;…*dd88585c`: a table of their counts.
 
-Counts are increments of velocity and angle, in an order and with a sign of the maker's (OEM7 commands and logs, RAWIMU):
+Counts are increments of velocity and angle, in an order and with a sign of the maker's (OEM7 logs, RAWIMU):
 z, −y, x. What one is worth depends on the unit behind the receiver. Other sentences between them are left aside.
 """
 

@@ -189,12 +189,17 @@ def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
     for name, value in content.items():
         if isinstance(value, np.ndarray) and value.dtype.names:
             value = {field: value[field] for field in value.dtype.names}
-        if isinstance(value, np.ndarray | list) and len(value) and all(isinstance(v, dict) for v in value):
-            value = _stacked(value)
+        samples = list(value) if isinstance(value, list) or _of_objects(value) else []
+        if samples and all(isinstance(sample, dict) for sample in samples):
+            value = _stacked(samples)
         if isinstance(value, dict):
             yield from _nested(value, f"{prefix}{name}/")
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and not name.startswith("__"):
             yield prefix + name, (value.shape, value.__getitem__)
+
+
+def _of_objects(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.ndim == 1
 
 
 def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
