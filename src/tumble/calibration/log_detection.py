@@ -116,7 +116,7 @@ def _found(file: Path, folder: Path) -> list[FoundLog]:
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
-        raise InputError(f"{file}: expected a log, found an empty file")
+        raise _NoRowsError(f"{file}: expected a log, found an empty file")
     kinds = headed_kinds(seen)
     if kinds:
         return [log for part in split_by_header(file, kinds, folder) for log in _found(part, folder)]

@@ -8,7 +8,7 @@ gravity. A time grows from row to row.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -26,6 +26,7 @@ _STILL = 0.05
 _SAME_NORM = 1e-5
 _NEAR, _OFF, _UNSTEADY = 0.06, 0.25, 0.6
 _STRANGEST = 3
+_THERMOMETER = 5.0
 
 ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
 """Counts per g of data sheets: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
@@ -99,8 +100,18 @@ def _sensors(read: Array, runs: Sequence[Run], quiet: BoolArray, *, fused: bool)
         return {}
     if next_to is None:
         return {ACCEL: accel}
-    overlapping = [run for run in gyros if set(run) & set(next_to)]  # with a thermometer between, which stays as it is
-    return {ACCEL: accel, GYRO: min(overlapping, key=lambda run: float(_unrest(read[:, run], quiet).sum()))}
+    return {ACCEL: accel, GYRO: _without_thermometer(next_to, gyros, lambda run: _unrest(read[:, run], quiet))}
+
+
+def _without_thermometer(run: Run, gyros: Sequence[Run], unrest: Callable[[Run], Array]) -> Run:
+    """Three gyros, or where the first column is a thermometer between accelerometers and gyros the three behind it: its
+    means differ from rest to rest far more than theirs, in parts of what it does in all."""
+    behind = (run[1], run[2], run[2] + 1)
+    if behind not in gyros:
+        return run
+    first, *others = unrest(run)
+    last = unrest(behind)[2]
+    return behind if first > _THERMOMETER * max(*others, last) else run
 
 
 def _strangeness(columns: Array, quiet: BoolArray) -> int:
