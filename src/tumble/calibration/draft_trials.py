@@ -36,7 +36,7 @@ from tumble.units import DEGREE, GYRO_UNITS
 _LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
 _HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
 _USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
-_RATE_NEAR, _RATE_AGREES = 0.04, 0.1
+_RATE_NEAR, _RATE_AGREES = 0.04, 1.7
 _SLOW_RATE = 25.0  # Hz
 _RATE_UNITS = ("rad/s", "deg/s")
 _TURNED = 0.99  # cosine of 8°
@@ -163,8 +163,8 @@ def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress
     if found is None:
         return draft, faults
     unit, rate = _unit_and_rate(found, log["gyro"]["unit"], draft)
-    if doubted and abs(rate.found / draft.rate - 1.0) < _RATE_AGREES:
-        if unit == log["gyro"]["unit"]:
+    if doubted and max(rate.found / draft.rate, draft.rate / rate.found) < _RATE_AGREES:
+        if unit == log["gyro"]["unit"]:  # the scale of the gyros is wrong, or a turn, and not the time
             return draft, faults
         content = _with_gyro_unit(draft.content, unit)
         told = f"gyros: in {unit}, not {log['gyro']['unit']}: so they carry the vertical at the rate of the times"

@@ -99,8 +99,8 @@ def check_has_accelerometers(log: FoundLog) -> None:
             )
         if any(_FUSED.search(name) for name in columns):
             raise InputError(
-                f"{log.files[0]}: expected readings of accelerometers, found gravity and acceleration without it, which "
-                f"a filter has made of them ({names[:120]}); log the raw accelerometers"
+                f"{log.files[0]}: expected readings of accelerometers, found gravity and acceleration without it, "
+                f"which a filter has made of them ({names[:120]}); log the raw accelerometers"
             )
         raise InputError(
             f"{log.files[0]}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z; "
