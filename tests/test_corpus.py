@@ -17,6 +17,7 @@ from tumble.calibration.archive import unzipped
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.log_detection import files_of, found_log
+from tumble.calibration.log_times import Stamps, times_of_column
 from tumble.calibration.mended_log import mended
 from tumble.calibration.new_session import new_session
 from tumble.cli import main
@@ -450,3 +451,19 @@ def test_arrays_of_objects_are_not_run(tmp_path: Path) -> None:
     np.save(tmp_path / "imu.npy", np.array([{"acc": 1.0}], dtype=object), allow_pickle=True)
     with pytest.raises(InputError, match="found objects of Python; save the arrays themselves"):
         new_session(tmp_path / "session", tmp_path / "imu.npy")
+
+
+def test_a_last_stamp_that_was_cut_is_no_fall() -> None:
+    values = np.append(5.0 + 0.02 * np.arange(100), 6.9)
+    times = times_of_column(Stamps(column="t", values=values, unit=None))
+    assert times is not None
+    assert times.rate == pytest.approx(50.0)
+
+
+def test_a_field_in_tesla_is_one_on_earth(log: pl.DataFrame, tmp_path: Path) -> None:
+    short = log.head(SHORT)
+    field = 1e-6 * p.field(short.select(d.ACCEL).to_numpy())
+    short.hstack(pl.DataFrame(field, schema=[f"magnetic_field.{a}" for a in "xyz"])).write_csv(tmp_path / "imu.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "imu.csv")
+    assert draft.magnetometer is not None
+    assert draft.magnetometer["unit"] == "T"

@@ -74,6 +74,7 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
 def times_of_column(stamps: Stamps) -> Times | None:
     """Unit and rate of a time column; None where it is none."""
     values = stamps.values[np.isfinite(stamps.values)]
+    values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
     if len(values) < 3 or not values[-1] - values[0] > _SHORTEST:
         return None
     typical = _typical_step(values)
