@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
@@ -35,7 +36,15 @@ def unzipped(archive: Path, folder: Path) -> list[Path]:
                     f"{len(members)}, {sum(m.file_size for m in members) / 1e6:.3g} MB; unpack it and name the logs"
                 )
             return [_written(opened, member, folder) for member in members]
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error) as error:
+    except (
+        zipfile.BadZipFile,
+        NotImplementedError,
+        RuntimeError,
+        ValueError,
+        EOFError,
+        zlib.error,
+        lzma.LZMAError,
+    ) as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{archive}: expected a sound archive, found: {said[:200]}") from None
 
