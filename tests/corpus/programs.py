@@ -79,7 +79,7 @@ def phyphox_archive(log: pl.DataFrame, folder: Path) -> str:
 def novatel(log: pl.DataFrame, folder: Path) -> str:
     """Raw sentences of increments with another one between, z before −y before x."""
     t, a, g = parts(log)
-    dv, da = np.round(a / 50.0 / 2e-9).astype(int), np.round(g / 50.0 / 1e-10).astype(int)
+    dv, da = np.round(a / 50.0 / 2e-9).astype(int), np.round(g / 50.0 / 2e-9).astype(int)
     lines = []
     for k, (s, v, w) in enumerate(zip(399424.0 + t, dv.tolist(), da.tolist(), strict=True)):
         body = f"RAWIMUSXA,2000,{s:.3f};00,11,2000,{s:.9f},00000077,{v[2]},{-v[1]},{v[0]},{w[2]},{-w[1]},{w[0]}"

@@ -15,6 +15,8 @@ _MOST_FILES = 200
 _PIECE_BYTES = 1 << 20
 _NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".jpg", ".html", ".zip")
 
+_DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError)
+
 
 def is_archive(file: Path) -> bool:
     """Whether a file is an archive by its ending."""
@@ -36,15 +38,7 @@ def unzipped(archive: Path, folder: Path) -> list[Path]:
                     f"{len(members)}, {sum(m.file_size for m in members) / 1e6:.3g} MB; unpack it and name the logs"
                 )
             return [_written(opened, member, folder) for member in members]
-    except (
-        zipfile.BadZipFile,
-        NotImplementedError,
-        RuntimeError,
-        ValueError,
-        EOFError,
-        zlib.error,
-        lzma.LZMAError,
-    ) as error:
+    except _DAMAGED as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{archive}: expected a sound archive, found: {said[:200]}") from None
 
