@@ -20,6 +20,7 @@ from tumble.errors import InputError
 from tumble.estimation.by_session import each_session
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.diagnosis.misfit import misfit
+from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, noise_of
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
@@ -233,6 +234,22 @@ def test_three_levels_give_the_coefficients_of_a_device_with_large_ones() -> Non
     assert len(z) == 24
     assert np.sqrt(np.mean(z**2)) < 1.8
     assert np.abs(list(found.values())).max() < 6.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_levels_leave_the_curvature_to_what_is_usual(seed: int) -> None:
+    """A bias far beyond its usual size is no curvature, and there is no lag where nothing gets warmer."""
+    scenario = device("mems", SHORT, seed=seed)
+    truth = dict(scenario.truth)
+    for name in ("gyro.bias.x", "gyro.bias.y", "gyro.bias.z"):
+        truth[name] *= 10.0
+    levels = together(replace(scenario, truth=truth), [ramp(t, t) for t in (10.0, 40.0)])
+    found = joint(levels)
+    assert found.converged
+    widened = {group.name: group.widened for group in found.groups}
+    assert "temperature.lag" not in widened
+    assert all(widened[f"{base}.t2"] == 1.0 for base in ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale"))
+    assert not verdict(found, levels).reasons
 
 
 def test_a_ramp_up_and_down_shows_the_lag() -> None:

@@ -15,7 +15,7 @@ from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.case import relate
 from tumble.calibration.from_readings import calibrate_table
 from tumble.calibration.results import Parameter, Readings
-from tumble.calibration.verify import Positions, positions_of, verify_calibration, verticals
+from tumble.calibration.verify import TURNED_ON, Positions, positions_of, verify_calibration, verticals
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Estimate, Outcome
@@ -220,6 +220,25 @@ def test_a_device_that_has_changed_is_refused() -> None:
     check = read(directions("cube-14", rng), rng)
     moved = replace(check, readings=check.readings + np.array([500.0 * MICRO_G, 0.0, 0.0]))
     assert len(verify_calibration(made, moved).reasons) >= 2
+
+
+def test_a_refusal_says_whether_turning_on_again_explains_it() -> None:
+    """Biases that change by 0.3 mg do in MEMS units, and not in navigation; a bad position is explained by neither."""
+    rng = np.random.default_rng(8)
+    made, _ = calibrated(read(directions("cube-26", rng), rng, sha256="own"))
+    check = read(directions("cube-14", rng), rng)
+    moved = replace(check, readings=check.readings + 300.0 * MICRO_G * np.array([1.0, -0.7, 0.4]))
+    bad = check.readings.copy()
+    bad[4] *= 1.001
+    for positions, grade, explained in (
+        (moved, "mems", True),
+        (moved, "navigation", False),
+        (moved, None, False),
+        (replace(check, readings=bad), "mems", False),
+    ):
+        found = verify_calibration(made, replace(positions, grade=grade))
+        assert len(found.reasons) >= 1
+        assert (found.reasons[-1] == TURNED_ON) == explained, (grade, found.reasons)
 
 
 # -------------------- gravity --------------------

@@ -7,30 +7,27 @@ from collections.abc import Iterator
 import numpy as np
 
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.variables import both_ways, lag_is_sought
+from tumble.estimation.variables import at_two_temperatures, both_ways, over_a_range
 from tumble.reduction.observations import Observations
 from tumble.reduction.warming import OVER_TEMPERATURE
 from tumble.sensors.parameters import THERMAL, variable_of
-from tumble.units import ZERO_CELSIUS, Array
-
-APART = 0.25
-"""Rests whose temperatures differ by more of their range are at two levels."""
+from tumble.units import ZERO_CELSIUS
 
 
 def over_temperature(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """What the temperatures of several sessions, or of a session over temperature, determine, and what not."""
     kelvin = observations.rests.temperature
-    if kelvin is None or (observations.together is None and not lag_is_sought(observations)):
+    if kelvin is None or (observations.together is None and not over_a_range(observations)):
         return
     low, high = kelvin.min() - ZERO_CELSIUS, kelvin.max() - ZERO_CELSIUS
     yield f"temperatures of the rests: {low:z.1f} to {high:z.1f} °C; beyond them nothing was measured"
-    if not lag_is_sought(observations):
+    if not over_a_range(observations):
         yield (
             f"temperatures span {np.ptp(kelvin):.1f} K, less than {OVER_TEMPERATURE:.0f}: coefficients over "
             "temperature are mostly what is usual; take sessions at temperatures further apart"
         )
         return
-    yield from _left_open(estimate, kelvin)
+    yield from _left_open(estimate, observations)
     turned = observations.turns is not None and bool((observations.turns.duration > 0.0).any())
     if turned:
         yield from _where_turned(observations)
@@ -43,14 +40,17 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
         )
 
 
-def _left_open(estimate: Estimate, kelvin: Array) -> Iterator[str]:
+def _left_open(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """Which coefficients the temperatures say nothing of, and why."""
-    left = [group.name for group in estimate.groups if variable_of(group.name) in THERMAL and not group.kept]
-    if not left:
+    if at_two_temperatures(observations):
+        yield (
+            "coefficients t2 are what is usual, which is in the u of biases and scale factors at the reference temperature: "
+            "two temperatures show slopes and no curvature; take a third between them"
+        )
         return
-    levels = 1 + int(np.sum(np.diff(np.sort(kelvin)) > APART * np.ptp(kelvin)))
-    why = "two temperatures show slopes and no curvature; take a third between them" if levels == 2 else ""
-    yield f"nothing is seen of {', '.join(left)}: {why or 'turn at more temperatures, each axis up and down'}"
+    left = [group.name for group in estimate.groups if variable_of(group.name) in THERMAL and not group.kept]
+    if left:
+        yield f"nothing is seen of {', '.join(left)}: turn at more temperatures, each axis up and down"
 
 
 def _where_turned(observations: Observations) -> Iterator[str]:

@@ -16,6 +16,13 @@ turn: with the leverage h, the variance of |true| from the parameters over that 
 
 which is exact for a linear fit. The plain residual would be too small by √(1 − h).
 
+What turning on again changes is in no u: positions of the same power-on check a calibration to the noise, where those of
+another one would check it to the turn-on spread of the grade only. So a refusal says whether that spread explains it:
+
+    Δgᵀ V⁻¹ Δg,   V = diag(own variance) + J (Σ + 2 diag(s_g²)) Jᵀ + u(g)²,   J = ∂|true|/∂θ
+
+is then no larger than by chance; `tumble check` allows for it.
+
 A calibration is refused where |Δg|/u of one position is beyond what happens by chance in CHANCE of all verifications,
 Bonferroni over the positions, Student's t where the scatter was estimated from few rests.
 """
@@ -27,6 +34,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.case import Verticals, verticals_of
 from tumble.calibration.observed import inspect_session
@@ -40,6 +48,7 @@ from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.sensors.frames import Convention, frame_of, triad_axes
+from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import LINEAR, Variable, group_name, sensor_kind
@@ -51,6 +60,11 @@ CHANCE = 0.01
 _OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
 """What readings at a temperature change with, and its power."""
 
+TURNED_ON = (
+    "a usual change from one power-on to the next explains it: if the device was switched off since the calibration, "
+    "`tumble check` allows for that"
+)
+
 NOTHING_LEFT = 1e-6
 """1 − h below which nothing but the position itself determines what it is compared with."""
 
@@ -59,7 +73,7 @@ NOTHING_LEFT = 1e-6
 class Positions:
     """Readings at rest to verify a calibration with: mean readings (N, n) of a block with covariance (N, n, n), SI,
     what the positions are called, gravity with its standard uncertainty, m/s², the SHA-256 of their source, and where
-    they are known the temperatures (N, n), °C, of the sensors."""
+    they are known the temperatures (N, n), °C, of the sensors, and the grade of the device."""
 
     block: Block
     readings: Array
@@ -69,12 +83,14 @@ class Positions:
     gravity_u: float
     sha256: str
     celsius: Array | None = None
+    grade: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Verification:
     """Δg (N,) of every position with standard uncertainty `u` (N,), m/s², both without the position where
-    `left_out`; `sigmas` (N,) is |Δg|/u (of positions left out studentised), `limit` what it may be."""
+    `left_out`; `sigmas` (N,) is |Δg|/u (of positions left out studentised), `limit` what it may be; whether what turning on
+    again usually changes explains them, `by_turn_on`."""
 
     labels: tuple[str, ...]
     difference: Array
@@ -82,6 +98,7 @@ class Verification:
     sigmas: Array
     limit: float
     left_out: bool
+    by_turn_on: bool = False
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -89,11 +106,12 @@ class Verification:
         if not np.isfinite(self.sigmas).any():
             return ("nothing checks the calibration: as many positions as parameters; record check positions",)
         size, unit = engineering("m/s^2", float(np.nanmax(np.abs(self.difference))))
-        return tuple(
+        said = tuple(
             f"{self.labels[i]}: Δg is {self.difference[i] / size:+.3g} {unit}, {self.sigmas[i]:.1f} of its standard "
             f"uncertainty, expected at most {self.limit:.1f}"
             for i in np.flatnonzero(self.sigmas > self.limit)
         )
+        return (*said, TURNED_ON) if said and self.by_turn_on else said
 
 
 def positions_of(given: Session | FilePath, calibration: Calibration) -> Positions:
@@ -143,6 +161,7 @@ def rests_of(session: Session, lag: float = 0.0) -> Positions:
         gravity_u=session.site.gravity_u,
         sha256=found.sha256,
         celsius=celsius,
+        grade=grade_of(session, observations)[0],
     )
 
 
@@ -240,7 +259,34 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
         sigmas=np.abs(difference) / u,
         limit=_limit(len(u), fit.degrees if fit.scatter > 0.0 else np.inf),
         left_out=False,
+        by_turn_on=_by_turn_on(calibration, positions, seen, difference, variance, by_gravity),
     )
+
+
+def _by_turn_on(
+    calibration: Calibration,
+    positions: Positions,
+    seen: Verticals,
+    difference: Array,
+    variance: Array,
+    by_gravity: float,
+) -> bool:
+    """Whether Δg (N,) are no larger than by chance, all together, with what turning on again usually changes in the
+    linear parameters between two power-ons; never where the grade is not known."""
+    if positions.grade is None:
+        return False
+    from scipy.special import chdtri, fdtri
+
+    J, fit = _length_by_parameters(calibration, positions, seen), _accelerometer_fit(calibration)
+    turned_on, known = np.zeros(len(seen.parameter_covariance)), seen.parameter_covariance
+    names = positions.block.names
+    turned_on[: len(names)] = [2.0 * spread_of(TURN_ON[positions.grade], name) ** 2 for name in names]
+    V = np.diag(variance) + J @ (known + np.diag(turned_on)) @ J.T + by_gravity
+    N = len(difference)
+    square = float(difference @ np.linalg.solve(V, difference))
+    if fit.scatter == 0.0 or np.isinf(fit.degrees):
+        return square < float(chdtri(N, CHANCE))
+    return square / N < float(fdtri(N, fit.degrees, 1.0 - CHANCE))
 
 
 def _left_out(positions: Positions, difference: Array, variance: Array, known: Array, fit: Fit) -> Verification:

@@ -26,6 +26,10 @@ INNER = 0.8
 """Of half the range: beyond, a hysteresis does nothing."""
 SHORTEST = 1e-6  # s: of a turn
 LAG_STEP = 1.0  # s, of the difference for the derivative
+LEVEL = 1.0
+"""K: rests of a session whose temperatures differ by no more are at one level."""
+BETWEEN = 0.8
+"""Of the range of temperatures: where so much of it has no rest, all are at its two ends."""
 
 Variables = Mapping[Variable, tuple[Array, Array, Array]]
 """Of the rests (N, T) and of the turns (K, T), and by how much a second it grows within the turns (K, T): by
@@ -133,12 +137,31 @@ def by_lag(observations: Observations, lag: float) -> dict[Variable, tuple[Array
     return out
 
 
-def lag_is_sought(observations: Observations) -> bool:
-    """Whether a lag of the sensors behind the thermometer may matter: the temperatures differ by enough."""
+def over_a_range(observations: Observations) -> bool:
+    """Whether the temperatures of the rests, of one session or of several, differ by enough to show coefficients."""
     kelvin = observations.rests.temperatures
     if observations.thermometers is None or kelvin is None:
         return False
     return bool(np.ptp(kelvin, axis=0).max() >= OVER_TEMPERATURE)
+
+
+def lag_is_sought(observations: Observations) -> bool:
+    """Whether a lag of the sensors behind the thermometer may matter: over a range of temperatures, where they change
+    within a session. At a level there is nothing to follow but the noise of the thermometer."""
+    kelvin, session = observations.rests.temperatures, observations.session
+    if kelvin is None or not over_a_range(observations):
+        return False
+    each = [kelvin] if session is None else [kelvin[session == s] for s in range(session[-1] + 1)]
+    return max(float(np.ptp(own, axis=0).max()) for own in each) > LEVEL
+
+
+def at_two_temperatures(observations: Observations) -> bool:
+    """Whether the rests are at two temperatures, and none between: they show slopes, and no curvature."""
+    kelvin = observations.rests.temperatures
+    if kelvin is None or not over_a_range(observations):
+        return False
+    steps = np.diff(np.sort(kelvin, axis=0), axis=0)
+    return bool(np.any(steps.max(axis=0) > BETWEEN * np.ptp(kelvin, axis=0)))
 
 
 def directions(observations: Observations) -> Array:

@@ -21,7 +21,7 @@ from tumble.errors import InputError
 from tumble.estimation.estimate import DETERMINED, GroupFinding
 from tumble.estimation.likelihood import Problem, noise_of
 from tumble.estimation.step import solve
-from tumble.estimation.variables import both_ways, lag_is_sought
+from tumble.estimation.variables import both_ways, over_a_range
 from tumble.planning.bounds import Course, bound_of, course_of, findings, scatter_of
 from tumble.planning.chamber_recordings import ChamberSession, problem_of
 from tumble.planning.setup import Setup, time_of, with_all_groups
@@ -243,13 +243,11 @@ def _notes(
     if left:
         yield f"left to what is usual: {', '.join(left)}; {_remedy(planned, ramps)}"
     yield from _scales(planned)
-    if not lag_is_sought(observations):
+    if not over_a_range(observations):
         yield (
             "the temperatures span less than 10 K: neither the lag behind the thermometer nor hysteresis is looked for"
         )
-    elif ramps and not both_ways(observations):
-        at = problem.lag
-        assert at is not None
+    elif ramps and (at := problem.lag) is not None and not both_ways(observations):
         yield (
             "no temperature is passed both ways in a recording: a lag behind the thermometer shows only where a ramp "
             f"begins, a typical one to {math.sqrt(covariance[at, at]):.0f} s, which is in u, and hysteresis not at "

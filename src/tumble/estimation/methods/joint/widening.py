@@ -4,6 +4,9 @@ Groups beyond the linear model are all kept, each with a prior of its usual size
 data exceed is widened, never narrowed:
 
     λ² ← max(1, mean of (ĉ² + Var ĉ)/s²),   s ← λ s   until it settles                                            (A4)
+
+Curvatures are not widened where there are but two temperatures: rests have b + t₂ x² alone there, x² the same at both, and
+what a bias, or anything that goes with it, has beyond its usual size would be taken for one.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ from tumble.estimation.likelihood import Problem
 from tumble.estimation.linearisation import priors, with_priors
 from tumble.estimation.methods.joint.iteration import At
 from tumble.estimation.step import Told, joined
+from tumble.estimation.variables import at_two_temperatures
+from tumble.sensors.parameters import Variable, variable_of
 from tumble.units import Array
 
 WIDENING_STEPS = 50
@@ -33,7 +38,7 @@ def with_wider_priors(problem: Problem, at: At, told: Told) -> Problem:
     rows have told; the same where none is."""
     if not has_groups(problem):
         return problem
-    members, own_members = problem.instrument.members, _own_members(problem)
+    members, own_members = _widened(problem), _own_members(problem)
     expected, u = problem.measured
     now, own = u.copy(), problem.own_known.copy()
     further = np.arange(len(u)) > problem.instrument.linear_count
@@ -45,9 +50,7 @@ def with_wider_priors(problem: Problem, at: At, told: Told) -> Problem:
         found = joined(trial, with_priors(at.rows, trial, at.point), told)
         values, variances = at.point.values + found.parameters[1:], found.variances
         most = 1.0
-        for name, group in members.items():
-            if name == "temperature.lag":
-                continue  # it multiplies others: a wide prior would let both grow
+        for group in members:
             most = max(most, _widen(now[1:], group, (values - expected[1:]) ** 2 + variances[0, q + 1 :]))
         own_square = ((at.point.own + found.own) ** 2 + variances[:, :q]).mean(axis=0)
         for group in own_members:
@@ -57,6 +60,14 @@ def with_wider_priors(problem: Problem, at: At, told: Told) -> Problem:
     if np.all(now <= u * WIDENED) and np.all(own <= problem.own_known * WIDENED):
         return problem
     return replace(problem, measured=(expected, now), own_known=own)
+
+
+def _widened(problem: Problem) -> list[slice]:
+    """Where the common groups stand whose priors may be widened."""
+    held: set[Variable | None] = {"lag"}  # it multiplies others: a wide prior would let both grow
+    if at_two_temperatures(problem.observations):
+        held.add("temperature²")
+    return [of for name, of in problem.instrument.members.items() if variable_of(name) not in held]
 
 
 def _widen(known: Array, group: slice, square: Array) -> float:
