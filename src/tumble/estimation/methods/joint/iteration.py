@@ -130,11 +130,19 @@ def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
     parameters. Chains whose heading is hardly seen keep it."""
     share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
     angles, chain = share * step.angles, problem.chain
-    hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2
+    hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2 * _overshot(problem, step)
     if hidden.any():
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
         angles[:, 2] -= np.where(hidden, mean, 0.0)[chain]
     return point.moved(share * step.parameters, angles, share * step.own), share * step.parameters[1:]
+
+
+def _overshot(problem: Problem, step: Step) -> float:
+    """Chi-square after a step per row, 1 at least: so many times less is known than the noise has it. A heading by
+    residuals that are many times the Earth's rate would turn to and fro."""
+    rest, merged = step.told.whitened
+    rows = int((problem.link < 0).sum()) * rest.shape[1] + merged.shape[0] * merged.shape[1]
+    return max(1.0, step.square / rows)
 
 
 def heading_information(problem: Problem, step: Step) -> Array:
