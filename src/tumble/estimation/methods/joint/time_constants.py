@@ -2,8 +2,7 @@
 
 What is left of a warm-up over a session, e^(−t/τ) at its rests and in its turns, is for all τ that come into question a
 combination of a few functions φ of time, c(τ)ᵀ φ. With the columns of biases and scale factors times each of these, the
-attitudes and the parameters are eliminated once. What remains says for every τ, with the amplitudes a of the sensors and
-their priors S, by columns as few as these,
+attitudes and the parameters are eliminated once. What remains, R, says for every τ, of amplitudes with priors S,
 
     −2 log of the restricted likelihood = log |S⁻² + XᵀX| + |r|² − rᵀX (S⁻² + XᵀX)⁻¹ Xᵀr + constant,   X = R (c(τ) ⊗ 1)
 """
@@ -32,8 +31,8 @@ LEAST_FUNCTION = 1e-4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TimeConstants:
-    """What is left of attitudes and parameters, eliminated: a `triangle` (1 + m + B q + 1, ·) of gravity, the
-    parameters, the B q amplitudes and the residuals; and the functions of time (B, N + 2 K)."""
+    """What is left once the attitudes are eliminated: a `triangle` (1 + m + B q + 1, ·) of gravity, the parameters,
+    of which there are so many with it, the B q amplitudes and the residuals; and the functions of time (B, N + 2 K)."""
 
     observations: Observations
     triangle: Array
@@ -44,7 +43,7 @@ class TimeConstants:
 
     @staticmethod
     def of(fitted: Fitted, problem: Problem, span: tuple[float, float]) -> TimeConstants:
-        """What a solution, its scatter and priors say of time constants within a span, s, and of the halves of these."""
+        """What a solution, its scatter and priors say of time constants within a span, s, and of their halves."""
         observations = problem.observations
         warm = replace(settling_with(problem, span[1], WARMING[:1]), measured=fitted.problem.measured)
         warm = replace(warm, wandering=fitted.problem.wandering)
@@ -63,8 +62,8 @@ class TimeConstants:
         )
 
     def deviance(self, settling: float, warm: Problem) -> float:
-        """−2 log of the likelihood with a time constant, s, of what changes with the warm-up in a problem, by the priors
-        there, less a constant that is the same for every such problem."""
+        """−2 log of the likelihood with a time constant, s, of what changes with the warm-up in a problem, by its
+        priors, less a constant."""
         reduced = self._reduced(settling, warm)
         pivots = np.abs(reduced.diagonal()[:-1]) * warm.own_known
         return float(2.0 * np.log(pivots).sum() + reduced[-1, -1] ** 2)
@@ -123,8 +122,8 @@ def _left(observations: Observations, settling: float) -> Array:
 
 
 def _functions(observations: Observations, span: tuple[float, float]) -> Array:
-    """The functions of time (B, N + 2 K) of which those of all time constants within a span, s, and of their halves, are
-    combinations."""
+    """The functions of time (B, N + 2 K) of which those of all time constants within a span, s, and of their halves
+    are combinations."""
     every = [_left(observations, float(each)) for each in np.geomspace(0.5 * span[0], span[1], TRIED)]
     _, size, functions = np.linalg.svd(np.array(every), full_matrices=False)
     return np.asarray(functions[size > LEAST_FUNCTION * size[0]])
@@ -133,8 +132,8 @@ def _functions(observations: Observations, span: tuple[float, float]) -> Array:
 def _whitened(
     problem: Problem, at: At, scatter: Scatter, functions: Array, changed: tuple[IntArray, IntArray]
 ) -> tuple[Array, Array]:
-    """The whitened rows of rests and turns with the functions' amplitudes in the place of those of the warm-up, `changed`
-    being where these stand, and the parameters that they are changes of."""
+    """The whitened rows of rests and turns with the functions' amplitudes in the place of those of the warm-up;
+    `changed` is where these stand, and the parameters that they are changes of."""
     weights, first, (own, base) = at.noise.weights(scatter), problem.before_turn, changed
     N, K, r = len(at.rows.rest), len(at.rows.turn), at.rows.rest.shape[1]
     by_rest, by_turn, by_growth = np.split(functions, [N, N + K], axis=1)
