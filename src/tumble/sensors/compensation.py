@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tumble.rotation import left_inverse
 from tumble.sensors.fixed_point import fixed_point
 from tumble.sensors.instrument import Instrument, is_linear, measured_by
 from tumble.sensors.model import Block, SensorModel
@@ -35,7 +36,7 @@ def _solved(
 ) -> Array:
     """The measured vector (N, 3), by fixed-point steps: x ← S⁻¹ ((ŷ − b − what is not linear in x) / s); where
     parameters change with temperature, `change` is that of the bias, and s, both (N, n)."""
-    inverse = np.asarray(np.linalg.pinv(K[:, measured]), dtype=float)
+    inverse = left_inverse(K[:, measured])
     rest = K.copy()
     rest[:, measured], rest[:, CONSTANT] = 0.0, 0.0
     offset, gain = change if change is not None else (np.zeros(1), np.ones(1))
