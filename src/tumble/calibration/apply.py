@@ -49,6 +49,10 @@ from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import ZERO_CELSIUS, Array, Unit
 
+import os
+_SLICE = int(os.environ.get("SLICE","8192"))
+"""Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Correction:
@@ -94,7 +98,7 @@ class _Correction:
 
     def readings(self, table: pl.DataFrame) -> Array:
         """Readings (N, n) of a table, SI; of increments the integrals themselves."""
-        raw = np.ascontiguousarray(table.select(self.channels.columns).to_numpy())
+        raw = table.select(self.channels.columns).to_numpy()
         return self.channels.to_si(raw, np.ones(len(raw)))
 
     def columns(self, true: Array) -> dict[str, Array]:
@@ -254,7 +258,8 @@ def _tables(
     for file in session.log.files:
         source = source_of(file, session.log.dialect)
         reader = _Reader(path=source.path, session=session, parts=parts, compensator=compensator, interval=interval)
-        pieces = ((table, reader.piece(table)) for table in one_ahead(_rows(source, parts, session.log)))
+        slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(_rows(source, parts, session.log)))
+        pieces = ((table, reader.piece(table)) for table in slices)
         for table, piece, own in _with_neighbours(pieces) if moved else _alone(pieces):
             names = table.columns if names is None else names
             if table.columns != names:
