@@ -1,8 +1,8 @@
 """The compiled loops that correct readings sample by sample: that solves those of a block for what it measures, and
 those that move accelerometers to one point.
 
-They are Python and run as they stand; see `tumble.reduction.kernels`. LANES samples go through every step side by side. A
-`tile` holds of them, LANES numbers in a row: the measured vector, the other one, the next vector; and of each sensor the
+They are Python and run as they stand; see `tumble.reduction.kernels`. LANES samples are solved side by side. A `tile`
+holds of them, LANES numbers in a row: the measured vector, the other one, the next vector; and of each sensor the
 reading less all that is known before the first step, and the inverse of its gain. It begins on a line of the cache.
 """
 
@@ -30,7 +30,13 @@ if not cython.compiled:  # where it is, these are numbers of fixed_point.pxd
 
 
 def fixed_point(
-    readings: Array, change: tuple[Array, Array], other: Array, sensors: tuple[Array, Array, Array], steps: int, *, of_force: bool
+    readings: Array,
+    change: tuple[Array, Array],
+    other: Array,
+    sensors: tuple[Array, Array, Array],
+    steps: int,
+    *,
+    of_force: bool,
 ) -> Array:
     """Measured vectors x (N, 3) by so many steps x ← S⁻¹ ((ŷ − b − K β(x)) / s) from zero, with readings ŷ (N, n), the
     `change` of what they are at rest b (N, n) and in gain s (N, n), and the `other` vectors (N, 3) of β. Of the
@@ -179,8 +185,8 @@ def _differ(values: Array, time: Array, longest: float, unknown: float, out: Arr
 
 
 def moved(readings: Array, rate: Array, acceleration: Array, levers: Array, sensitivity: Array) -> Array:
-    """Readings (N, n) of accelerometers with lever arms r and a sensitivity k, both (n, 3), where there are none, at the
-    rate ω and the angular acceleration ω̇ (N, 3): less what f_p − f = ω̇ × r + ω × (ω × r) adds. Where that is not
+    """Readings (N, n) of accelerometers with lever arms r and a sensitivity k, both (n, 3), as without such arms, at a
+    rate ω and an angular acceleration ω̇ (N, 3): less what f_p − f = ω̇ × r + ω × (ω × r) adds. Where that is not
     finite they stay as they are."""
     out = np.empty((len(readings), readings.shape[1]))
     across, along = np.cross(levers, sensitivity), np.sum(levers * sensitivity, axis=1)
