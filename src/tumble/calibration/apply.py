@@ -273,8 +273,8 @@ def _tables(
 
 
 def _with_columns(table: pl.DataFrame, new: Mapping[str, Array]) -> pl.DataFrame:
-    """A table with new columns in place of those of their names, and behind the others; `with_columns` of polars takes as
-    long as correcting a few thousand rows."""
+    """A table with new columns in place of those of their names, and behind the others; `with_columns` of polars takes
+    as long as correcting a few thousand rows."""
     corrected = {name: pl.Series(name, np.ascontiguousarray(column)) for name, column in new.items()}
     return pl.DataFrame(list(({each.name: each for each in table} | corrected).values()))
 

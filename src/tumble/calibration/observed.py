@@ -42,9 +42,9 @@ Progress = Callable[[Log], Iterable[Chunk]]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observed:
-    """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged, the
-    rests and turns that were found and rejected, and the observations of all of them (None where nothing rests); `faults`, in sentences, are
-    what is wrong with the recording.
+    """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
+    the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
+    `faults`, in sentences, are what is wrong with the recording.
 
     `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
     alone show: in a wrong unit every turn is too slow to be one."""
