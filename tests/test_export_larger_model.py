@@ -132,6 +132,12 @@ def test_the_size_of_what_is_lost_is_that_of_the_readings() -> None:
     assert 0.98 * sensitivity / DEGREE < found <= 1.01 * sensitivity / DEGREE
 
 
+def test_parameters_that_a_file_lacks_count_as_zero() -> None:
+    made, _, _ = larger()
+    parameters = tuple(p for p in made.parameters if p.name != "accel.cubic.y")
+    assert [s for s in not_held(replace(made, parameters=parameters)) if s.startswith("cubic")]
+
+
 def test_imucal_holds_the_g_sensitivity() -> None:
     made, _, _ = larger()
     content = json.loads(export_calibration(made, "imucal").content)

@@ -26,6 +26,7 @@ from tumble.recording.description import description_of
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session_file import read_session, write_session
+from tumble.reduction.blocks import reduce_log
 from tumble.units import Array
 
 if sys.version_info >= (3, 14):
@@ -216,6 +217,12 @@ def test_faultless_base_reads_without_a_gap(tmp_path: Path) -> None:
     log = csv_log(tmp_path, lines())
     assert len(whole(log)["time"]) == ROWS
     assert log.gaps == ()
+
+
+def test_a_log_of_which_gaps_leave_nothing_is_refused(tmp_path: Path) -> None:
+    log = csv_log(tmp_path, lines())
+    said = refusal(lambda: reduce_log(log, log.session.accel_block, None, [next(log.chunks(5))]))
+    assert "log.csv: expected stretches of 0.1 s and longer without a gap, found none" in said
 
 
 PARQUET_FAULTS: dict[str, tuple[Callable[[pl.DataFrame], pl.DataFrame], str]] = {

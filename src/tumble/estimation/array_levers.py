@@ -5,11 +5,16 @@ Sensor p at r_p reads, with k_p its row of the sensitivity matrix,
     y_p = k_pᵀ (f + ω̇ × r_p + Ω² r_p) + own_p,     Ω² = ωωᵀ − |ω|² I                                            (4)
 
 The force f and ω̇ are unknowns of every sample: of y only the n − 6 combinations N count that H = [K, r × K] leaves.
-Ω² is that of the rates (I + E) ω at t − τ: their error E and the delay τ of the accelerometers are unknowns. own_p is
-what a calibration at rest does not know of a sensor that is shaken (bias, row of the matrix, square, delay of its own),
-and is eliminated. What is left is a likelihood of lever arms, τ and E, all from the moments of
+Ω² is that of the rates (I + E) ω at t − τ, to second order in τ: their error E and the delay τ of the accelerometers
+are unknowns. own_p is what a calibration at rest does not know of a sensor that is shaken (bias, row of the matrix,
+square, delay of its own), and is eliminated. Its row reads all of the acceleration where the sensor is: on a flat board
+an angular acceleration reaches accelerometers in the board by their height, 1 mm, and by an error of their axes of
+10⁻³ times 10 mm. What is left is a likelihood of lever arms, τ and E, all from the moments of
 `tumble.reduction.array_motion`. Translations of all sensors of one direction change nothing but f and remain open, and
 a common scale of all lever arms is open as far as E is: turns say both.
+
+What rates change by from sample to sample is no measurement of ω̇: much of what accelerometers of a shaken body read of
+it is faster than the samples, and against the gyros' differences it has a scale that depends on how they are formed.
 
 Its noise is that which the residuals show in each class of samples. As the classes are made by these residuals, they
 tell of n − 6 directions at once what is left: information is (1 − 2/(n − 6))² of that of known variances (Tyler 1987).
@@ -33,16 +38,17 @@ from tumble.units import G_STANDARD, Array, IntArray
 
 ROUNDS = 15
 SETTLED = 1e-7  # m
-OWN = np.array([0.05 * G_STANDARD, 0.05, 0.05, 0.05, 1e-3 / G_STANDARD, 0.01])
-"""How far what a sensor has of its own may reasonably be from zero: m/s², 1, 1, 1, s²/m, s."""
+OWN = np.array([0.05 * G_STANDARD, 0.01, 0.01, 0.01, 1e-3 / G_STANDARD, 0.01])
+"""How far what a sensor has of its own may reasonably be from zero: m/s², 1, 1, 1, s²/m, s. Rows of the matrix are
+known from rests, and are the same to 1 % in motion."""
 LEVER, DELAY, RATE_ERROR = 0.03, 0.02, 0.003
 """The same of lever arms, m, the delay, s, and of E from that of the gyros, in the rounds that find where to
 linearise."""
 COMMON = 10
 """The delay and the nine of E."""
-LEVER_FLOOR, DELAY_FLOOR = 5e-5, 5e-5  # m, s
-"""No lever arm and no delay is taken to be better known: the delay is of first order, real filters are no pure delays,
-and forces change between the instants at which the sensors of a real array are read."""
+LEVER_FLOOR, DELAY_FLOOR = 5e-6, 5e-5  # m, s
+"""No place of a sensor and no delay is taken to be better known: rates between samples are taken for parabolas, and
+real filters are no pure delays."""
 OUT_OF_RANGE = 1e-12
 _FIRST, _SECOND = np.array(PAIRS).T
 _PAIR = np.zeros((3, 3), dtype=np.int64)
@@ -168,29 +174,36 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
 def _linear(moments: ArrayMoments, K: Array, at: _Place) -> _LinearRows:
     """The rows about a point. Without lever arms, at first, the angular acceleration is that of the gyros."""
     where, width = moments.columns, moments.sums.shape[1]
-    turned = np.einsum("ijkl,ij->kl", _BY_RATE_ERROR, at.E) + np.eye(6)
-    squares = np.einsum("pi,ijm->pjm", K, _SQUARES)
-    whirl = np.einsum("pjm,pj->pm", squares, at.r)
-    left = np.zeros((len(K), width))
-    left[:, where["readings"]] = np.eye(len(K))
-    left[:, where["products"]] = -whirl @ turned
-    left[:, where["change"]] = at.delay * whirl
-    placed = bool(np.any(at.r))
+    squared, placed = _squared(moments, at), bool(np.any(at.r))
+    pulled = np.einsum("ijc,pj->pic", squared, at.r)
+    left = -np.einsum("pi,pic->pc", K, pulled)
+    left[:, where["readings"]] += np.eye(len(K))
     H = np.hstack([K, np.cross(at.r, K)]) if placed else K
     seen = np.linalg.pinv(H) @ left
     turning = np.zeros((3, width))
     turning[:, where["turning"]] = np.eye(3)
+    turning = seen[3:] if placed else turning
     own = np.zeros((len(K), len(OWN) + 3, width))
-    own[:, 0, where["one"]], own[:, 1:4] = 1.0, seen[:3]
+    own[:, 0, where["one"]], own[:, 1:4] = 1.0, seen[:3] + pulled - skew(at.r) @ turning
     own[:, 4, where["forces"]] = np.where(_FIRST == _SECOND, 1.0, 2.0) * K[:, _FIRST] * K[:, _SECOND]
     own[:, 5, where["jerk"]] = -K
-    own[:, 6:, where["products"]], own[:, 6:, where["change"]] = squares @ turned, -at.delay * squares
-    own[:, 6:] += np.einsum("pi,kij,kc->pjc", K, skew(np.eye(3)), seen[3:] if placed else turning)
+    own[:, 6:] = np.einsum("pi,ijc->pjc", K, squared)
+    own[:, 6:] += np.einsum("pi,kij,kc->pjc", K, skew(np.eye(3)), turning)
+    whirl = np.einsum("pi,ijm,pj->pm", K, _SQUARES, at.r)
     common = np.zeros((COMMON, len(K), width))
-    common[0][:, where["change"]] = -whirl
+    common[0][:, where["change"]], common[0][:, where["bend"]] = -whirl, at.delay * whirl
     common[1:, :, where["products"]] = np.einsum("pm,eml->epl", whirl, _BY_RATE_ERROR.reshape(9, 6, 6))
     N = np.linalg.qr(H, mode="complete")[0][:, H.shape[1] :]
     return _LinearRows(left=left, own=own, common=common, free=N @ N.T)
+
+
+def _squared(moments: ArrayMoments, at: _Place) -> Array:
+    """Ω² (3, 3, c) of the rates (I + E) ω at t − τ."""
+    where = moments.columns
+    out = np.zeros((3, 3, moments.sums.shape[1]))
+    out[..., where["products"]] = _SQUARES @ (np.einsum("ijkl,ij->kl", _BY_RATE_ERROR, at.E) + np.eye(6))
+    out[..., where["change"]], out[..., where["bend"]] = -at.delay * _SQUARES, 0.5 * at.delay**2 * _SQUARES
+    return out
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -241,10 +254,13 @@ def _step(normal: Array, gradient: Array, off: Array) -> Array:
 
 
 def _with_floor(normal: Array, gradient: Array) -> tuple[Array, Array]:
-    """The same with the floors added to the variances of lever arms and delay."""
-    floors = np.append(np.full(len(normal) - COMMON, LEVER_FLOOR), DELAY_FLOOR)
-    first = slice(0, len(floors))
-    inner = normal[first, first] + np.diag(floors**-2.0)
+    """The same with the floors added to the variances of the delay and of all places, the last one's too, from which
+    lever arms count: they gain LEVER_FLOOR² (I + 1 1ᵀ)."""
+    others = (len(normal) - COMMON) // 3
+    first = slice(0, 3 * others + 1)
+    inner = normal[first, first].copy()
+    inner[:-1, :-1] += np.kron(np.eye(others) - 1.0 / (others + 1), np.eye(3)) / LEVER_FLOOR**2
+    inner[-1, -1] += DELAY_FLOOR**-2.0
     less = np.linalg.solve(inner, np.column_stack([normal[first], gradient[first]]))
     return normal - normal[:, first] @ less[:, :-1], gradient - normal[:, first] @ less[:, -1]
 

@@ -98,7 +98,7 @@ def _effects(calibration: Calibration, group: ParameterGroup, values: Mapping[st
     instrument = Instrument.of(compensator.accel, compensator.gyro, {group.name}, variables=())
     block = instrument.block(group)
     assert group.regressors is not None
-    K = group.regressors(block) @ np.array([values[name] for name in group.names(block)])
+    K = group.regressors(block) @ np.array([values.get(name, 0.0) for name in group.names(block)])
     up = np.concatenate([np.eye(3), -np.eye(3), directions()])
     return np.asarray(np.einsum("npb,pb->np", functions(block, G_STANDARD * up, rate * up), K))
 

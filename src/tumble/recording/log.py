@@ -59,6 +59,11 @@ class Log:
     _gaps: list[Gap] = field(default_factory=list, repr=False)
 
     @property
+    def name(self) -> str:
+        """The paths of its files, as messages have them."""
+        return ", ".join(str(source.path) for source in self._sources)
+
+    @property
     def gaps(self) -> tuple[Gap, ...]:
         """What was bridged or left out in the chunks read so far by the latest `chunks()`."""
         return tuple(self._gaps)

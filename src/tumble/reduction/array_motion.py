@@ -4,12 +4,13 @@ The readings y of n accelerometers contain the specific force and the angular ac
 every sample. What the other n − 6 combinations say of lever arms (`tumble.estimation.array_levers`) needs no more of
 the samples than the sums of products of
 
-    x = (1, y (n), ω_i ω_j (6), d(ω_i ω_j)/dt (6), dω/dt (3), f_i f_j (6), df/dt (3))
+    x = (1, y (n), ω_i ω_j (6), d(ω_i ω_j)/dt (6), d²(ω_i ω_j)/dt² (6), dω/dt (3), f_i f_j (6), df/dt (3))
 
-with the rates ω and the force f that the nominal sensors read; derivatives are differences between the samples before
-and after. In a body that is shaken the noise of these combinations differs from sample to sample by orders of
-magnitude, since forces change between the instants at which the sensors are read. So the sums are kept apart by how
-much is left of a sample: of its n − 6 quietest directions, once what varies with the rates is taken out.
+with the rates ω and the force f that the nominal sensors read. Derivatives of rates and forces are differences between
+the samples before and after, and those of products come from them by the product rule, as products vary twice as fast.
+In a body that is shaken the noise of these combinations differs from sample to sample by orders of magnitude, since
+forces change between the instants at which the sensors are read. So the sums are kept apart by how much is left of a
+sample: of its n − 6 quietest directions, once what varies with the rates is taken out.
 
 Source: dynamics method A7, "the n − 3 parity combinations"; in place of its integration by parts the angular
 acceleration is an unknown of every sample, which takes three combinations more and no derivative of a noisy rate.
@@ -52,13 +53,22 @@ class ArrayMoments:
     sums: Array
     counts: Array
     columns: dict[str, slice]
-    """Where the parts of x stand: one, readings, products, change, turning, forces, jerk."""
+    """Where the parts of x stand: one, readings, products, change, bend, turning, forces, jerk."""
 
 
 def columns_of(sensors: int) -> dict[str, slice]:
     """Where the parts of x stand for so many accelerometers."""
     out, first = {}, 0
-    widths = {"one": 1, "readings": sensors, "products": 6, "change": 6, "turning": 3, "forces": 6, "jerk": 3}
+    widths = {
+        "one": 1,
+        "readings": sensors,
+        "products": 6,
+        "change": 6,
+        "bend": 6,
+        "turning": 3,
+        "forces": 6,
+        "jerk": 3,
+    }
     for name, width in widths.items():
         out[name] = slice(first, first := first + width)
     return out
@@ -130,15 +140,20 @@ def _functions(samples: MotionSamples, start: int, stop: int, array: MovedArray)
     whole = _within(readings, array.accel_extremes) & _within(of_gyros, array.gyro_extremes)
     usable = whole & _usable(rates, spare[:, array.accel.size - 3 :], intervals)
     rates = rates - array.at_rest
-    products = rates[:, _FIRST] * rates[:, _SECOND]
     span = (0.5 * intervals[:-2] + intervals[1:-1] + 0.5 * intervals[2:])[:, None]
-    change, turning, jerk = ((v[2:] - v[:-2]) / span for v in (products, rates, forces))
-    inner = slice(1, -1)
-    squares = forces[inner][:, _FIRST] * forces[inner][:, _SECOND]
-    one = np.ones((len(span), 1))
-    x = np.concatenate([one, readings[inner], products[inner], change, turning, squares, jerk], axis=1)
-    moves = (rates[inner] ** 2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
-    return np.asarray(x[moves & usable[:-2] & usable[inner] & usable[2:]])
+    turning, jerk = ((v[2:] - v[:-2]) / span for v in (rates, forces))
+    bent = (rates[2:] - 2.0 * rates[1:-1] + rates[:-2]) / (0.5 * span) ** 2
+    inner, force, one = rates[1:-1], forces[1:-1], np.ones((len(span), 1))
+    change = _products(inner, turning) + _products(turning, inner)
+    bend = _products(inner, bent) + 2.0 * _products(turning, turning) + _products(bent, inner)
+    parts = one, readings[1:-1], _products(inner, inner), change, bend, turning, _products(force, force), jerk
+    moves = (inner**2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
+    return np.asarray(np.concatenate(parts, axis=1)[moves & usable[:-2] & usable[1:-1] & usable[2:]])
+
+
+def _products(u: Array, v: Array) -> Array:
+    """u_i v_j (m, 6) of vectors (m, 3), in the order of PAIRS."""
+    return np.asarray(u[:, _FIRST] * v[:, _SECOND])
 
 
 def read_by(block: Block, vectors: Array, spare: Array) -> Array:

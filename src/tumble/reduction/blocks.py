@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.errors import LogError
 from tumble.recording.ahead import one_ahead
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log
@@ -400,7 +401,8 @@ def _body(values: Array, to_body: Array | None) -> Array:
 
 
 def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None) -> Reduction:
-    """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress."""
+    """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress. Raises LogError
+    where gaps leave nothing of it."""
     spec = log.session.log
     kinds = [channels is not None and channels.unit.kind == "increment" for channels in (spec.accel, spec.gyro)]
     reducer = Reducer(
@@ -412,4 +414,9 @@ def reduce_log(log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chun
     )
     for chunk in one_ahead(iter(log.chunks() if chunks is None else chunks)):
         reducer.feed(chunk)
-    return replace(reducer.finish(), gaps=log.gaps)
+    reduction = reducer.finish()
+    if not any(len(file.accel) for file in reduction.files):
+        raise LogError(
+            f"{log.name}: expected stretches of {BLOCK_SECONDS:g} s and longer without a gap, found none; record again"
+        )
+    return replace(reduction, gaps=log.gaps)
