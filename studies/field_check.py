@@ -102,10 +102,12 @@ def calibration_of(estimate: Estimate, scenario: Scenario) -> Calibration:
 
 
 def turned_on_again(scenario: Scenario, rng: np.random.Generator) -> dict[str, float]:
-    """The true values after the next power-on."""
+    """The true values after the next power-on: those of the calibration are of one that was as far from the mean."""
     linear = scenario.names[: scenario.instrument.linear_count]
+    change = np.sqrt(2.0) * rng.standard_normal(len(linear))
     return dict(scenario.truth) | {
-        name: scenario.truth[name] + spread_of(TURN_ON[GRADE], name) * rng.standard_normal() for name in linear
+        name: scenario.truth[name] + spread_of(TURN_ON[GRADE], name) * by
+        for name, by in zip(linear, change.tolist(), strict=True)
     }
 
 

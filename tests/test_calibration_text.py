@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,8 +31,9 @@ from tumble.terminal.calibration import (
     launch_table,
     method_table,
 )
+from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 
@@ -127,7 +129,7 @@ def test_deviations_from_the_systematic_values_stand_beside_the_totals(
         expected = [d / size for d in deviations if d is not None]
         assert len(expected) == 2
         np.testing.assert_allclose(rows[p.name][:2], expected, atol=0.1 * (p.u or 0.0) / size)
-    assert printed(calibration_report(mean)).count("launch1") == 2
+    assert printed(calibration_report(replace(mean, notes=()))).count("launch1") == 2
     assert "deviation of" in printed(calibration_report(mean))
 
 
@@ -219,8 +221,38 @@ def test_the_tables_fit_a_terminal_of_100_columns(full: Calibration) -> None:
     assert any("truth: 25 parameters" in line for line in lines_of(report))
 
 
+@pytest.mark.parametrize("width", [20, 60])
+def test_no_number_is_cut_on_a_narrow_terminal(full: Calibration, width: int) -> None:
+    out = io.StringIO()
+    Console(file=out, width=width).print(calibration_report(full))
+    whole = {word for line in lines_of(calibration_report(full)) for word in line.split() if is_number(word)}
+    assert "…" not in out.getvalue()
+    assert whole <= set(out.getvalue().split())
+
+
+def test_rows_of_tables_below_each_other_keep_all_that_names_them() -> None:
+    table = plain_table("method", "pass", "parameters", "estimator", named_by=2)
+    table.add_row("staged", "1", "accelerometers", "lengths")
+    table.add_row("staged", "2", "gyros", "turns")
+    out = io.StringIO()
+    Console(file=out, width=30).print(table)
+    rows = [line.split() for line in out.getvalue().splitlines() if line.startswith("staged")]
+    expected = ("1 accelerometers", "2 gyros", "1 lengths", "2 turns")
+    assert rows == [["staged", *words.split()] for words in expected]
+
+
+def is_number(word: str) -> bool:
+    return re.fullmatch(r"-?\d+\.\d+", word) is not None
+
+
+def test_a_value_that_rounds_to_zero_has_no_sign() -> None:
+    assert rounded(-0.004, 0.12) == ("0.00", "0.12")
+    assert rounded(-3.0, 120.0) == ("0", "120")
+    assert [two_digits(value) for value in (2.98, 0.05, 78.0, 996.0)] == ["3.0", "0.050", "78", "1000"]
+
+
 def test_what_corrected_readings_are_known_to_is_said(full: Calibration) -> None:
-    said = "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.4 °/h"
+    said = "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.40 °/h"
     assert said in lines_of(calibration_report(full))
     assert full.prediction is not None
     assert predicted(replace(full.prediction, rate_u=None, at_rate=None)) == said.partition(";")[0]

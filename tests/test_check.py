@@ -295,9 +295,20 @@ def test_deviations_of_few_launches_are_believed_less() -> None:
     launched = replace(
         calibration,
         launches=(launch,) * 3,
-        parameters=tuple(replace(p, run_to_run=2.0 * (p.u or 0.0)) for p in calibration.parameters),
+        parameters=tuple(replace(p, run_to_run=0.1) for p in calibration.parameters),
     )
     known = known_before(launched, seen(3), "mems", {})
     i = known.instrument.names.index("gyro.bias.z")
-    u = next(p.u or 0.0 for p in calibration.parameters if p.name == "gyro.bias.z")
-    assert known.doubt[1 + i, 1 + i] == pytest.approx((2.0 * u) ** 2 / np.sqrt(2.0))
+    assert known.doubt[1 + i, 1 + i] == pytest.approx(0.1**2 / np.sqrt(2.0))
+    alike = replace(launched, parameters=tuple(replace(p, run_to_run=0.0) for p in calibration.parameters))
+    usual = (0.02 * DEGREE) ** 2 * 4.0 / 6.0
+    assert known_before(alike, seen(3), "mems", {}).doubt[1 + i, 1 + i] == pytest.approx(usual / np.sqrt(6.0))
+
+
+def test_one_launch_is_as_far_from_the_mean_as_the_one_that_is_checked() -> None:
+    """The change from a calibration of one power-on to another has twice the variance of one; of several, u has it."""
+    _, calibration = device()
+    known = known_before(calibration, seen(3), "mems", {})
+    i = 1 + known.instrument.names.index("accel.bias.x")
+    u = next(p.u or 0.0 for p in calibration.parameters if p.name == "accel.bias.x")
+    assert known.covariance[i, i] == pytest.approx(2.0 * 5e-3**2 + u**2, rel=1e-6)

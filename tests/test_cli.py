@@ -653,6 +653,8 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     assert json.loads(done.stdout)["device"]["serial"] == "A-7"
     assert "time: column 't' in s" in done.stderr
     assert {path.name for path in (sessions / "mine-session").iterdir()} == {"session.toml", "calibration.json"}
+    again = refused("calibrate", log, "--latitude", "56.84", below=sessions)
+    assert f"calibrate that (tumble calibrate {sessions / 'mine-session'}), or remove it" in again
     (sessions / "letter.txt").write_text("Dear all,", encoding="utf-8")
     assert "expected rows of readings" in refused(
         "calibrate", sessions / "letter.txt", "--latitude", "50", below=sessions

@@ -55,7 +55,9 @@ def test_the_command_leaves_out_what_the_library_does(whole: Path, tmp_path: Pat
     assert len(read_calibration(out).rests) == RESTS - 2
 
 
-@pytest.mark.parametrize(("numbers", "said"), [((0,), "found 0"), ((1.5,), "found 1.5"), ((10,), "one of 9, found 10")])
+@pytest.mark.parametrize(
+    ("numbers", "said"), [((0,), "found 0"), ((1.5,), "found 1.5"), ((10,), "a rest from 1 to 9, found 10")]
+)
 def test_numbers_that_are_none_of_a_rest_are_refused(whole: Path, numbers: tuple[int, ...], said: str) -> None:
     with pytest.raises(InputError, match=f"without: expected .*{said}"):
         calibrate(whole, without=numbers)
@@ -83,7 +85,7 @@ def test_a_turn_by_number_is_left_out(whole: Path) -> None:
 
 
 def test_a_number_that_does_not_exist_is_refused(whole: Path) -> None:
-    with pytest.raises(SessionError, match=r"exclude\.rest: expected the number of one of 9, found 10"):
+    with pytest.raises(SessionError, match=r"exclude\.rest: expected a rest from 1 to 9, found 10"):
         _calibrated(whole, "rest = 10")
 
 

@@ -122,6 +122,14 @@ def test_a_prior_does_not_average_and_a_group_that_one_launch_lacks_is_left_out(
     assert lacking.prediction.force_u < 3.0 * whole.prediction.force_u
 
 
+def test_a_note_stands_once_with_the_launches_it_is_about(runs: list[Run]) -> None:
+    said = [("cold", "rates"), ("rates",), ("cold", "rates")]
+    noted = [
+        replace(run, calibration=replace(run.calibration, notes=notes)) for run, notes in zip(runs, said, strict=True)
+    ]
+    assert mean_of_launches(noted).notes[:2] == ("launch1, launch3: cold", "every launch: rates")
+
+
 def test_launches_at_other_temperatures_meet_at_their_mean(runs: list[Run]) -> None:
     def at(run: Run, celsius: float) -> Run:
         more = Parameter(name="accel.bias.x.t1", value=1e-3, u=1e-5, unit="m/s^2/K", prior=1e-2, learned=0.99)

@@ -158,7 +158,8 @@ def test_an_export_goes_into_another_registry(filled: Path) -> None:
         (["limits", "BCHE-501", "none.toml"], "none.toml: cannot be read: No such file or directory"),
         (["limits", "BCHE-501", "new.json"], "new.json: expected TOML, found an error in its syntax"),
         (["import", "none.jsonl"], "none.jsonl: cannot be read: No such file or directory"),
-        (["show", "one"], "'one' is not a valid integer"),
+        (["show", "one"], "expected the number of a record as `tumble registry list` shows it, found 'one'"),
+        (["show", "9" * 30], "expected the number of a record as `tumble registry list` shows it, found '999"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )  # fmt: skip

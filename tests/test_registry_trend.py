@@ -319,6 +319,13 @@ def test_names_from_files_are_text_in_the_chart(found: Monitored, tmp_path: Path
         assert "matplotlib" in text
 
 
+def test_one_calibration_is_compared_with_nothing(found: Monitored, tmp_path: Path) -> None:
+    first = tuple(replace(t, series=replace(t.series, points=t.series.points[:1])) for t in found.trends)
+    one = replace(found, trends=first, limits={}, comparison=None)
+    write_chart(tmp_path / "chart.html", one)
+    assert "no change found" not in (tmp_path / "chart.html").read_text(encoding="utf-8")
+
+
 def test_the_page_is_self_contained_and_whole(found: Monitored, tmp_path: Path) -> None:
     write_chart(tmp_path / "chart.html", found)
     text = (tmp_path / "chart.html").read_text(encoding="utf-8")

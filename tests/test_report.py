@@ -373,6 +373,14 @@ def test_increments_of_the_iterations_are_those_of_the_file(page: Page, content:
             assert float(power[1]) * 10.0**exponent * SIZES[shown[1]] == pytest.approx(rms, rel=0.0051)
 
 
+def test_the_covariances_are_on_one_page(pdf: Path) -> None:
+    with opened(pdf) as document:
+        with_any = [text for page in document if "accel with accel" in (text := page.get_text())]
+    assert len(with_any) == 1
+    assert "gyro with accel" in with_any[0]
+    assert "gyro with gyro" in with_any[0]
+
+
 def test_html_and_pdf_say_the_same(page: Page, pdf: Path) -> None:
     said = pdf_text(pdf)
     cells = {" ".join(cell.split()) for table in page.tables for row in table for cell in row if cell}

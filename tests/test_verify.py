@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.case import relate
+from tumble.calibration.from_readings import calibrate_table
 from tumble.calibration.results import Parameter, Readings
 from tumble.calibration.verify import Positions, positions_of, verify_calibration, verticals
 from tumble.cli import main
@@ -328,6 +329,21 @@ def test_a_table_of_readings_is_verified_with_the_scale_of_its_calibration(tmp_p
         positions_of(table, replace(made, fits={}))
     with pytest.raises(CalibrationError, match="what their readings are worth"):
         positions_of(table, replace(made, readings={}))
+
+
+def test_rows_of_a_table_are_as_uncertain_as_those_within_its_positions(tmp_path: Path) -> None:
+    """Blocks of four rows show no scatter beyond the rows' own, which is that of the single rows to check with."""
+    rng = np.random.default_rng(11)
+    readings = np.repeat(directions("cube-14", rng), 4, axis=0), directions("cube-12", rng)
+    tables = [tmp_path / "readings.csv", tmp_path / "check.csv"]
+    for table, vertical in zip(tables, readings, strict=True):
+        rows = vertical + 1e-4 * rng.standard_normal(vertical.shape)
+        table.write_text("ux,uy,uz\n" + "\n".join(",".join(f"{v:.9f}" for v in row) for row in rows) + "\n")
+    calibrate_table(tables[0], unit="g", rows_per_position=4).calibration.write(tmp_path / "c.json")
+    found = verify_calibration(tmp_path / "c.json", tables[1])
+    assert found.reasons == ()
+    assert found.u.min() > 0.9e-4 * 9.80665
+    assert 0.5 < np.sqrt(np.mean((found.difference / found.u) ** 2)) < 1.6
 
 
 def test_what_cannot_be_verified_is_refused(folders: dict[str, Path]) -> None:

@@ -121,6 +121,11 @@ def quantity(text: str, unit: str) -> float:
     return float(number.group()) * _READ[unit][name]
 
 
+def two_digits(value: float) -> str:
+    """A positive number to two significant digits, 3.0 and not 3, without an exponent."""
+    return rounded(value, value)[1]
+
+
 def rounded(value: float, u: float) -> tuple[str, str]:
     """`value` and its uncertainty as text, both to the second significant digit of the uncertainty."""
     if not (math.isfinite(u) and u > 0.0):
@@ -129,4 +134,4 @@ def rounded(value: float, u: float) -> tuple[str, str]:
     if round(u * 10.0**digits) >= 100:
         digits -= 1
     shown = max(digits, 0)
-    return f"{round(value, digits):.{shown}f}", f"{round(u, digits):.{shown}f}"
+    return f"{round(value, digits):z.{shown}f}", f"{round(u, digits):.{shown}f}"

@@ -22,6 +22,7 @@ from tumble.units import Array, BoolArray
 CALM_BLOCKS = 5
 """Half a second without movement is a rest that begins."""
 _LOOKED_AT = 256
+_MOST_LOOKED_AT = 100_000
 BIAS_LIMIT = 0.15
 SHORTEST_REST = 4.0
 NOTHING_MORE = 0.93
@@ -118,11 +119,11 @@ def scatter_now(blocks: Blocks) -> float:
     return float(np.sqrt(blocks.force[-10:].var(axis=0).sum()))
 
 
-def calm_since(blocks: Blocks, limits: StillLimits, most: int = 100_000) -> int | None:
+def calm_since(blocks: Blocks, limits: StillLimits) -> int | None:
     """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together."""
     last = len(blocks)
     first = last
-    while first > max(0, last - most):
+    while first > max(0, last - _MOST_LOOKED_AT):
         start = max(0, first - _LOOKED_AT)
         moving = np.flatnonzero(~_calm(blocks, start, min(first + CALM_BLOCKS - 1, last), limits))
         if len(moving):

@@ -32,6 +32,7 @@ KNOCK = 3.0
 """m/s², for a tenth of a second."""
 ROCKING = 1.0 * DEGREE
 FULL_SCALE = 300.0 * DEGREE
+_SEED = 1
 AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np.array([0.0, 0.0, 1.0])}
 
 
@@ -62,7 +63,7 @@ class VirtualTable:
 
     unordered = False
 
-    def __init__(self, programme_name: str, *, seed: int = 1, temperature: bool = False) -> None:
+    def __init__(self, programme_name: str, *, temperature: bool = False) -> None:
         name, _, speed = programme_name.partition("@")
         self.programme: Programme = programme(name or "rough-table")
         self.name = f"simulator:{self.programme.name}"
@@ -72,7 +73,7 @@ class VirtualTable:
             self.speed = float(speed.removesuffix("x")) if speed else 1.0
         except ValueError:
             raise InputError(f"--listen simulator:{programme_name}: expected a speed such as @5x") from None
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(_SEED)
         kind = grade("mems")
         blocks = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
         self._models = []

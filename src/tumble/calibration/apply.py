@@ -177,10 +177,10 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
     if np.any(compensator.levers) and not _is_moved(session, compensator):
         out.append("lever arms are not corrected: the session has no gyros")
     elif np.any(compensator.levers):
-        out.append("accelerometers are moved to the last one, by the rate and a central difference of it")
+        out.append("lever arms: the readings of the accelerometers are moved to the place of the last one")
     if np.any(late := 1e3 * compensator.delays):
         size = f"{late[0]:.3g} ms" if np.ptp(late) == 0.0 else f"{late.min():.3g} to {late.max():.3g} ms"
-        out.append(f"the delay of the accelerometers, {size}, is not undone: shift their times")
+        out.append(f"the delay of the accelerometers, {size}, is not undone: take it off their times")
     if compensator.warm and session.log.temperature is None:
         reference = calibration.reference_temperature
         at = "the reference" if reference is None else f"{reference:.1f} °C"
@@ -190,7 +190,7 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
     if any(group.variable == "hysteresis" for group in groups() if group.name in found):
         out.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
     if any(group.variable == "time" for group in groups() if group.name in found):
-        out.append("drifts belong to the session that they were found in and are not applied")
+        out.append("drift in time is not undone: it belongs to the session in which it was found")
     return tuple(out)
 
 

@@ -19,7 +19,7 @@ from tumble.calibration.observed import Progress, inspected, observations_for_ca
 from tumble.calibration.with_magnetometer import with_magnetometer
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.common_errors import by_time_base
-from tumble.estimation.diagnosis.misfit import lost_by_velocities
+from tumble.estimation.diagnosis.linear_model import judged, left_out
 from tumble.estimation.diagnosis.undetermined import one_attitude
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
@@ -202,11 +202,11 @@ def estimated(
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = _with_time_base(method(observations), observations)
-        if terms == "linear" and estimate.linearised is not None and unstamped:
-            known = replace(observations, usual=_usual(session, observations, "full")[0])
-            reasons, remarks = lost_by_velocities(estimate.linearised, known)
-            estimate = replace(estimate, reasons=(*estimate.reasons, *reasons), remarks=remarks)
-        return estimate, observations
+        if terms == "full":
+            return estimate, observations
+        whole = replace(observations, usual=_usual(session, observations, "full")[0])
+        estimate = judged(estimate, observations, whole)
+        return estimate, replace(observations, notes=notes + left_out(estimate, observations, whole))
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))

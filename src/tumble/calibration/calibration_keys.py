@@ -254,12 +254,15 @@ class _ReadingsKeys(_Keys):
     increments: bool
     scale: Vector
     offset: Vector
+    row_u: Vector = []
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         seen = all(abs(scale) >= LEAST for scale in self.scale)
         if not len(self.columns) == len(self.scale) == len(self.offset) or not seen:
             raise ValueError("expected a scale, not zero, and an offset for every column, found others")
+        if len(self.row_u) not in (0, len(self.columns)):
+            raise ValueError("expected row_u for every column or none, found others")
         return self
 
 

@@ -4,14 +4,18 @@ What is known of the parameters at the check is the calibration, with
 
     P = Σ + diag(s²),   D = N Σ N + diag(s²/√ν_s),   N = diag(ν^(−1/4))                                         (1)
 
-Σ its covariance, estimated with ν degrees of freedom for each parameter, and s what turning on again changes: the
-standard deviation from launch to launch where the calibration has several, with ν_s = L − 1, else what is usual of the
-grade (`tumble.sensors.grades`), where 1/ν_s = 0. D says how well P itself is known, and with it by how much more than
-normal numbers the tests exceed a limit. Groups of parameters that the calibration does not have, and
-drifts, which belong to a session, are zero with the usual size of the grade. Where the calibration and the session have
-temperatures, parameters are taken to that of the session by their slopes and curvatures, with the usual size of those
-that are not known. Where both use the same stated gravity, its error is in the scale factors too, with the opposite
-sign.
+Σ its covariance, estimated with ν degrees of freedom for each parameter, and s what turning on again changes. That is
+√2 times what is usual of the grade, s_g (`tumble.sensors.grades`), where 1/ν_s = 0: a single launch is as far from the
+mean of all as the one that is checked. Of L launches the mean has its part in Σ, and by their standard deviation s_L
+
+    s² = max(s_L², [4 s_g² + (L − 1) s_L²]/(L + 3)),   ν_s = L − 1 or L + 3                                       (2)
+
+for two launches that happen to agree do not say that the third will: s_g counts as if it were known by four degrees. D
+says how well P itself is known, and with it by how much more than normal numbers the tests exceed a limit. Groups of
+parameters that the calibration does not have, and drifts, which belong to a session, are zero with the usual size of
+the grade. Where the calibration and the session have temperatures, parameters are taken to that of the session by their
+slopes and curvatures, with the usual size of those that are not known. Where both use the same stated gravity, its
+error is in the scale factors too, with the opposite sign.
 
 Rests scatter as they did in the calibration, at least by the in-run instability of the grade.
 """
@@ -49,6 +53,9 @@ from tumble.units import Array
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 _RAW = ("count", "V")
+
+USUAL_DEGREES = 4.0
+"""Degrees of freedom for which what is usual of a grade counts: it is known to a third."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -174,11 +181,8 @@ def _check_given(calibration: Calibration, session: Session) -> None:
 
 def _seen_by(calibration: Calibration, observations: Observations) -> Observations:
     """The observations of the sensors that the calibration has."""
-    if calibration.gyro is not None or observations.gyro_block is None:
-        return observations
-    rests, none = observations.rests, np.zeros((len(observations.rests), 0))
-    at_rest = replace(rests, gyro=none, gyro_covariance=np.zeros((len(rests), 0, 0)), gyro_drift=none, gyro_noise=none)
-    return replace(observations, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
+    with_gyros = calibration.gyro is not None or observations.gyro_block is None
+    return observations if with_gyros else observations.of_accelerometers()
 
 
 def _notes(calibration: Calibration, observations: Observations, grade: str, *, guessed: bool) -> tuple[str, ...]:
@@ -209,7 +213,7 @@ def known_before(
     whole = np.zeros((len(values) + 1,) * 2)
     whole[0, 0], whole[1:, 1:] = gravity**2, own
     root = np.array([0.0, *_inverse_degrees(calibration, instrument)]) ** 0.25
-    turned_on = _turned_on(calibration, instrument, grade)
+    turned_on, inverse_degrees = _turned_on(calibration, instrument, grade)
     if shared_gravity(calibration.site, observations.site):
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
@@ -220,8 +224,8 @@ def known_before(
     return KnownBefore(
         instrument=instrument,
         values=J[1:, 1:] @ values,
-        covariance=known + np.diag(np.append(0.0, turned_on**2)),
-        doubt=root[:, None] * known * root + np.diag(np.append(0.0, turned_on**2 * _doubt_of_launches(calibration))),
+        covariance=known + np.diag(np.append(0.0, turned_on)),
+        doubt=root[:, None] * known * root + np.diag(np.append(0.0, turned_on * np.sqrt(inverse_degrees))),
         scatter=_scatter(calibration, grade),
     )
 
@@ -252,11 +256,6 @@ def _inverse_degrees(calibration: Calibration, instrument: Instrument) -> list[f
     return [found.get(name, 0.0) for name in instrument.names]
 
 
-def _doubt_of_launches(calibration: Calibration) -> float:
-    """1/√ν of the standard deviations from launch to launch; 0 where they are usual ones."""
-    return (len(calibration.launches) - 1.0) ** -0.5 if len(calibration.launches) > 1 else 0.0
-
-
 def _to_temperature(calibration: Calibration, observations: Observations, instrument: Instrument) -> Array:
     """The matrix (m, m) that takes parameters from the temperature of the calibration to that of the session."""
     now = references_of(observations)
@@ -267,13 +266,23 @@ def _to_temperature(calibration: Calibration, observations: Observations, instru
     return to_temperature(instrument.names, np.array(warmer))
 
 
-def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> Array:
-    """Standard deviations (m,) by which parameters change when the device is turned on again."""
-    launched = {p.name: p.run_to_run for p in calibration.parameters if p.run_to_run is not None}
-    out = np.zeros(len(instrument.names))
-    for i, name in enumerate(instrument.names[: instrument.linear_count]):
-        out[i] = launched.get(name, spread_of(TURN_ON[grade], name))
-    return out
+def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> tuple[Array, Array]:
+    """Variances (m,) by which parameters change from the calibration to another power-on, and 1/ν of each, Eq. (2)."""
+    names, launched = (
+        instrument.names[: instrument.linear_count],
+        {p.name: p.run_to_run for p in calibration.parameters},
+    )
+    usual = np.array([spread_of(TURN_ON[grade], name) for name in names]) ** 2
+    variance, inverse_degrees = np.zeros((2, len(instrument.names)))
+    if len(calibration.launches) < 2:
+        # the values are those of one power-on, or u has what several together change by
+        variance[: len(names)] = usual if calibration.together else 2.0 * usual
+        return variance, inverse_degrees
+    own, degrees = np.array([launched.get(name) or 0.0 for name in names]) ** 2, len(calibration.launches) - 1.0
+    pooled = (USUAL_DEGREES * usual + degrees * own) / (USUAL_DEGREES + degrees)
+    variance[: len(names)] = np.maximum(own, pooled)
+    inverse_degrees[: len(names)] = np.where(own > pooled, 1.0 / degrees, 1.0 / (USUAL_DEGREES + degrees))
+    return variance, inverse_degrees
 
 
 def _scatter(calibration: Calibration, grade: str) -> Scatter:

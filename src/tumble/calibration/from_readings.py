@@ -236,7 +236,7 @@ def _calibration(
         outcome=outcome,
         fits=fits,
         site=_site(nominal),
-        readings={nominal.sensor: _readings(positions.table, nominal)},
+        readings={nominal.sensor: _readings(positions, nominal, found)},
         notes=(*positions.left_out, *_notes(positions, nominal, found)),
         provenance={
             "log_sha256": positions.table.sha256,
@@ -288,13 +288,16 @@ def _site(nominal: Nominal) -> Site | None:
     )
 
 
-def _readings(table: ReadingsTable, nominal: Nominal) -> Readings:
+def _readings(positions: TablePositions, nominal: Nominal, found: EllipsoidFit | None) -> Readings:
+    """What the readings are; where the scatter is that of all there is, a row has no uncertainty beside it."""
+    known = found is not None and (positions.covariance is not None or found.scatter == 0.0)
     return Readings(
-        columns=table.columns,
+        columns=positions.table.columns,
         unit=nominal.unit,
         increments=False,
         scale=tuple(nominal.scale.tolist()),
         offset=(0.0, 0.0, 0.0),
+        row_u=tuple((positions.row_u / np.abs(nominal.scale)).tolist()) if known else (),
     )
 
 

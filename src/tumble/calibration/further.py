@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tumble.calibration.results import Parameter
 from tumble.estimation.prediction import Prediction
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
-from tumble.units import engineering
+from tumble.units import engineering, two_digits
 
 if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
@@ -105,18 +105,13 @@ def _line(calibration: Calibration, name: str, members: Sequence[Parameter]) -> 
 def predicted(prediction: Prediction) -> str:
     """What corrected readings are known to, in a line."""
     size, unit = engineering("m/s^2", prediction.force_u)
-    said = f"corrected specific force at 1 g: u {_two_digits(prediction.force_u / size)} {unit}"
+    said = f"corrected specific force at 1 g: u {two_digits(prediction.force_u / size)} {unit}"
     if prediction.rate_u is None or prediction.at_rate is None:
         return said
     size, unit = engineering("rad/s", prediction.rate_u)
     turned, per = engineering("rad/s", prediction.at_rate)
-    rate, u = _two_digits(prediction.at_rate / turned), _two_digits(prediction.rate_u / size)
+    rate, u = two_digits(prediction.at_rate / turned), two_digits(prediction.rate_u / size)
     return f"{said}; corrected rate at {rate} {per}: u {u} {unit}"
-
-
-def _two_digits(value: float) -> str:
-    """A number to two significant digits, without an exponent."""
-    return f"{float(f'{value:.2g}'):g}"
 
 
 def decided_by_priors(calibration: Calibration) -> str | None:

@@ -9,7 +9,7 @@ launches: they are taken out of either and do not average out (`tumble.calibrati
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -142,7 +142,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: TypeSpread | None = None) ->
         circumstances=circumstances_of_all([run.calibration.circumstances for run in runs]),
         programme=_common([run.calibration.programme for run in runs]),
         notes=(
-            *(f"{_name(run)}: {note}" for run in runs for note in run.calibration.notes),
+            *_notes(runs),
             *_left_out(runs, common),
             *_pooled_with(common, instability, alike),
         ),
@@ -370,6 +370,16 @@ def _groups(runs: Sequence[Run], parameters: tuple[Parameter, ...]) -> tuple[Gro
         replace(group, kept=name in learned, learned=tuple(learned.get(name, [0.0] * len(group.learned))))
         for name, group in findings.items()
     )
+
+
+def _notes(runs: Sequence[Run]) -> Iterator[str]:
+    """What there is to say of the launches, once, with the launches of which it holds."""
+    said: dict[str, list[str]] = {}
+    for run in runs:
+        for note in run.calibration.notes:
+            said.setdefault(note, []).append(_name(run))
+    for note, names in said.items():
+        yield f"{'every launch' if len(names) == len(runs) else ', '.join(names)}: {note}"
 
 
 def _left_out(runs: Sequence[Run], names: list[str]) -> tuple[str, ...]:

@@ -66,13 +66,15 @@ def coverage_factor(degrees: float) -> float:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Readings:
     """What the readings of n sensors are: SI = (raw − offset) / scale of the log's columns, for increments divided by
-    the interval of the sample. `scale` (n,) and `offset` (n,) are in the log's `unit`."""
+    the interval of the sample. `scale` (n,) and `offset` (n,) are in the log's `unit`. Of a table, `row_u` (n,) is the
+    standard uncertainty of one row, SI, beside the scatter between positions; empty where that is all there is."""
 
     columns: tuple[str, ...]
     unit: str
     increments: bool
     scale: tuple[float, ...]
     offset: tuple[float, ...]
+    row_u: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -290,6 +292,7 @@ def readings_from(content: Mapping[str, Any]) -> Readings:
         increments=bool(content["increments"]),
         scale=tuple(map(float, content["scale"])),
         offset=tuple(map(float, content["offset"])),
+        row_u=tuple(map(float, content.get("row_u", ()))),
     )
 
 

@@ -27,10 +27,11 @@ _SHOWN = 3
 class TablePositions:
     """A `table` with a row a position, in which `lines` are those of the first row of each; the `covariance` (3, 3) of
     a reading from the scatter within blocks, None where a block is one row, with its `degrees` of freedom; and in
-    words what was `left_out`."""
+    words what was `left_out`. A block has so many `rows`."""
 
     table: ReadingsTable
     covariance: Array | None
+    rows: int
     degrees: int
     left_out: tuple[str, ...]
 
@@ -38,6 +39,12 @@ class TablePositions:
     def resolution_u(self) -> Array:
         """Standard uncertainty (3,) of a reading from the last digit it is written with, in the unit of the table."""
         return np.asarray(self.table.steps / np.sqrt(12.0))
+
+    @property
+    def row_u(self) -> Array:
+        """Standard uncertainty (3,) of a single row, from its last digit and the scatter within blocks, as above."""
+        within = 0.0 if self.covariance is None else self.rows * np.diag(self.covariance)
+        return np.sqrt(self.resolution_u**2 + within)
 
 
 def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> TablePositions:
@@ -55,6 +62,7 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> TablePosit
     return TablePositions(
         table=replace(table, values=means, lines=tuple(lines[i] for i in own)),
         covariance=None if rows == 1 else _covariance_of_mean(blocks[own], means),
+        rows=rows,
         degrees=len(own) * (rows - 1),
         left_out=_copies(lines, first[inverse.ravel()], rows),
     )

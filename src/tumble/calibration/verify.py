@@ -31,6 +31,7 @@ from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.case import Verticals, verticals_of
 from tumble.calibration.observed import inspect_session
 from tumble.calibration.readings_table import read_table
+from tumble.calibration.results import Readings
 from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.estimate import Fit, sigmas
@@ -147,7 +148,7 @@ def rests_of(session: Session, lag: float = 0.0) -> Positions:
 
 def positions_of_table(path: Path, calibration: Calibration) -> Positions:
     """The rows of a table of readings, in the unit and with the scale that the calibration was made with, taken where
-    gravity is as it was there. Their noise is that of its rests; the calibration of a table has it in its scatter.
+    gravity is as it was there. Their noise is that of its rests, or of a row of its table beside its scatter.
 
     Raises InputError for a table that cannot be read, and CalibrationError where the calibration does not say what
     the readings are worth, or nothing says how uncertain they are."""
@@ -157,17 +158,7 @@ def positions_of_table(path: Path, calibration: Calibration) -> Positions:
             f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
             "none; calibrate again, or verify with a session"
         )
-    variances = [
-        np.array(rest.accel.noise) ** 2 / (rest.stop - rest.start)
-        for rest in calibration.rests
-        if rest.accel is not None
-    ]
-    if not variances and _accelerometer_fit(calibration).scatter == 0.0:
-        raise CalibrationError(
-            f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
-            "scatter in it: it has as many positions as parameters; calibrate with more"
-        )
-    variance = np.median(variances, axis=0) if variances else np.zeros(3)
+    variance = _variance_of_a_row(calibration, worth)
     readings = (table.values - np.array(worth.offset)) / np.array(worth.scale)
     return Positions(
         block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
@@ -178,6 +169,24 @@ def positions_of_table(path: Path, calibration: Calibration) -> Positions:
         gravity_u=calibration.site.gravity_u,
         sha256=table.sha256,
     )
+
+
+def _variance_of_a_row(calibration: Calibration, worth: Readings) -> Array:
+    """Variance (3,) of a row beside the scatter between positions: of a mean as long as the rests of the calibration,
+    or of a row of its table. Raises CalibrationError where nothing says how uncertain a reading is."""
+    if worth.row_u:
+        return np.array(worth.row_u) ** 2
+    variances = [
+        np.array(rest.accel.noise) ** 2 / (rest.stop - rest.start)
+        for rest in calibration.rests
+        if rest.accel is not None
+    ]
+    if not variances and _accelerometer_fit(calibration).scatter == 0.0:
+        raise CalibrationError(
+            f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
+            "scatter in it: it has as many positions as parameters; calibrate with more"
+        )
+    return np.median(variances, axis=0) if variances else np.zeros(3)
 
 
 def _accelerometer_fit(calibration: Calibration) -> Fit:

@@ -202,6 +202,11 @@ def _session_of(logs: Sequence[Path], said: Mapping[str, Any]) -> Iterator[list[
         )
     name = logs[0].name.partition(".")[0]
     folder = logs[0].with_name(f"{name}-session")
+    if (folder / "session.toml").exists():
+        raise InputError(
+            f"{folder}: expected none yet, found the session that was made of this log before; calibrate that "
+            f"(tumble calibrate {folder}), or remove it to make it anew"
+        )
     with nothing_left(folder):
         given = Given(**said)
         draft, faults = new_session(

@@ -17,7 +17,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, say, warn
 @click.option("--force", is_flag=True, help="Replace an existing file whatever it is.")
 @JSON
 def check(calibration: Path, session: Path, out: Path | None, force: bool, as_json: bool) -> None:
-    """Look whether CALIBRATION still holds, from a few rests of its device, or what has changed and by how much.
+    """Test from a few rests of its device whether CALIBRATION still holds, or what has changed and by how much.
 
     SESSION has three to five rests in any attitude, and the turns between them.
 

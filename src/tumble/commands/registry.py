@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from datetime import UTC, date, datetime
@@ -17,8 +18,16 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.registry.records import ParameterRow, Record
 
-_NUMBER = click.IntRange(min=1, max=2**62)
+
 _DAY = click.DateTime(["%Y-%m-%d"])
+
+
+def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
+    """The number of a record, such as a database can hold."""
+    if text is not None and not re.fullmatch(r"0*[1-9][0-9]{0,17}", text):
+        said = "expected the number of a record as `tumble registry list` shows it"
+        raise click.BadParameter(f"{said}, found {text!r}", ctx, parameter)
+    return None if text is None else int(text)
 
 
 def _place(command: Callable[..., None]) -> Callable[..., None]:
@@ -58,7 +67,7 @@ def registry() -> None:
     type=_DAY,
     help="When it was performed; default: when recorded, or the file made.",
 )
-@click.option("--supersedes", metavar="NUMBER", type=_NUMBER, help="The record that this one corrects.")
+@click.option("--supersedes", metavar="NUMBER", callback=_number, help="The record that this one corrects.")
 @click.option("--reason", help="Why it is corrected.")
 @JSON
 @_place
@@ -173,7 +182,7 @@ def _verdicts(opened: Any, found: list[Record]) -> dict[int, str]:
 
 
 @registry.command()
-@click.argument("number", type=_NUMBER)
+@click.argument("number", callback=_number)
 @click.option("-o", "--out", type=FILE, help="Write the calibration file of the record, as it was added.")
 @JSON
 @_place

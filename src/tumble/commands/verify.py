@@ -15,7 +15,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, JSON, warn
 @click.argument("readings", metavar="SESSION|READINGS.csv", type=EXISTING_FOLDER)
 @JSON
 def verify(calibration: Path, readings: Path, as_json: bool) -> None:
-    """Look whether CALIBRATION holds in check positions, by g − |corrected reading| in each of them.
+    """Test whether CALIBRATION holds in check positions, by g − |corrected reading| in each of them.
 
     They are every rest of a session, or every row of a table of readings. Where these are the calibration's own,
     each is left out in turn.

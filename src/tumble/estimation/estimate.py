@@ -204,7 +204,7 @@ class Estimate:
     gyro_rest_sigmas: Array = field(default_factory=lambda: np.empty(0))
     """How far the gyros alone are from the fit at each rest (N,); empty where the method does not judge them."""
     linearised: Linearised | None = None
-    """The likelihood about the estimate, where the method has one."""
+    """The likelihood about the estimate, or where the method has none, that by which it is judged."""
     own: OwnEstimate | None = None
     """Of several sessions, what each has of its own."""
 

@@ -80,7 +80,7 @@ def _expect(one: Exclusion, count: int) -> None:
     what, number = ("rest", one.rest) if one.rest is not None else ("turn", one.turn)
     if number is not None and number > count:
         where = "without" if one.by == "request" else f"session.toml: exclude.{what}"
-        raise SessionError(f"{where}: expected the number of one of {count}, found {number}")
+        raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
 
 
 def said(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:

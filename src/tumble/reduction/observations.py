@@ -121,6 +121,13 @@ class Observations:
         """Start values of a block's parameters, in their order."""
         return np.array([self.start.get(name, 0.0) for name in block.names])
 
+    def of_accelerometers(self) -> Observations:
+        """What the accelerometers alone say: the rests without their gyros, and no turns."""
+        rests, none = self.rests, np.zeros((len(self.rests), 0))
+        covariance = np.zeros((len(rests), 0, 0))
+        at_rest = replace(rests, gyro=none, gyro_covariance=covariance, gyro_drift=none, gyro_noise=none)
+        return replace(self, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
+
     def moments_about(self, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
         """The moments of the turns with samples compensated in this way."""
         if self.turns is None or self.turn_samples is None:

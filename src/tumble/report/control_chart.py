@@ -132,7 +132,10 @@ def _badge(found: Monitored) -> tuple[str, str]:
         return "fail", "bad"
     if found.changed():
         return "changed", "bad"
-    return (worst, _TONES[worst]) if worst is not None else ("no change found", "good")
+    if worst is not None:
+        return worst, _TONES[worst]
+    several = any(len(trend.series.points) > 1 for trend in found.trends)
+    return ("no change found", "good") if several else ("nothing to compare with yet", "doubt")
 
 
 def _due(found: Monitored) -> str:

@@ -51,6 +51,8 @@ _MOST_ROWS = 26
 """Rows of the table of results that the page for the customer has room for."""
 _MOST_COLUMNS = 14
 """Columns of a covariance that a page has room for."""
+_MOST_KINDS = 2
+"""Kinds of sensors whose covariances fit on one page."""
 MODEL_DIGITS, TRUE_DIGITS = 10, 8
 """Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
 _HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
@@ -396,7 +398,7 @@ def covariance(calibration: Calibration) -> Section | None:
             )
             columns = (first, *(within_kind(names[j]) for j in members[second]))
             blocks.append(ReportTable(columns=columns, rows=rows, dense=True, caption=f"{first} with {second}"))
-    return Section(title="Covariance matrix", blocks=tuple(blocks))
+    return Section(title="Covariance matrix", blocks=tuple(blocks), one_page=len(kinds) <= _MOST_KINDS)
 
 
 def _entry(covariance: Array, i: int, j: int, *, lower: bool) -> str:

@@ -58,7 +58,7 @@ class Grade:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TurnOn:
-    """How far parameters change from one power-on to the next: standard deviations."""
+    """How far parameters at a power-on are from their mean over many: standard deviations."""
 
     accel: Spread
     gyro: Spread
@@ -146,7 +146,7 @@ TURN_ON: Mapping[str, TurnOn] = MappingProxyType(
         ),
     }
 )
-"""By grade, how far parameters change from one power-on to the next."""
+"""By grade, how far parameters at a power-on are from their mean over many."""
 
 
 def grade(name: str) -> Grade:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def budget_report(budget: Budget, bound: Bound | None) -> RenderableType:
     """Expected errors of every method, pass and group of parameters, beside the least that any method can have."""
-    table = plain_table("method", "pass", "parameters", "estimator")
+    table = plain_table("method", "pass", "parameters", "estimator", named_by=3)
     add_numbers(table, "error (rms)", "of the spread", *(["bound"] if bound is not None else []))
     table.add_column("mostly from")
     for row in budget.rows:

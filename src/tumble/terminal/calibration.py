@@ -102,7 +102,7 @@ def _against(parameter: Parameter, truth: Mapping[str, float], size: float) -> l
     if parameter.name not in truth or not parameter.u:
         return ["", ""]
     true = truth[parameter.name]
-    return [_shown(true, parameter.u, size), f"{(parameter.value - true) / parameter.u:+.2f}"]
+    return [_shown(true, parameter.u, size), f"{(parameter.value - true) / parameter.u:+z.2f}"]
 
 
 def session_table(calibration: Calibration) -> Table:
@@ -174,7 +174,7 @@ def rest_table(calibration: Calibration) -> Table:
             str(i),
             f"{rest.start:z.1f}",
             f"{rest.stop:z.1f}",
-            f"{rest.residual / G_STANDARD * 1e6:+.1f}",
+            f"{rest.residual / G_STANDARD * 1e6:+z.1f}",
             f"{rest.sigmas:.1f}",
         )
     return table

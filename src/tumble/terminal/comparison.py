@@ -41,6 +41,6 @@ def _table(comparison: Comparison) -> Table:
         size, unit = shown_in(d.name, d.unit, max(abs(d.first), abs(d.second), d.u or 0.0))
         u = (d.u or 0.0) / size
         numbers = [rounded(value / size, u)[0] for value in (d.first, d.second, d.value)]
-        judged = ["", ""] if d.e_n is None or not d.u else [f"{d.value / d.u:+.2f}", f"{d.e_n:+.2f}"]
+        judged = ["", ""] if d.e_n is None or not d.u else [f"{d.value / d.u:+z.2f}", f"{d.e_n:+z.2f}"]
         table.add_row(d.name, *numbers, rounded(0.0, u)[1] if d.u else "", unit, *judged)
     return table

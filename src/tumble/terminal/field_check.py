@@ -53,7 +53,7 @@ def _table(result: CheckResult) -> Table:
         size, unit = units[group_name(name)]
         value, uncertainty = rounded(change / size, u / size)
         least = rounded(0.0, result.detectable[name] / size)[1]
-        table.add_row(name, value, uncertainty, f"{change / u:+.2f}", least, unit)
+        table.add_row(name, value, uncertainty, f"{change / u:+z.2f}", least, unit)
     return table
 
 

@@ -64,7 +64,7 @@ def _rests_found(observations: Observations) -> Table:
             f"{rests.start[i]:z.1f}",
             f"{rests.stop[i]:z.1f}",
         ]
-        row.append(" ".join(f"{v:+.3f}" for v in vertical[i]))
+        row.append(" ".join(f"{v:+z.3f}" for v in vertical[i]))
         row += _noise_columns(rests.accel_covariance[i], rests.accel_drift[i], G_STANDARD * 1e-6)
         if gyros:
             row += _noise_columns(rests.gyro_covariance[i], rests.gyro_drift[i], DEGREE / 3600.0)
@@ -77,7 +77,7 @@ def _rests_found(observations: Observations) -> Table:
 def _noise_columns(covariance: np.ndarray, drift: np.ndarray, size: float) -> list[str]:
     u = math.sqrt(float(np.trace(covariance)) / len(covariance)) / size
     worst = float(drift[np.argmax(np.abs(drift))]) / size
-    return [f"{u:.3g}", f"{worst:+.3g}"]
+    return [f"{u:.3g}", f"{worst:+z.3g}"]
 
 
 def _turns_found(observations: Observations) -> RenderableType:
@@ -91,7 +91,7 @@ def _turns_found(observations: Observations) -> RenderableType:
         axis = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
         sine = 0.5 * float(np.linalg.norm(axis))
         angle = math.atan2(sine, 0.5 * (float(np.trace(C)) - 1.0)) / DEGREE
-        shown = " ".join(f"{v:+.2f}" for v in axis / (2.0 * sine)) if sine > 1e-3 else ""
+        shown = " ".join(f"{v:+z.2f}" for v in axis / (2.0 * sine)) if sine > 1e-3 else ""
         table.add_row(
             str(k + 1),
             str(turns.first[k] + 1),
@@ -119,11 +119,11 @@ def _half_sums(observations: Observations) -> list[RenderableType]:
         high, low = rests.accel[up, axis].mean(), rests.accel[down, axis].mean()
         line = (
             f"{name} up (rests {_numbers(up)}) and down ({_numbers(down)}): accelerometer half sum "
-            f"{0.5 * (high + low) / G_STANDARD * 1e6:+.1f} µg, half difference {0.5 * abs(high - low):.6f} m/s²"
+            f"{0.5 * (high + low) / G_STANDARD * 1e6:+z.1f} µg, half difference {0.5 * abs(high - low):.6f} m/s²"
         )
         if rests.gyro.shape[1] == 3:
             high, low = rests.gyro[up, axis].mean() / DEGREE_PER_HOUR, rests.gyro[down, axis].mean() / DEGREE_PER_HOUR
-            line += f"; gyro half sum {0.5 * (high + low):+.3f} °/h, half difference {0.5 * abs(high - low):.3f} °/h"
+            line += f"; gyro half sum {0.5 * (high + low):+z.3f} °/h, half difference {0.5 * abs(high - low):.3f} °/h"
         lines.append(line)
     return [Text(""), *map(Text, lines)] if lines else []
 

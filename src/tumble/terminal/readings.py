@@ -61,14 +61,14 @@ def _positions_table(result: ReadingsCalibration) -> RenderableType:
     add_numbers(table, "position", "line", f"residual {unit}", f"left out {unit}", "u (k=1)", "sigmas", "")
     for i, line in enumerate(result.table.lines):
         by_others = (
-            f"{found.leave_one_out[i] / size:+.2f}",
+            f"{found.leave_one_out[i] / size:+z.2f}",
             f"{found.leave_one_out_u[i] / size:.2f}",
             f"{found.sigmas[i]:.1f}",
         )
         table.add_row(
             str(i + 1),
             str(line),
-            f"{found.residual[i] / size:+.2f}",
+            f"{found.residual[i] / size:+z.2f}",
             *(by_others if found.degrees else ("", "", "")),
             "" if found.used[i] else "bad",
         )

@@ -23,7 +23,7 @@ from tumble.registry.trend import Change, Trend
 from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
-from tumble.units import rounded
+from tumble.units import rounded, two_digits
 
 _BARS = "▁▂▃▄▅▆▇█"
 _LONG = 24  # points of a sparkline
@@ -285,11 +285,10 @@ def sparkline(values: Sequence[float]) -> str:
 
 def _trend_line(found: Monitored) -> str:
     numbers = {p.number: p.performed for t in found.trends for p in t.series.points}
-    first, last = min(numbers.values()), max(numbers.values())
-    return (
-        f"device {_device(found.latest)} · {len(numbers)} calibrations from {_day(first)} to {_day(last)} · "
-        f"frame {found.frame}"
-    )
+    first, last = _day(min(numbers.values())), _day(max(numbers.values()))
+    one = f"one calibration, of {first}"
+    said = one if len(numbers) == 1 else f"{len(numbers)} calibrations from {first} to {last}"
+    return f"device {_device(found.latest)} · {said} · frame {found.frame}"
 
 
 def drift_cells(trend: Trend, size: float) -> list[str]:
@@ -305,7 +304,7 @@ def change_cells(change: Change | None, size: float) -> list[str]:
     if change is None:
         return ["", ""]
     value = with_expanded(change.value, change.expanded, size)[0]
-    return [value, "" if change.e_n is None else f"{change.e_n:+.2f}"]
+    return [value, "" if change.e_n is None else f"{change.e_n:+z.2f}"]
 
 
 # -------------------- cells --------------------
@@ -350,4 +349,4 @@ def limit_cell(value: float, size: float) -> str:
 
 def significant(value: float | None, size: float) -> str:
     """A standard deviation to two digits."""
-    return "" if value is None else f"{float(f'{value / size:.2g}'):g}"
+    return "" if value is None else two_digits(value / size)

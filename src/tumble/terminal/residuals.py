@@ -18,6 +18,6 @@ def residual_table(rests: Sequence[RestResidual]) -> RenderableType:
     add_numbers(table, "rest", "start s", "stop s", "before mg", "after mg")
     both = np.array([[rest.before, rest.after] for rest in rests]) / (1e-3 * G_STANDARD)
     for i, (rest, numbers) in enumerate(zip(rests, both, strict=True), 1):
-        table.add_row(str(i), f"{rest.start:z.1f}", f"{rest.stop:z.1f}", *(f"{number:+.4f}" for number in numbers))
+        table.add_row(str(i), f"{rest.start:z.1f}", f"{rest.stop:z.1f}", *(f"{number:+z.4f}" for number in numbers))
     table.add_row("rms", "", "", *(f"{number:.4f}" for number in np.sqrt(np.mean(both**2, axis=0))))
     return table

@@ -24,7 +24,7 @@ def verification_report(verification: Verification) -> RenderableType:
     add_numbers(table, f"Δg {unit}", f"u (k=1) {unit}", "|Δg|/u")
     rows = zip(verification.labels, verification.difference, verification.u, verification.sigmas, strict=True)
     for label, difference, u, ratio in rows:
-        numbers = (f"{difference / size:+.1f}", f"{u / size:.1f}", f"{ratio:.2f}")
+        numbers = (f"{difference / size:+z.1f}", f"{u / size:.1f}", f"{ratio:.2f}")
         table.add_row(Text(label), *(numbers if np.isfinite(ratio) else ("", "", "")))
     worst = float(np.nanmax(verification.sigmas))
     summary = (

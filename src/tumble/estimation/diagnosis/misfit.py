@@ -51,6 +51,8 @@ LOST_PROBABILITY = 0.05
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
 
+CONTAINED = "; u contains it as far as it is random"
+
 DAMAGE = 3.0
 """Times u: a parameter that errs by more because a cause was left out."""
 
@@ -92,16 +94,27 @@ class Misfit:
 
 
 def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
-    """What the residuals of an estimate say, of several sessions each for itself; None where the method keeps no
-    likelihood."""
+    """What the residuals of an estimate say, of several sessions each for itself; None where nothing keeps a likelihood
+    of it."""
     linearised = estimate.linearised
     if linearised is None:
         return None
     if observations.together is None:
-        return _of_session(next(each_session(linearised)))
+        alone = _of_session(next(each_session(linearised)))
+        return alone if estimate.method == "joint" else _about_joint(alone)
     names = observations.together.names
     found = [_of_session(each, share=1.0 / len(names)) for each in each_session(linearised)]
     return _of_all([(name, each) for name, each in zip(names, found, strict=True) if each.remarks or each.reasons])
+
+
+def _about_joint(found: Misfit) -> Misfit:
+    """What residuals about the joint estimate say of one by another method, whose u has a scatter of its own."""
+    said = ((concerns, remark.removesuffix(CONTAINED)) for concerns, remark in found.remarks)
+    return replace(
+        found,
+        reasons=tuple((concerns, f"by the method joint, {reason}") for concerns, reason in found.reasons),
+        remarks=tuple((concerns, f"by the method joint, {remark}") for concerns, remark in said),
+    )
 
 
 def _of_all(found: list[tuple[str, Misfit]]) -> Misfit:
@@ -251,7 +264,7 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
         return _aliased(linearised)
     if _scatter(group, linearised) == 0.0:
         return f"the {group.words} are further from the fit than their noise explains"
-    return f"the {group.words} scatter by {_said(group, ratio, linearised)}; u contains it as far as it is random"
+    return f"the {group.words} scatter by {_said(group, ratio, linearised)}{CONTAINED}"
 
 
 def _aliased(linearised: Linearised) -> str:

@@ -1,0 +1,105 @@
+"""The linear model where the instrument has more: whether the session shows it, and by how much it moves the result.
+
+The methods beside `joint` have bias, scale factor and axis angles alone, and take what else there is for one of these:
+a quadratic term of the accelerometers for a bias and scale factors. Two things are asked of such an estimate.
+
+Its residuals are judged about the estimate that `joint` makes of the same model (`judged`), for the turns show most of
+what rests alone can be fitted to. And what they do not show is counted: groups of the accelerometers, of usual size σ,
+add Σ_c B_c θ_c to the rests, B along what no turn of the vertical reaches, of which a fit of the linear columns A makes
+
+    ΔX = A⁺ B θ,   u²(ΔX) = Σ_c (A⁺ B)_c² σ_c²
+
+Source: dynamics method, A4; the columns are those of Eq. (12) of the turntable method, for any number of sensors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tumble.estimation.diagnosis.misfit import lost_by_velocities
+from tumble.estimation.estimate import Estimate
+from tumble.estimation.likelihood import Linearised
+from tumble.estimation.methods.joint.method import joint
+from tumble.reduction.observations import Observations
+from tumble.rotation import tangent_basis, unit_vector
+from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.parameters import FORCE, positions_by_group, shown_in
+from tumble.units import Array
+
+_NOTHING = 1e-9
+"""Of the largest singular value: what rests do not determine is moved by nothing that they show."""
+
+
+def judged(estimate: Estimate, observations: Observations, whole: Observations) -> Estimate:
+    """An estimate of the linear model with a likelihood by which its residuals are judged, and with what the velocities
+    of turns say of lost samples; `whole` are the observations that know the usual sizes of all groups."""
+    if estimate.linearised is None:
+        estimate = replace(estimate, linearised=_likelihood(estimate, observations))
+    if estimate.linearised is None or not whole.unstamped or estimate.gyro is None:
+        return estimate
+    reasons, remarks = lost_by_velocities(estimate.linearised, whole)
+    return replace(estimate, reasons=(*estimate.reasons, *reasons), remarks=(*estimate.remarks, *remarks))
+
+
+def _likelihood(estimate: Estimate, observations: Observations) -> Linearised | None:
+    """The likelihood about the joint estimate of the same sensors; None where there is none."""
+    if estimate.unobservable or not estimate.converged:
+        return None
+    seen = observations if estimate.gyro is not None else observations.of_accelerometers()
+    try:
+        beside = joint(seen)
+    except np.linalg.LinAlgError:
+        return None
+    return beside.linearised if beside.converged and not beside.unobservable else None
+
+
+def left_out(estimate: Estimate, observations: Observations, whole: Observations) -> tuple[str, ...]:
+    """What an estimate of the linear model leaves out, and by how much more than u that moves it, as a note."""
+    block = observations.accel_block
+    names = {name for name in whole.usual if name in _AT_REST}
+    if not names or not set(block.names) <= set(estimate.names) or estimate.unobservable:
+        return ()
+    moved, u = moved_by(names, whole), estimate.u[: len(block.names)]
+    said = []
+    for name, at in positions_by_group(block.names).items():
+        by, known = float(np.sqrt((moved[at] ** 2).mean())), float(np.sqrt((u[at] ** 2).mean()))
+        if by > known:
+            size, unit = shown_in(name, block.units[at[0]], by)
+            said.append(f"{_WORDS[name]} by {by / size:.2g} {unit}")
+    if not said:
+        return ()
+    return (
+        f"not in the model: {', '.join(_AT_REST[name] for name in _AT_REST if name in names)} of the accelerometers; "
+        f"where they are of the size usual in instruments of the grade, they move {', '.join(said)} (rms), which u "
+        "does not contain; the method joint with all its terms does",
+    )
+
+
+_AT_REST = {
+    "accel.quadratic": "quadratic terms",
+    "accel.cubic": "cubic terms",
+    "accel.asymmetry": "asymmetry",
+}
+"""Groups that change readings of the accelerometers at rest."""
+_WORDS = {"accel.bias": "biases", "accel.scale": "scale factors", "accel.axis": "axis angles"}
+
+
+def moved_by(names: set[str], observations: Observations) -> Array:
+    """Standard deviations (m,) by which groups of their usual sizes move bias, scale factors and axis angles of the
+    accelerometers in a fit to the rests that does not have them."""
+    block, g = observations.accel_block, observations.site.gravity
+    instrument = Instrument.of(block, None, names)
+    values = np.zeros(len(instrument.names))
+    force = g * unit_vector(block.nominal().apply(observations.rests.accel))
+    seen, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
+    changes = np.einsum("ipb,pbm->ipm", seen, D)
+    turning = np.einsum("pk,ijk->ipj", instrument.coefficients(block, values)[:, FORCE], tangent_basis(force / g))
+    basis, _ = np.linalg.qr(turning, mode="complete")
+    rows = np.einsum("ipr,ipm->irm", basis[:, :, 2:], changes).reshape(-1, len(values))
+    linear = instrument.linear_count
+    usual = np.array([observations.usual[group.name] for group in instrument.further for _ in group.names(block)])
+    return np.asarray(
+        np.linalg.norm(np.linalg.pinv(rows[:, :linear], rcond=_NOTHING) @ rows[:, linear:] * usual, axis=1)
+    )
