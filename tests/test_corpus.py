@@ -10,11 +10,18 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 from corpus import dialects as d
+from corpus import programs as p
 from corpus.dialects import Case
 
+from tumble.calibration.archive import unzipped
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
+from tumble.calibration.log_detection import files_of, found_log
+from tumble.calibration.log_times import Stamps, times_of_column
+from tumble.calibration.mended_log import mended
+from tumble.calibration.new_session import new_session
 from tumble.cli import main
+from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session import Channels
 from tumble.recording.session_file import read_session
@@ -225,6 +232,17 @@ CASES: dict[str, Case] = {
         said=("the last 200 are all alike", "as rows of others: left out", "seconds and nanoseconds", GOOD),
         worth=(1.0, DEG),
     ),
+    # programs of others
+    "quaternions, magnetometers, a thermometer, no names": Case(
+        write=p.everything_without_names,
+        said=("accel: columns 9, 10, 11, by", "gyro: columns 13, 14, 15, by", "in deg/s, not rad/s"),
+        worth=(G, DEG),
+    ),
+    "ticks of 25 us": Case(
+        write=p.ticks(4e4),
+        said=("column 'tick' counts samples or ticks", "rate_hz = 50 from the turns", "gyros: in deg/s, not rad/s"),
+        worth=(1.0, DEG),
+    ),
     # several files
     "two files": Case(write=d.in_two_files, said=("2 files",), within=3.0),
     "a file a position": Case(write=d.a_file_a_position, said=("14 files",), within=3.0, gyro=False),
@@ -339,3 +357,119 @@ def test_rows_of_two_sensors_read_as_those_of_one_are_refused(log: pl.DataFrame,
     result = CliRunner().invoke(main, ["calibrate", str(tmp_path)])
     assert result.exit_code == 1
     assert "have rows of several sensors" in result.stderr
+
+
+READ: dict[str, tuple[p.Write, str, str | None, str | None]] = {
+    # what is said of it, and the units that names say
+    "ROS, messages as text": (p.ros_messages, "several lines a sample (header_seq,", None, None),
+    "ROS, rostopic echo -p": (p.ros_table, "", None, None),
+    "ROS, a table with the time of arrival": (p.bagpy, "seconds and nanoseconds, added", None, None),
+    "axes in brackets, z first": (p.gopro, "", "m/s^2", "rad/s"),
+    "names without a sensor, z first": (p.unnamed_axes_in_another_order, "by their numbers (a guess)", None, None),
+    "RIDI": (p.ridi, "gravity.txt, linacce.txt, orientation.txt", None, None),
+    "Sensor Logger": (p.sensor_logger, "TotalAcceleration.csv and Gyroscope.csv", None, None),
+    "GnssLogger": (p.gnss_logger, "one log at the times of the gyros", "m/s^2", "rad/s"),
+    "phyphox, its archive": (p.phyphox_archive, "device.csv has no rows of readings", "m/s^2", "rad/s"),
+    "SparkFun": (p.sparkfun, "names before the numbers (Acc_x [mg],", "mg", "deg/s"),
+    "Adafruit": (p.adafruit, "several lines a sample (Acceleration X", "m/s^2", "rad/s"),
+    "1'000": (p.thousands("'"), "marks between thousands", "mg", "mdps"),
+    "1,000": (p.thousands(","), "marks between thousands", "mg", "mdps"),
+    "NovAtel, raw sentences": (p.novatel, "sentences RAWIMU of NovAtel", "count", "count"),
+    "days": (p.days, "ticks of 86400 s, made seconds", None, None),
+    "tenths of microseconds": (p.tenths_of_microseconds, "ticks of 1e-07 s, made seconds", None, None),
+}
+SHORT = 1000
+"""Rows with a few rests, enough for what names say."""
+
+WORTH = {
+    None: 1.0,
+    "count": 1.0 / 50.0 / 2e-9,
+    "m/s^2": 1.0,
+    "mg": 1e3 * G,
+    "rad/s": 1.0,
+    "deg/s": DEG,
+    "mdps": 1e3 * DEG,
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_columns_units_and_times_are_those_of_the_format(name: str, log: pl.DataFrame, tmp_path: Path) -> None:
+    write, said, accel, gyro = READ[name]
+    log = log.head(SHORT)
+    given = tmp_path / write(log, tmp_path)
+    folder = tmp_path / "session"
+    files = unzipped(given, folder) if given.suffix == ".zip" else files_of(given)
+    found = mended(found_log(files, folder), folder, None)
+    assert said in "; ".join(found.said)
+    for kind, unit, columns in (("accel", accel, d.ACCEL), ("gyro", gyro, d.GYRO)):
+        sensors = found.columns.triads[kind]
+        assert sensors.unit == unit
+        read = found.read(sensors.columns) / WORTH[unit]
+        truth = log.select(columns).to_numpy()
+        # the first and last samples of one of two clocks may have no other beside them
+        starts = [truth[k : k + 40].mean(axis=0) for k in range(3)]
+        lead = next(k for k, start in enumerate(starts) if np.allclose(read[:40].mean(axis=0), start, atol=2e-3))
+        assert read == pytest.approx(truth[lead : lead + len(read)], abs=0.5 if "archive" in name else 1e-4)
+    stamps = found.stamps()
+    assert (stamps is None) == (name in ("SparkFun", "Adafruit"))
+    if stamps is not None:
+        step = np.diff(stamps.values) * (1e-9 if np.median(np.diff(stamps.values)) > 1e6 else 1.0)
+        assert step * (1e-3 if name.startswith("axes") else 1.0) == pytest.approx(1.0 / d.RATE, abs=2e-5)
+
+
+@pytest.mark.parametrize("write", [p.numpy_matrix, p.numpy_arrays])
+def test_arrays_of_numpy_are_read(write: p.Write, log: pl.DataFrame, tmp_path: Path) -> None:
+    folder = tmp_path / "session"
+    new_session(folder, tmp_path / write(log, tmp_path))
+    spec = read_session(folder).log
+    assert spec.gyro is not None
+    copied = pl.read_parquet(folder / "log.parquet")
+    assert np.array_equal(copied.select(spec.accel.columns).to_numpy(), log.select(d.ACCEL).to_numpy())
+    assert np.array_equal(copied.select(spec.gyro.columns).to_numpy(), log.select(d.GYRO).to_numpy())
+
+
+def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path) -> None:
+    draft, faults = new_session(tmp_path / "session", tmp_path / p.core_motion(log, tmp_path))
+    assert not faults
+    table = draft.content["log"]
+    assert (table["accel"]["scale"], table["accel"]["scale_per"]) == (-1.0, "g")
+    assert table["time"] == "accelerometerTimestamp_sinceReboot(s)"
+    assert table["gyro"]["columns"][0] == "gyroRotationX(rad/s)"
+    assert "−1 g where an axis points up" in draft.said[-1]
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (p.oxiod, "expected columns named as accelerometers are"),
+        (p.positions_of_a_camera, "expected columns named as accelerometers are"),
+        (p.gyros_alone, "expected columns named as accelerometers are"),
+        (p.corrected_novatel, "of which gravity and the receiver's own corrections are taken off; log RAWIMUSX"),
+    ],
+)
+def test_what_has_no_accelerometers_is_refused(write: p.Write, said: str, log: pl.DataFrame, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        new_session(tmp_path / "session", tmp_path / write(log.head(SHORT), tmp_path))
+    assert not (tmp_path / "session").exists()
+
+
+def test_arrays_of_objects_are_not_run(tmp_path: Path) -> None:
+    np.save(tmp_path / "imu.npy", np.array([{"acc": 1.0}], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match="found objects of Python; save the arrays themselves"):
+        new_session(tmp_path / "session", tmp_path / "imu.npy")
+
+
+def test_a_last_stamp_that_was_cut_is_no_fall() -> None:
+    values = np.append(5.0 + 0.02 * np.arange(100), 6.9)
+    times = times_of_column(Stamps(column="t", values=values, unit=None))
+    assert times is not None
+    assert times.rate == pytest.approx(50.0)
+
+
+def test_a_field_in_tesla_is_one_on_earth(log: pl.DataFrame, tmp_path: Path) -> None:
+    short = log.head(SHORT)
+    field = 1e-6 * p.field(short.select(d.ACCEL).to_numpy())
+    short.hstack(pl.DataFrame(field, schema=[f"magnetic_field.{a}" for a in "xyz"])).write_csv(tmp_path / "imu.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "imu.csv")
+    assert draft.magnetometer is not None
+    assert draft.magnetometer["unit"] == "T"

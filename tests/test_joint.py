@@ -33,6 +33,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.turn_samples import TurnSamples
 from tumble.sensors.grades import GRADES, NoiseModel, Spread
 from tumble.sensors.model import Block
+from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import HandHeld, Scenario, profile_of, scenario_of
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
@@ -115,6 +116,20 @@ def test_another_start_leads_to_the_same_estimate() -> None:
     near = dict.fromkeys(chosen.accel.names + chosen.gyro.names, 1e-4)
     first, second = joint(session), joint(replace(session, start=near))
     np.testing.assert_allclose((first.values - second.values) / first.u, 0.0, atol=1e-2)
+
+
+def test_rotations_of_the_result_are_those_of_the_turns_integrated_about_it() -> None:
+    """With terms that no linear gyro has, and what drifts from turn to turn."""
+    chosen = scenario(replace(SETUP, further=usual_sizes("mems")), 4)
+    session = observed(chosen, 4)
+    estimate = joint(session)
+    found = estimate.linearised
+    assert found is not None
+    assert estimate.gyro is not None
+    values, changes = found.point.values, found.problem.changed_in_turns(found.point)
+    about = TurnsAbout.of(session, found.problem.instrument, values, changes)
+    assert found.rotations == pytest.approx(about.C, abs=1e-6)
+    assert np.abs(session.turns_about(estimate.gyro).C - about.C).max() > 1e-4
 
 
 def test_without_gyros_the_accelerometer_parameters_are_those_of_the_first_stage() -> None:

@@ -139,7 +139,7 @@ def test_the_uncertainties_hold_over_many_sessions(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.45)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("nT", 1e3), ("gauss", 1e-2)])
+@pytest.mark.parametrize(("unit", "factor"), [("nT", 1e3), ("gauss", 1e-2), ("mgauss", 10.0), ("T", 1e-6)])
 def test_the_unit_is_that_of_the_field_and_of_the_result(tmp_path: Path, unit: str, factor: float) -> None:
     plain = calibrate(write(tmp_path / "a"))
     changes = {"log.magnetometer": {"columns": ["mx", "my", "mz"], "unit": unit}, "site.field": FIELD * factor}
@@ -307,7 +307,7 @@ def test_blocks_do_not_depend_on_the_chunks(tmp_path: Path, rows: int) -> None:
     ("changes", "said"),
     [
         ({"log.magnetometer.columns": ["mx", "my"]}, "log.magnetometer.columns: expected a list of three column names"),
-        ({"log.magnetometer.unit": "T"}, "log.magnetometer.unit: expected one of nT, uT, gauss, found"),
+        ({"log.magnetometer.unit": "Oe"}, "log.magnetometer.unit: expected one of nT, uT, gauss, mgauss, T, found"),
         (
             {"log.magnetometer.columns": ["mx", "my", "ax"]},
             'expected every column once, found "ax" in log.accel.columns',

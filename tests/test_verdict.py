@@ -20,6 +20,7 @@ import pytest
 from tumble.calibration.calibrate import Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.estimation.causes.chances import weighted_chance
+from tumble.estimation.causes.former_attitudes import _followed
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
@@ -288,3 +289,15 @@ def test_parameters_are_listed_by_name_or_where_they_are_many_counted() -> None:
     assert listed(few) == "accel.axis.yx, accel.axis.zx"
     many = (*(f"accel.bias.{i}" for i in range(12)), *(f"accel.scale.{i}" for i in range(16)))
     assert listed(many) == "accel.bias (12), accel.scale (16)"
+
+
+@pytest.mark.parametrize("passed", [0.0, 1e-6, 0.03, 5.0])
+def test_a_memory_is_the_same_in_one_go_and_step_by_step(passed: float) -> None:
+    rng = np.random.default_rng(1)
+    begin, targets = rng.normal(size=3), rng.normal(size=(24, 3))
+    behind, end = _followed(begin, targets, passed)
+    slow = begin
+    for found, target in zip(behind, targets, strict=True):
+        (mean,), slow = _followed(slow, target[None], passed)
+        assert found == pytest.approx(mean, abs=1e-13)
+    assert end == pytest.approx(slow, abs=1e-13)

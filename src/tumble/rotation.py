@@ -35,6 +35,12 @@ def _onto_body(axes: bytes) -> Array:
     return out
 
 
+def left_inverse(matrix: Array) -> Array:
+    """The matrix (3, n) that takes readings of sensors, less their biases, to the vector in the body, by least squares,
+    of their sensitivities (n, 3). Raises LinAlgError where these are all in one plane."""
+    return np.asarray(np.linalg.solve(matrix.T @ matrix, matrix.T), dtype=float)
+
+
 def skew(vector: Array) -> Array:
     """[v×], shape (..., 3, 3): skew(v) @ w = v × w."""
     v = np.asarray(vector, dtype=float)

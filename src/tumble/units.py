@@ -66,7 +66,7 @@ GYRO_UNITS = {
     "V": Unit(factor=1.0, kind="raw"),
 }
 
-MAGNETIC_UNITS = ("nT", "uT", "gauss")
+MAGNETIC_UNITS = ("nT", "uT", "gauss", "mgauss", "T")
 """Units of a magnetometer. Nothing else is measured in them, so that they are not converted."""
 
 TEMPERATURE_UNITS = {"degC": (1.0, 0.0), "K": (1.0, -ZERO_CELSIUS), "degF": (5.0 / 9.0, -160.0 / 9.0)}

@@ -7,16 +7,18 @@ tells theirs, their unit, and the rate of a log without times. Where nothing tur
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from tumble.calibration.draft import Draft
 from tumble.calibration.gyro_unit_by_earth import RATES, reads_the_earth
+from tumble.calibration.log_times import ASSUMED_RATE
 from tumble.calibration.observed import Progress, inspect_session
 from tumble.calibration.raw_scale import (
     PLAIN,
+    Scale,
     accel_scale,
     counts_per_deg_s,
     counts_per_g,
@@ -28,20 +30,23 @@ from tumble.errors import TumbleError
 from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
 from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
-from tumble.units import DEGREE
+from tumble.rotation import unit_vector
+from tumble.units import DEGREE, GYRO_UNITS
 
 _LOW_RATES = 10, 12.5, 20, 25, 26, 50, 51.2, 52, 60, 62.5, 64, 100, 102.4, 104, 119, 120, 125, 128, 200, 204.8, 208
 _HIGH_RATES = 238, 240, 250, 256, 300, 400, 416, 476, 500, 512, 800, 833, 952, 1000, 1024, 1600, 1660, 2000, 4000, 8000
 _USUAL_RATES = np.array([*_LOW_RATES, *_HIGH_RATES])  # Hz
-_RATE_NEAR = 0.04
+_RATE_NEAR, _RATE_AGREES = 0.04, 1.7
 _SLOW_RATE = 25.0  # Hz
+_RATE_UNITS = ("rad/s", "deg/s")
+_TURNED = 0.99  # cosine of 8°
 _LARGEST_BIAS = 20.0  # deg/s: what reads more at rest has an offset
 
 
 def tried(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
     """A draft with what rests and turns say of its guesses, and the faults that are left."""
-    draft, faults = _checked(_scaled(draft, progress), progress)
-    return _with_rate(draft, faults, progress)
+    draft, faults, turned = _checked(_scaled(draft, progress), progress)
+    return _with_rate(draft, faults, turned, progress)
 
 
 # -------------------- counts and rates, from rests and turns --------------------
@@ -63,7 +68,7 @@ def _scaled(draft: Draft, progress: Progress) -> Draft:
     if raw_gyro:
         content = {**draft.content, "log": log}
         observations = _observed(content, progress) if raw_accel else observations
-        log, more = _gyro_scaled(content, observations, progress)
+        log, more = _gyro_scaled(replace(draft, content=content), observations, progress)
         said += more
     return replace(draft, content={**draft.content, "log": log}, said=(*draft.said, *said))
 
@@ -106,10 +111,10 @@ def _accel_scaled(
 
 
 def _gyro_scaled(
-    content: Mapping[str, Any], observations: Observations | None, progress: Progress
+    draft: Draft, observations: Observations | None, progress: Progress
 ) -> tuple[dict[str, Any], list[str]]:
     """[log] with the scale of gyros in counts, from the turns; the offset is none or the mean at rest."""
-    log = content["log"]
+    content, log = draft.content, draft.content["log"]
     gyro, named = log["gyro"], ", ".join(log["gyro"]["columns"])
     bias = np.zeros(3) if observations is None else np.median(observations.rests.gyro, axis=0) / DEGREE
     centred = {**gyro, "offset": [float(f"{b:.6g}") for b in bias]}
@@ -128,53 +133,114 @@ def _gyro_scaled(
         return {**log, "gyro": {"columns": gyro["columns"], "unit": unit}}, [said]
     high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
     made = {**(centred if high else gyro), "scale": scale.value}
-    return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)"]
+    return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)", *_doubts(draft, scale)]
 
 
-def _with_rate(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:
-    """A draft whose rate, if it is a guess, is that at which gyros in a known unit carry the vertical from rest to
-    rest."""
+def _doubts(draft: Draft, scale: Scale) -> list[str]:
+    """That the time may be what is wrong, where its unit is a guess and no data sheet has what the turns show."""
+    if not draft.time_guessed or scale.known:
+        return []
+    column = draft.content["log"]["time"]
+    return [
+        f"time: the unit of column {column!r} is a guess, and no data sheet has the gyros' {scale.value:g} counts "
+        "per deg/s: if it counts samples or ticks, give the rate (--rate)"
+    ]
+
+
+def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress) -> tuple[Draft, list[str]]:
+    """A draft whose rate, if it or the unit of the time is a guess, is that at which gyros in a known unit carry the
+    vertical from rest to rest; and where their unit is a guess too, in that unit which makes it a usual one."""
     log = draft.content["log"]
-    if not draft.rate_guessed or "gyro" not in log or log["gyro"]["unit"] == "count":
+    doubted = draft.time_guessed and (bool(faults) or not turned)
+    if not (draft.rate_guessed or doubted) or "gyro" not in log or log["gyro"]["unit"] not in _RATE_UNITS:
         return draft, faults
+    even = {key: value for key, value in log.items() if key not in ("time", "time_unit", "regular")}
     found = None
-    for trial in (log["rate_hz"], _SLOW_RATE):  # at too high a rate rests would be too short to be any
-        observations = _observed({**draft.content, "log": {**log, "rate_hz": trial}}, progress)
+    for trial in (even.get("rate_hz", ASSUMED_RATE), _SLOW_RATE):  # at too high a rate rests would be too short
+        observations = _observed({**draft.content, "log": {**even, "rate_hz": trial}}, progress)
         factor = None if observations is None else gyro_factor(observations)
         found = trial * factor if found is None and factor is not None else found
     if found is None:
         return draft, faults
-    near = _USUAL_RATES[np.argmin(np.abs(np.log(_USUAL_RATES / found)))]
-    rate = float(near) if abs(near / found - 1.0) < _RATE_NEAR else float(f"{found:.4g}")
-    seen = f"rate_hz = {rate:g} from the turns ({found:.4g} found)"
-    said = f"time: {seen}: a guess to some percent"
-    said += "; put the log's rate there"
-    content = {**draft.content, "log": {**log, "rate_hz": rate}}
-    return replace(draft, content=content, said=(*draft.said, said)), _looked_at(content, progress)[1]
+    unit, rate = _unit_and_rate(found, log["gyro"]["unit"], draft)
+    if doubted and max(rate.found / draft.rate, draft.rate / rate.found) < _RATE_AGREES:
+        if unit == log["gyro"]["unit"]:  # the scale of the gyros is wrong, or a turn, and not the time
+            return draft, faults
+        content = _with_gyro_unit(draft.content, unit)
+        told = f"gyros: in {unit}, not {log['gyro']['unit']}: so they carry the vertical at the rate of the times"
+        return replace(draft, content=content, said=(*draft.said, told)), _looked_at(content, progress)[1]
+    seen = f"{rate.found:.4g} found"
+    said = [
+        f"time: rate_hz = {rate.value:g} from the turns ({seen}): a guess to some percent; put the log's rate there"
+    ]
+    if doubted:
+        said.insert(0, f"time: column {log['time']!r} counts samples or ticks: in no unit do the gyros fit it")
+    if unit != log["gyro"]["unit"]:
+        said.append(f"gyros: in {unit}, not {log['gyro']['unit']}: in that the rate is a usual one (a guess)")
+    content = {**draft.content, "log": {**even, "rate_hz": rate.value, "gyro": {**log["gyro"], "unit": unit}}}
+    return replace(draft, content=content, said=(*draft.said, *said)), _looked_at(content, progress)[1]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Rate:
+    """A rate, Hz, as found and as it is usual, if it is near to such a one."""
+
+    found: float
+
+    @property
+    def value(self) -> float:
+        return self._near if self.usual else float(f"{self.found:.4g}")
+
+    @property
+    def usual(self) -> bool:
+        return abs(self._near / self.found - 1.0) < _RATE_NEAR
+
+    @property
+    def _near(self) -> float:
+        return float(_USUAL_RATES[np.argmin(np.abs(np.log(_USUAL_RATES / self.found)))])
+
+
+def _unit_and_rate(found: float, unit: str, draft: Draft) -> tuple[str, _Rate]:
+    """The unit of the gyros and the rate; `found`, Hz, is the latter if the former is the one of the draft."""
+    if not draft.gyro_unknown:
+        return unit, _Rate(found=found)
+    size = {name: found * GYRO_UNITS[name].factor / GYRO_UNITS[unit].factor for name in _RATE_UNITS}
+    rates = {name: _Rate(found=rate) for name, rate in size.items()}
+    return next(((name, rate) for name, rate in rates.items() if rate.usual), (unit, rates[unit]))
 
 
 # -------------------- what the recording says of the guesses --------------------
 
 
-def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str]]:
+def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str], bool]:
     """A draft with the gyros' unit in which they carry the vertical from rest to rest, or, where nothing turned, read
-    the rate of the Earth; and the faults left."""
+    the rate of the Earth; the faults left; and whether anything turned."""
     unit, faults, turned = _looked_at(draft.content, progress)
     if draft.gyro_unknown and not turned and unit is None:
         still = _by_the_earth(draft, progress)
         if still is not draft:
-            return still, _looked_at(still.content, progress)[1]
-    guessed_unit = draft.gyro_unknown and not draft.rate_guessed  # else the rate may be what is wrong
-    if faults and guessed_unit and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
-        return _in_counts(draft, faults, progress)
+            return still, _looked_at(still.content, progress)[1], True
+    clocked = not (draft.rate_guessed or (draft.time_guessed and not draft.gyro_whole))  # else these may be wrong
+    if faults and draft.gyro_unknown and clocked and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
+        return *_in_counts(draft, faults, progress), True
     gyro = draft.content["log"].get("gyro")
-    if not faults or unit is None or gyro["unit"] == "count":
-        return draft, faults
+    if not faults or unit is None or gyro["unit"] == "count" or not _moves_the_vertical(draft, progress):
+        return draft, faults, turned
     trial = _with_gyro_unit(draft.content, unit)
     if _looked_at(trial, progress)[1]:
-        return draft, faults
+        return draft, faults, turned
     said = f"gyros: in {unit}, not {gyro['unit']}: so they carry the vertical from rest to rest"
-    return replace(draft, content=trial, said=(*draft.said, said)), []
+    return replace(draft, content=trial, said=(*draft.said, said)), [], True
+
+
+def _moves_the_vertical(draft: Draft, progress: Progress) -> bool:
+    """Whether most turns end with another side up: where they do not, gyros taken for too small carry it too."""
+    observations = _observed(draft.content, progress)
+    if observations is None or not observations.turns:
+        return False
+    vertical = unit_vector(observations.rests.accel)
+    cosine = (vertical[observations.turns.first] * vertical[observations.turns.last]).sum(axis=1)
+    return bool(np.median(cosine) < _TURNED)
 
 
 def _by_the_earth(draft: Draft, progress: Progress) -> Draft:
@@ -210,7 +276,7 @@ def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
     if left:
         return draft, faults
     said = f"gyros: not in rad/s but in counts: {scale.said}: so they carry the vertical from rest to rest"
-    return replace(draft, content=trial, said=(*draft.said, said)), []
+    return replace(draft, content=trial, said=(*draft.said, said)), _doubts(draft, scale)
 
 
 def _with_gyro_unit(content: Mapping[str, Any], unit: str) -> dict[str, Any]:

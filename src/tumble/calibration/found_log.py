@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ LONGEST = 2_000_000
 """Rows that are looked at."""
 
 SAMPLE_ROWS = 200
+_FUSED = re.compile(r"gravity|user_?acc|linear_?acc", re.IGNORECASE)
 SHOWN = 12
 _FILLED = 50
 """Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""
@@ -94,6 +96,11 @@ def check_has_accelerometers(log: FoundLog) -> None:
             raise InputError(
                 f"{log.files[0]}: expected a recording, found three columns without names that are none by their "
                 "numbers; a table with a row a position, with a line of names above it, is for `tumble ellipsoid`"
+            )
+        if any(_FUSED.search(name) for name in columns):
+            raise InputError(
+                f"{log.files[0]}: expected readings of accelerometers, found gravity and acceleration without it, "
+                f"which a filter has made of them ({names[:120]}); log the raw accelerometers"
             )
         raise InputError(
             f"{log.files[0]}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z; "

@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
 from tumble.calibration.respelled import respelled
-from tumble.calibration.sensor_rows import sensor_column, split_by_sensor
+from tumble.calibration.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
 from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
-from tumble.recording.formats.columns import ACCEL, columns_by_name, time_unit
+from tumble.recording.formats.columns import (
+    ACCEL,
+    GYRO,
+    Columns,
+    columns_by_name,
+    is_no_sensor,
+    time_unit,
+    unit_of_name,
+)
 from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
+from tumble.recording.formats.message import Sensors
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text_pieces import opened
@@ -58,7 +68,10 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
-    logs = [_by_data(log) if ACCEL not in log.columns.triads else _with_time(log) for log in logs]
+    whole = [log for log in logs if ACCEL in log.columns.triads]
+    beside = [log for log in logs if whole and log not in whole and not all(map(str.isdecimal, log.cells))]
+    left += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
+    logs = [_by_data(log) if log not in whole else _with_time(log) for log in logs if log not in beside]
     first = logs[0]
     for log in logs[1:]:
         if (
@@ -103,7 +116,10 @@ def _found(file: Path, folder: Path) -> list[FoundLog]:
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
-        raise InputError(f"{file}: expected a log, found an empty file")
+        raise _NoRowsError(f"{file}: expected a log, found an empty file")
+    kinds = headed_kinds(seen)
+    if kinds:
+        return [log for part in split_by_header(file, kinds, folder) for log in _found(part, folder)]
     copied = respelled(file, seen, folder)
     if copied is not None:
         return [replace(log, said=(copied[1], *log.said)) for log in _found(copied[0], folder)]
@@ -172,19 +188,43 @@ def _numeric(log: FoundLog) -> list[str]:
 
 
 def _by_data(log: FoundLog) -> FoundLog:
-    """A log whose sensors are told by their numbers, if they can be."""
-    names = list(next(iter(log.sources())).names)
-    numeric = [name for name in _numeric(log) if names.count(name) == 1]
-    if len(numeric) < 3:
-        return log
-    read = log.read(numeric, rows=LONGEST // 10)
-    found = columns_by_data(numeric, read[: samples_in(read)])
-    time, unit = log.columns.time, log.columns.time_unit
-    columns = replace(found, time=time or found.time, time_unit=unit, counter=log.columns.counter)
+    """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
+    whose names say that they are something else are left aside; gx, gy and gz may be no gyros."""
+    named = {kind: sensors for kind, sensors in log.columns.triads.items() if kind != ACCEL}
+    found = _told(log, named)
+    if ACCEL not in found.triads and GYRO in named:
+        named = {kind: sensors for kind, sensors in named.items() if kind != GYRO}
+        found = _told(log, named)
     if ACCEL not in found.triads:
         return log
-    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in found.triads.items()]
+    known = log.columns
+    columns = replace(
+        found,
+        triads={**{kind: _with_unit(kind, s) for kind, s in found.triads.items()}, **named},
+        time=known.time or found.time,
+        time_unit=known.time_unit,
+        temperatures=known.temperatures,
+        counter=known.counter,
+    )
+    told = {kind: s for kind, s in found.triads.items() if kind not in named}
+    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
     return replace(log, columns=columns, said=(*log.said, *said))
+
+
+def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Columns:
+    """What the columns of a log are by their numbers, but for those of sensors that are named."""
+    names = list(next(iter(log.sources())).names)
+    taken = {column for sensors in named.values() for column in sensors.columns}
+    numeric = [n for n in _numeric(log) if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
+    read = log.read(numeric, rows=LONGEST // 10) if len(numeric) >= 3 else np.empty((0, len(numeric)))
+    every = np.full((samples_in(read), len(names)), np.nan)
+    every[:, [names.index(name) for name in numeric]] = read[: len(every)]
+    return columns_by_data(names, every)
+
+
+def _with_unit(kind: str, sensors: Sensors) -> Sensors:
+    """Sensors with the unit that the names of their columns say."""
+    return replace(sensors, unit=unit_of_name(kind, sensors.columns[0]))
 
 
 def _with_time(log: FoundLog) -> FoundLog:

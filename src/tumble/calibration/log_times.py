@@ -32,12 +32,14 @@ _RATE_IN_TEXT = re.compile(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Times:
-    """Keys of [log] that say when rows were taken, what is said about it, the rate, Hz, and whether that is a guess."""
+    """Keys of [log] that say when rows were taken, what is said about it, the rate, Hz, and whether that is a guess;
+    and whether the unit of a time column is one."""
 
     keys: dict[str, Any]
     said: tuple[str, ...]
     rate: float
     guessed: bool = False
+    unit_guessed: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -72,6 +74,7 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
 def times_of_column(stamps: Stamps) -> Times | None:
     """Unit and rate of a time column; None where it is none."""
     values = stamps.values[np.isfinite(stamps.values)]
+    values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
     if len(values) < 3 or not values[-1] - values[0] > _SHORTEST:
         return None
     typical = _typical_step(values)
@@ -82,19 +85,21 @@ def times_of_column(stamps: Stamps) -> Times | None:
     keys: dict[str, Any] = {"time": stamps.column}
     if stamps.clock or taken != "s":
         keys["time_unit"] = "iso8601" if stamps.clock else taken
+    guessed = not stamps.clock and stamps.unit is None
+    if not _RATES[0] <= 1.0 / interval <= _RATES[1]:
+        sure = (*sure, f"time: {1.0 / interval:.3g} samples per second is no rate of a log: is the unit right?")
     uneven = _unevenness(values, typical)
     said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
+    rated = f"{said}, {1.0 / interval:.6g} samples per second"
     if uneven is None:
-        return Times(keys=keys, said=(f"{said}, {1.0 / interval:.6g} samples per second", *sure), rate=1.0 / interval)
+        return Times(keys=keys, said=(rated, *sure), rate=1.0 / interval, unit_guessed=guessed)
     if not _even(values):
         more = f"time: {uneven}, and the rows are not equally spaced either: look at the log"
-        return Times(
-            keys=keys, said=(f"{said}, {1.0 / interval:.6g} samples per second", more, *sure), rate=1.0 / interval
-        )
+        return Times(keys=keys, said=(rated, more, *sure), rate=1.0 / interval, unit_guessed=guessed)
     slope = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1]
     mean = float(slope) * (1.0 if stamps.clock else TIME_UNITS[taken])
     more = f"time: {uneven}, but the rows are equally spaced: regular = true, {1.0 / mean:.6g} samples per second"
-    return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean)
+    return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean, unit_guessed=guessed)
 
 
 _OVERFLOWS = (65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)

@@ -26,6 +26,9 @@ from tumble.recording.log_source import LogSource
 from tumble.recording.writer import write_tables
 
 _TICK = 1e-4  # s, of an Xsens SampleTimeFine
+_TENTHS_OF_MICROSECONDS = (6.2e17, 6.7e17), (1.2e17, 1.7e17)  # of dates from 1965 to 2139
+_DAYS, _DAY = ((7.2e5, 7.7e5), (2.5e4, 8e4)), 86400.0  # of dates in MATLAB, and in tables of offices
+_SHORTEST, _LONGEST = 5e-5, 0.5  # s, between samples
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
 _BLANK_SHARE = 0.02
 
@@ -185,16 +188,19 @@ def _nanoseconds(log: FoundLog) -> str | None:
 
 
 def _tick(log: FoundLog) -> float | None:
-    """The unit, s, of an Xsens SampleTimeFine: microseconds where steps are thousands."""
+    """The unit, s, of times in none that a session names: of an Xsens SampleTimeFine, microseconds where steps are
+    thousands; of dates in days; and of those in tenths of microseconds since the year 1 or 1601."""
     column = log.columns.time
-    if (
-        column is None
-        or log.columns.time_unit is not None
-        or "sampletimefine" not in re.sub(r"\W|_", "", column.lower())
-    ):
+    if column is None or log.columns.time_unit is not None or log.is_clock(column):
         return None
-    step = float(np.nanmedian(np.diff(log.read([column], rows=10_000)[:, 0])))
-    return _TICK if step < 2000.0 else None
+    stamps = log.read([column], rows=10_000)[:, 0]
+    step, middle = float(np.nanmedian(np.diff(stamps))), float(np.nanmedian(stamps))
+    if "sampletimefine" in re.sub(r"\W|_", "", column.lower()):
+        return _TICK if step < 2000.0 else None
+    if any(first < middle < last for first, last in _TENTHS_OF_MICROSECONDS):
+        return 1e-7
+    in_days = any(first < middle < last for first, last in _DAYS)
+    return _DAY if in_days and _SHORTEST < step * _DAY < _LONGEST and step < _SHORTEST else None
 
 
 def _counting(log: FoundLog) -> str | None:

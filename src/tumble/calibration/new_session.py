@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.calibration.archive import is_archive, unzipped
 from tumble.calibration.draft import Draft, session_text
 from tumble.calibration.draft_trials import tried
 from tumble.calibration.found_log import FoundLog, times_of
@@ -24,6 +25,7 @@ from tumble.calibration.log_detection import files_of, found_log
 from tumble.calibration.log_times import Times
 from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
+from tumble.calibration.opposite_sign import with_sign
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
@@ -35,12 +37,17 @@ from tumble.recording.formats.message import TIME, Message
 from tumble.recording.log import Log
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.recording.session_keys.temperature import TemperatureTable
-from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS
+from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
 
 _HEAD = 20_000
 _TOLERANCE = 0.3
 _SOFT = 0.03
-_FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5)}  # with iron about
+_FIELDS = {
+    "uT": (15.0, 150.0),
+    "nT": (15e3, 150e3),
+    "gauss": (0.15, 1.5),
+    "T": (15e-6, 150e-6),
+}  # with iron about
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 
 
@@ -91,9 +98,12 @@ def new_session(
     if given.rate is not None and not 0.0 < given.rate < 1e9:
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
+        files = [found for file in files for found in (unzipped(file, folder) if is_archive(file) else [file])]
         draft = _of_files(files, folder, given)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         draft, faults = tried(draft, progress)
+        content, signed = with_sign(draft.content)
+        draft = replace(draft, content=content, said=(*draft.said, *signed))
         folder.mkdir(parents=True, exist_ok=True)
         text = session_text(draft, folder, given.programme, named=bool(given.serial))
         with whole_file(path) as temporary:
@@ -130,8 +140,16 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
         magnetometer=magnetometer,
         rate_guessed=times.guessed,
         gyro_unknown=unknown,
+        time_guessed=times.unit_guessed,
+        rate=times.rate,
+        gyro_whole=GYRO in found.triads and _is_whole(log.read(found.triads[GYRO].columns, rows=_HEAD)),
         accel_magnitude=magnitude,
     )
+
+
+def _is_whole(read: Array) -> bool:
+    """Whether readings are whole numbers."""
+    return bool((read == np.floor(read))[np.isfinite(read)].all())
 
 
 def _of_recording(recordings: Sequence[Path], folder: Path, given: Given) -> Draft:

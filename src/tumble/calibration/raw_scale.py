@@ -13,13 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.recording.formats.columns_by_data import ACCEL_STEPS, MIDDLES
 from tumble.reduction.observations import Observations
 from tumble.reduction.sphere import sphere_through
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array
-
-ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
-"""Counts per g: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
 
 GYRO_STEPS: tuple[float, ...] = tuple(
     sorted(
@@ -31,9 +29,6 @@ GYRO_STEPS: tuple[float, ...] = tuple(
     )
 )  # fmt: skip
 """Counts per °/s: of full scales of 16 bits, of the mdps per count of other makers, and of thousandths."""
-
-MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
-"""Where a converter that knows no sign, and so writes nothing negative, has its zero."""
 
 _NEAR = 0.06
 _NO_OFFSET = 0.3
@@ -48,11 +43,12 @@ _SLOW = 1e12
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scale:
-    """Counts per unit as written down, as found, and where it is from in words."""
+    """Counts per unit as written down, as found, and where it is from in words; whether a data sheet has it."""
 
     value: float
     found: float
     said: str
+    known: bool = True
 
 
 PLAIN: Mapping[str, float] = {"m/s^2": G_STANDARD, "g": 1.0, "mg": 1e3}
@@ -74,7 +70,7 @@ def matched(found: float, steps: Sequence[float], unit: str) -> Scale:
     off = found / nearest - 1.0
     if abs(off) > _NEAR:
         said = f"{found:.4g} counts per {unit} found, and no data sheet has a value near it"
-        return Scale(value=float(f"{found:.4g}"), found=found, said=said)
+        return Scale(value=float(f"{found:.4g}"), found=found, said=said, known=False)
     value = float(f"{nearest:.6g}")
     return Scale(
         value=value, found=found, said=f"{value:g} counts per {unit} as in data sheets, {found:.4g} found ({off:+.1%})"

@@ -1,6 +1,6 @@
 """Text logs that are no table, as one: `ax=0.01 ay=-0.02 …`, `acc: 0.1, 0.2, 9.8; gyro: …`, sentences `$VNYMR,…`,
-objects of JSON, rows in brackets or behind the clock of a serial monitor, and lines that end in a carriage return
-alone.
+objects of JSON, samples of several lines, rows in brackets or behind the clock of a serial monitor, and lines that
+end in a carriage return alone.
 
 What is written is a CSV file in the session's folder, a row for each line, with the names before the signs. A name with
 three numbers behind it is three columns. A line with other names is left as it is, for the reader to report.
@@ -13,21 +13,22 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tumble.calibration.json_lines import json_lines
+from tumble.calibration.named_values import LONGEST_LINE, cells
+from tumble.calibration.novatel import novatel
 from tumble.calibration.sentences import sentences
+from tumble.calibration.several_lines import several_lines
 from tumble.calibration.spelling import Spelling, most_common, of_named_values
+from tumble.errors import InputError
 from tumble.files import whole_file
-from tumble.recording.dialect import encoding_of, is_clock
+from tumble.recording.dialect import encoding_of
 from tumble.recording.log_source import readable
 from tumble.recording.text_pieces import opened
 
 _SEEN_LINES = 200
-_LONGEST_LINE = 4096
-_KEY = re.compile(r"([^\W\d][\w.]*)\s*[=:]\s*(?=[-+\d.\[(])")
-_NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
+_QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
 _BRACKETED = re.compile(r"\s*[\[({][-+.\d][^\[\](){}:]*[\])}]\s*[,;]?\s*")
 _MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
-_TIME = "time"
-_WHEN = re.compile(r"[\s\[\]()>,;|-]*$")
 
 
 def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
@@ -36,8 +37,15 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
     encoding = encoding_of(seen)
     text = seen.decode(encoding, errors="replace")
     lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
-    spelling = sentences(lines) or json_lines(lines) or of_named_values(_cells, lines, "names before the numbers")
-    spelling = spelling or _framed(lines)
+    try:
+        spelling = sentences(lines) or novatel(lines) or json_lines(lines) or several_lines(lines)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    spelling = spelling or of_named_values(cells, lines, "names before the numbers") or _framed(lines)
+    if spelling is None and sum(_without_thousands(line) != line for line in lines) > 1:
+        spelling = Spelling(
+            names=(), values=lambda line: [_without_thousands(line)], said="marks between thousands, as in 1'000"
+        )
     if spelling is None and text.count("\r") > 2 and "\n" not in text:
         spelling = Spelling(names=(), values=lambda line: [line], said="lines that end in a carriage return")
     if spelling is None:
@@ -50,8 +58,9 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
         if spelling.names:
             out.write(f"{','.join(spelling.names)}\n".encode())
         for line in _lines(iter(lambda: stream.read(1 << 16), b"")):
-            row = ",".join(spelling.values(line)) or line.replace(",", " ")
-            out.write(row.encode() + b"\n")
+            values = spelling.values(line)
+            if values is not None:
+                out.write((",".join(values) or line.replace(",", " ")).encode() + b"\n")
     return target, f"text: {spelling.said}: copied to {target.name} as a table"
 
 
@@ -62,6 +71,11 @@ def _framed(lines: Sequence[str]) -> Spelling | None:
     if most_common((bool(_MONITORED.fullmatch(line)) for line in lines), lines):
         return Spelling(names=(), values=_behind_the_clock, said="rows behind the clock of a serial monitor")
     return None
+
+
+def _without_thousands(line: str) -> str:
+    """A line whose numbers are written without the marks between their thousands."""
+    return _QUOTED_THOUSANDS.sub(lambda found: found[1].replace(",", ""), _THOUSANDS.sub("", line))
 
 
 def _behind_the_clock(line: str) -> list[str]:
@@ -79,22 +93,6 @@ def _lines(pieces: Iterator[bytes]) -> Iterator[str]:
     for piece in pieces:
         *whole, rest = (rest + piece).replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
         yield from (line.decode(errors="replace") for line in whole)
-        rest = rest[:_LONGEST_LINE]
+        rest = rest[:LONGEST_LINE]
     if rest.strip():
         yield rest.decode(errors="replace")
-
-
-def _cells(line: str) -> dict[str, str]:
-    """Names and numbers of a line; a time before the first name is one too."""
-    keys = list(_KEY.finditer(line[:_LONGEST_LINE]))
-    if not keys:
-        return {}
-    when = _WHEN.sub("", line[: keys[0].start()]).strip(" []")
-    cells = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
-    for key, after in zip(keys, [*keys[1:], None], strict=True):
-        numbers = _NUMBER.findall(line[key.end() : after.start() if after else None])
-        if len(numbers) == 1:
-            cells[key[1]] = numbers[0]
-        elif len(numbers) == 3:
-            cells |= {f"{key[1]}_{axis}": number for axis, number in zip("xyz", numbers, strict=True)}
-    return cells

@@ -59,8 +59,8 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
     """The turns of a calibration, in their order; none of an estimate that has none."""
     if observations.turns is None or not len(estimate.turn_sigmas):
         return ()
-    turns = observations.turns if estimate.gyro is None else observations.turns_about(estimate.gyro)
-    angles = np.arccos(np.clip(0.5 * (np.trace(turns.C, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
+    turns, rotations = observations.turns, _rotations(estimate, observations)
+    angles = np.arccos(np.clip(0.5 * (np.trace(rotations, axis1=1, axis2=2) - 1.0), -1.0, 1.0))
     return tuple(
         TurnResult(
             first=int(turns.first[k]),
@@ -73,6 +73,18 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
         for k in range(len(turns))
         if turns.duration[k] > 0.0  # not between the parts of a rest
     )
+
+
+def _rotations(estimate: Estimate, observations: Observations) -> Array:
+    """Rotations (K, 3, 3) of the turns by the gyros of an estimate, nominal ones where it has none: as its likelihood
+    has them, where it has one."""
+    assert observations.turns is not None
+    if estimate.gyro is None:
+        return observations.turns.C
+    linearised = estimate.linearised
+    if linearised is None or linearised.about is None:
+        return observations.turns_about(estimate.gyro).C
+    return linearised.rotations
 
 
 def _programmed_angle(observations: Observations, first: int, last: int) -> float | None:

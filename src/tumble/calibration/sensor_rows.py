@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +13,7 @@ from pathlib import Path
 from tumble.errors import InputError
 from tumble.files import whole_file
 from tumble.recording.dialect import Dialect, Top, is_clock
-from tumble.recording.formats.columns import ACCEL, SENSOR_WORDS
+from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, columns_by_name
 from tumble.recording.log_source import readable
 from tumble.recording.text_pieces import opened
 
@@ -44,6 +44,37 @@ def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
     )
 
 
+def headed_kinds(seen: bytes) -> dict[str, list[str]]:
+    """The names of the columns of rows of each sensor, where comments state them, `# UncalAccel,utcTimeMillis,…`: of
+    those with accelerometers and gyros, by the word that their rows begin with. None where they are not apart so."""
+    lines = seen.decode(errors="replace").splitlines()
+    words = {line.partition(",")[0] for line in lines if not line.startswith("#")}
+    headers = [line.lstrip("# ").split(",") for line in lines if line.startswith("#")]
+    named = {word: names for word, *names in headers if word in words}
+    of_sensors = {word: names for word, names in named.items() if {ACCEL, GYRO} & set(columns_by_name(names).triads)}
+    return of_sensors if len(of_sensors) > 1 else {}
+
+
+def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
+    """The rows of each sensor in a file of its own, with the names that comments state of it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = {word: folder / f"{file.name.partition('.')[0]}-{_plain(word)}.csv" for word in kinds}
+    with ExitStack() as files, readable(file), opened(file) as stream:
+        outs = {word: files.enter_context(files.enter_context(whole_file(p)).open("wb")) for word, p in parts.items()}
+        for word, names in kinds.items():
+            outs[word].write(f"{','.join(names)}\n".encode())
+        for line in stream:
+            word, _, rest = line[:_LONGEST_LINE].decode(errors="replace").partition(",")
+            if word in outs:
+                outs[word].write(rest.rstrip("\r\n").encode() + b"\n")
+    return list(parts.values())
+
+
+def _plain(word: str) -> str:
+    """A word as a part of the name of a file."""
+    return re.sub(r"\W+", "-", word).strip("-")[:40] or "unnamed"
+
+
 def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: Path) -> list[Path]:
     """The rows of each sensor in a file of its own, with all columns but the label."""
     columns = [j for j in range(len(top.names)) if j != label]
@@ -61,11 +92,11 @@ def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: 
             cells = dialect.cells(line[:_LONGEST_LINE].decode(errors="replace").rstrip("\r\n"))
             if number < top.lines or len(cells) != len(top.names):
                 continue
-            word = re.sub(r"\W+", "-", cells[label]).strip("-")[:40]
+            word = _plain(cells[label])
             if word not in parts:
                 if len(parts) == _MOST_SENSORS:
                     raise InputError(f"{file}: expected at most {_MOST_SENSORS} sensors, found more")
-                parts[word] = folder / f"{file.name.partition('.')[0]}-{word or 'unnamed'}.csv"
+                parts[word] = folder / f"{file.name.partition('.')[0]}-{word}.csv"
                 outs[word] = files.enter_context(files.enter_context(whole_file(parts[word])).open("wb"))
                 outs[word].write(f"{','.join(names)}\n".encode())
             outs[word].write((",".join(cells[j].replace(",", ".") for j in columns) + "\n").encode())

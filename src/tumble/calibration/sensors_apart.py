@@ -12,6 +12,7 @@ import polars as pl
 
 from tumble.calibration.found_log import SHOWN, FoundLog, check_has_accelerometers
 from tumble.calibration.log_times import times_of_column
+from tumble.calibration.raw_scale import PLAIN
 from tumble.errors import InputError
 from tumble.recording import formats
 from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name, unit_of_name
@@ -19,36 +20,50 @@ from tumble.recording.formats.columns_by_data import time_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
 from tumble.units import TIME_UNITS
 
-_UNCALIBRATED = re.compile(r"acc.*uncal", re.IGNORECASE)
-_NOT_ACCEL = re.compile(r"linear|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
+_HEAD, _NEAR = 20_000, 0.1
+_UNCALIBRATED = re.compile(r"acc.*uncal|uncal.*acc", re.IGNORECASE)
+_NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
 
 def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
-    """Whether logs are of one kind of sensors each: no names of columns say which, and where columns have none, those
-    of the files do, and leave no more than a time and three sensors."""
-    if len(logs) < 2 or any(log.columns.triads for log in logs):
+    """Whether logs are of one kind of sensors each: the names of their columns say so, or no names of columns say which
+    and those of the files do; where columns have no names, they are no more than a time and three sensors."""
+    if len(logs) < 2 or any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
-    narrow = all(len(log.cells) <= 1 + len("xyz") for log in logs)
-    return not any(map(_without_names, logs)) or (narrow and set(_by_kind(logs)) == {ACCEL, GYRO})
+    by_kind = _by_kind(logs)
+    if set(by_kind) == {ACCEL, GYRO}:
+        return all(len(log.cells) <= 1 + len("xyz") for log in by_kind.values() if _without_names(log))
+    return not any(log.columns.triads or _without_names(log) for log in logs)
 
 
 def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
-    """The first log of each kind of sensors by the names of the files."""
+    """The first log of each kind of sensors by the names of its columns, or where they do not say of its file; of
+    accelerometers the first that reads gravity, if one does: what a phone calls so may be without it."""
     by_kind: dict[str, FoundLog] = {}
     for log in logs:
         name = log.files[0].stem
-        kind = next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
+        named = next((kind for kind in (ACCEL, GYRO) if kind in log.columns.triads), None)
+        kind = named or next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
+        if kind == ACCEL and not _NOT_ACCEL.search(name) and ACCEL in by_kind:
+            by_kind[ACCEL] = by_kind[ACCEL] if _reads_gravity(by_kind[ACCEL]) or not _reads_gravity(log) else log
         if kind is not None and not (kind == ACCEL and _NOT_ACCEL.search(name)):
             by_kind.setdefault(kind, log)
-    return by_kind
+    uncalibrated = [log for log in logs if _UNCALIBRATED.search(log.files[0].stem)]
+    return {ACCEL: uncalibrated[0], **by_kind} if uncalibrated else by_kind
+
+
+def _reads_gravity(log: FoundLog) -> bool:
+    """Whether the three sensors of a log of accelerometers read gravity in m/s², g or thousandths of it."""
+    columns = _three(log, ACCEL)[1]
+    if not columns:
+        return False
+    length = float(np.nanmedian(np.linalg.norm(log.read(columns, rows=_HEAD), axis=1)))
+    return any(abs(length / one - 1.0) < _NEAR for one in PLAIN.values())
 
 
 def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
     """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
-    uncalibrated = next((log for log in logs if _UNCALIBRATED.search(log.files[0].stem)), None)
-    if ACCEL not in by_kind and uncalibrated is not None:
-        by_kind[ACCEL] = uncalibrated
     if ACCEL not in by_kind:
         check_has_accelerometers(logs[0])
     accel, gyro = _message(by_kind[ACCEL], ACCEL), _message(by_kind[GYRO], GYRO) if GYRO in by_kind else None
@@ -63,9 +78,11 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:
         temperatures=(),
         others=(),
     )
+    unused = [log.files[0].name for log in logs if log not in by_kind.values()]
+    also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
     said = f"{named}: one log at the times of the gyros, written to {folder / 'log.parquet'}"
     fastest = accel if gyro is None else gyro
-    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said, fastest.remark))
+    return FoundLog(files=(folder / "log.parquet",), keys={}, columns=columns, said=(said, *also, fastest.remark))
 
 
 def _without_names(log: FoundLog) -> bool:
@@ -76,6 +93,8 @@ def _without_names(log: FoundLog) -> bool:
 def _three(log: FoundLog, kind: str) -> tuple[FoundLog, list[str]]:
     """A log with its time, and its columns x, y and z, none where it has no such: by their names, else the three beside
     one that grows."""
+    if kind in log.columns.triads:
+        return log, list(log.columns.triads[kind].columns)
     if not _without_names(log):
         renamed = {f"{'a' if kind == ACCEL else 'g'} {name.split()[0] if name else name}": name for name in log.cells}
         sensors = columns_by_name(renamed).triads.get(kind)
@@ -95,7 +114,7 @@ def _message(log: FoundLog, kind: str) -> Message:
             f"{log.files[0]}: expected a time and columns x, y and z, found {', '.join(list(log.cells)[:SHOWN])}; "
             "rename them"
         )
-    unit = unit_of_name(kind, f"{'acc' if kind == ACCEL else 'gyro'} {source[0]}")
+    unit = unit_of_name(kind, source[0]) or unit_of_name(kind, f"{'acc' if kind == ACCEL else 'gyro'} {source[0]}")
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")
     read = log.read([stamps.column, *source], clock=stamps.column if stamps.clock else None)
     read[:, 0] *= 1.0 if stamps.clock else TIME_UNITS[times.keys.get("time_unit", "s")]

@@ -14,11 +14,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Spelling:
-    """Names of the columns, none where the lines have none; the values of a line, none where it is no row; and how it
-    is called."""
+    """Names of the columns, none where the lines have none; the values of a line, none where it is no row, and None
+    where it is to be left out; and how it is called."""
 
     names: tuple[str, ...]
-    values: Callable[[str], Sequence[str]]
+    values: Callable[[str], Sequence[str] | None]
     said: str
 
 

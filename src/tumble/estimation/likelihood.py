@@ -42,6 +42,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
@@ -56,13 +57,14 @@ from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 COMPONENTS = (
     *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart"),
     *("accel_wandering", "gyro_wandering"),
 )
 """The components of variance, in the order of `Scatter`."""
+_components_of = attrgetter(*COMPONENTS)
 OF_TURNS = slice(2, 8)
 """Those that concern turns alone."""
 WANDERING = 8
@@ -112,7 +114,7 @@ class Scatter:
     @property
     def variances(self) -> Array:
         """The squares, in the order of COMPONENTS."""
-        return np.array([getattr(self, name) for name in COMPONENTS]) ** 2
+        return np.array(_components_of(self)) ** 2
 
     @property
     def of_turns(self) -> float:
@@ -319,6 +321,11 @@ class Problem:
         return np.zeros(0, dtype=np.int64) if turns is None else turns.first
 
     @cached_property
+    def unlinked(self) -> BoolArray:
+        """The rests (N,) that no turn follows, whose own rows count."""
+        return self.link < 0
+
+    @cached_property
     def lag(self) -> int | None:
         """Where the lag of the thermometer stands among the parameters."""
         found = self.instrument.members.get("temperature.lag")
@@ -441,6 +448,13 @@ class Linearised:
     rows: Rows
     noise: Noise
     scatter: Scatter
+
+    @property
+    def rotations(self) -> Array:
+        """The rotations (K, 3, 3) of the turns, body at the end → body at the start, by the gyros of the point."""
+        about, changes = self.about, self.problem.changed_in_turns(self.point)
+        assert about is not None
+        return about.rotations(self.problem.instrument, self.point.values, 0.0 if changes is None else changes)
 
 
 def instruments_of(observations: Observations) -> tuple[Instrument, Instrument | None]:

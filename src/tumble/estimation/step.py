@@ -18,6 +18,8 @@ from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, Weigh
 from tumble.estimation.residual_loops import leave
 from tumble.units import Array, IntArray
 
+_EVERY = np.arange(len(COMPONENTS))
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Known:
@@ -171,7 +173,7 @@ def _put_back_own(head: Array, parameters: Array, root: Array) -> tuple[Array, A
 
 def _deviance(problem: Problem, told: Told, known: Known) -> float:
     """−2 log of the restricted likelihood, less its constant: log |Σ| + log |Aᵀ Σ⁻¹ A| + rᵀ P r."""
-    own = told.weights.rest[problem.link < 0], told.weights.merged
+    own = told.weights.rest[problem.unlinked], told.weights.merged
     whitened = np.concatenate([each.diagonal(0, 1, 2).ravel() for each in own])
     pivots = np.abs(np.concatenate([told.factor.diagonal(0, 1, 2).ravel(), known.pivots]))
     return float(2.0 * (np.log(pivots[pivots > 0.0]).sum() - np.log(whitened).sum()) + known.square)
@@ -235,7 +237,7 @@ def variance_slopes(problem: Problem, step: Step, noise: Noise) -> Array:
         Z = weights.merged[part.turns] @ of_merged[part.turns]
         of_turns = Z, _with_parameters(step, covariance, merged[part.turns], two)
         for of, (Z, S) in ((of_rest, of_rests), (component, of_turns)):
-            np.add.at(slopes, of, ((np.swapaxes(Z, 1, 2) @ S) ** 2).sum(axis=0))
+            slopes += (_EVERY[:, None] == of) @ ((np.swapaxes(Z, 1, 2) @ S) ** 2).sum(axis=0)
     return slopes
 
 

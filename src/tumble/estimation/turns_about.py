@@ -29,7 +29,7 @@ from tumble.reduction.moments import (
     single_delay_columns,
 )
 from tumble.reduction.observations import Observations
-from tumble.rotation import rotation_vector
+from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.compensation import angular_rate, specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
@@ -136,6 +136,13 @@ class TurnsAbout:
     def C(self) -> Array:
         """Rotations (K, 3, 3), body at the end → body at the start."""
         return self.moments.C
+
+    def rotations(self, instrument: Instrument, values: Array, changes: Array | float = 0.0) -> Array:
+        """C at other values of the parameters, and with `changes` (K, n, 15) of the coefficients in each turn: to first
+        order in what both are apart from what the turns were integrated about."""
+        apart = instrument.all_coefficients(values) + changes - self.coefficients
+        phi = -(self.paths[:, :3] * np.expand_dims(apart, -3)).sum(axis=(2, 3))
+        return np.asarray(rotation_matrix(phi) @ self.C)
 
     @property
     def by_phi(self) -> Array:
@@ -261,7 +268,7 @@ def angles(moments: Moments) -> Array:
 def _compensation(block: Block, K: Array) -> BlockCompensation:
     """The compensation of a block with these coefficients."""
     measured = FORCE if block.kind == "accel" else RATE
-    terms = np.column_stack([_square(block, K), K[:, OWN_CUBE], K[:, OWN_SIZE]])
+    terms = np.array([_square(block, K), K[:, OWN_CUBE], K[:, OWN_SIZE]]).T
     return BlockCompensation.of(block.axes, SensorModel(matrix=K[:, measured], bias=K[:, CONSTANT]), terms)
 
 

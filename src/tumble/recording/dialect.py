@@ -146,6 +146,8 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
 def _first_row(rows: Mapping[int, int]) -> int | None:
     """The first of the rows of numbers, given with their widths, that the next is as wide as, or that nothing
     follows."""
+    if not rows:
+        return None
     for (i, width), following in zip(rows.items(), [*list(rows.values())[1:], None], strict=True):
         if following is None or width == following:
             return i
@@ -163,11 +165,7 @@ def _names(cells: Sequence[str], width: int, dialect: Dialect) -> tuple[str, ...
     cells = [cell.strip().strip('"') for cell in cells]
     while len(cells) > width and not cells[-1]:
         cells = cells[:-1]
-    if (
-        not width - 1 <= len(cells) <= width
-        or not all(cells[: min(2, width)])
-        or sum(map(bool, cells)) < _LEAST_NUMBERS
-    ):
+    if not width - 1 <= len(cells) <= width or not cells[min(1, width - 1)] or sum(map(bool, cells)) < _LEAST_NUMBERS:
         return None
     if sum(map(dialect.is_number, cells)) > len(cells) // 2:
         return None
@@ -264,6 +262,7 @@ def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
 
 
 def _comment(lines: Sequence[str]) -> str | None:
-    """The mark with which lines begin that are no rows; None where there are none."""
+    """The mark with which lines begin that are no rows; None where there are none, or nothing else."""
     counted = Counter(mark for line in lines for mark in COMMENTS if line.lstrip().startswith(mark))
-    return counted.most_common(1)[0][0] if counted else None
+    mark, count = counted.most_common(1)[0] if counted else ("", 0)
+    return mark if 0 < count < sum(bool(line.strip()) for line in lines) else None

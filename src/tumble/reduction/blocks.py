@@ -313,7 +313,9 @@ class Reducer:
     def _note_unrecorded(self, chunk: Chunk) -> None:
         """Keep the blocks in which time passed between two samples that no sample covers, and how much, s."""
         before = self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
-        left = chunk.time - chunk.dt - np.concatenate([[before], chunk.time[:-1]])
+        left = chunk.time - chunk.dt
+        left[0] -= before
+        left[1:] -= chunk.time[:-1]
         for i in np.flatnonzero(left > UNRECORDED / self.rate).tolist():
             block = (self._count + i) // self.size
             self._unrecorded[block] = self._unrecorded.get(block, 0.0) + float(left[i])

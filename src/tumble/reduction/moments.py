@@ -78,11 +78,9 @@ class BlockCompensation:
 
     def _kernel_terms(self) -> _kernels.Terms:
         """Arguments of the compiled loops, with the sensors that have nonlinear terms alone."""
-        has = np.any(self.terms != 0.0, axis=1)
-        return (
-            np.column_stack([self.matrix, -self.matrix @ self.bias]),
-            np.hstack([self.axes[has], self.terms[has], self.left_inverse[:, has].T]),
-        )
+        linear, has = np.empty((3, 4)), self.terms.any(axis=1)
+        linear[:, :3], linear[:, 3] = self.matrix, -self.matrix @ self.bias
+        return linear, np.concatenate([self.axes[has], self.terms[has], self.left_inverse.T[has]], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -235,7 +233,7 @@ def _integrated(pieces: Pieces, parts: list[tuple[_kernels.Stretches, Compensati
 
 def _matrices(sums: Array) -> Array:
     """(K, 3, 3, R) of the kernel's sums (K, R, 9)."""
-    return np.moveaxis(sums.reshape(*sums.shape[:2], 3, 3), 1, 3)
+    return sums.reshape(*sums.shape[:2], 3, 3).transpose(0, 2, 3, 1)
 
 
 def _crossed(matrices: Array, V: Array) -> Array:

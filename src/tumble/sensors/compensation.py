@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 
+from tumble.rotation import left_inverse
 from tumble.sensors.fixed_point import fixed_point, moved
 from tumble.sensors.instrument import Instrument, is_linear, measured_by
 from tumble.sensors.model import Block, SensorModel
@@ -36,7 +36,7 @@ def _solved(
 ) -> Array:
     """The measured vector (N, 3), by fixed-point steps: x ← S⁻¹ ((ŷ − b − what is not linear in x) / s); where
     parameters change with temperature, `change` is that of the bias, and s, both (N, n)."""
-    inverse = _inverse(K[:, measured].tobytes())
+    inverse = left_inverse(K[:, measured])
     rest = K.copy()
     rest[:, measured], rest[:, CONSTANT] = 0.0, 0.0
     warmer, gain = change if change is not None else (np.zeros(1), np.ones(1))
@@ -53,12 +53,6 @@ def _solved(
         1 + FIXED_POINT_STEPS,
         of_force=measured == FORCE,
     )
-
-
-@lru_cache(maxsize=64)
-def _inverse(sensitivity: bytes) -> Array:
-    """S⁻¹ (3, n) of a sensitivity S (n, 3), float64: all slices of a log ask for that of one."""
-    return np.asarray(np.linalg.pinv(np.frombuffer(sensitivity).reshape(-1, 3)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.rotation import axes_angles, axes_derivatives, axes_matrix
+from tumble.rotation import axes_angles, axes_derivatives, axes_matrix, left_inverse
 from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
@@ -41,7 +41,7 @@ class SensorModel:
 
     def inverse(self) -> Array:
         """The matrix (3, n) that takes reading − bias to the true vector (least squares for n > 3)."""
-        return np.asarray(np.linalg.pinv(self.matrix), dtype=float)
+        return left_inverse(self.matrix)
 
     def apply(self, readings: Array) -> Array:
         """True vectors (..., 3) from readings (..., n), both in SI and in the body frame."""

@@ -77,12 +77,25 @@ def _remembered(session: LinearisedSession, block: Block, seconds: float) -> tup
     for i, here in enumerate(own):
         at_rest[i], slow = _relaxed(slow, here, float(rests.stop[i] - rests.start[i]) / seconds)
         if (k := link[i]) >= 0 and turns is not None:
-            for j, step in enumerate(paths[k]):
-                in_turn[k, j], slow = _relaxed(slow, step, float(turns.duration[k]) / PATH_STEPS / seconds)
+            in_turn[k], slow = _followed(slow, paths[k], float(turns.duration[k]) / PATH_STEPS / seconds)
     return at_rest, in_turn
+
+
+def _followed(slow: Array, targets: Array, passed: float) -> tuple[Array, Array]:
+    """The means of slow − target over steps of a time, in time constants, with a target (n,) each, and slow after them:
+    slow_j+1 = target_j + (slow_j − target_j) e^(−t)."""
+    steps = len(targets)
+    lag = np.arange(steps + 1)[:, None] - np.arange(steps)  # from the end of each step
+    left = np.where(lag > 0, np.exp(-passed * np.maximum(lag - 1, 0)), 0.0)
+    before = np.exp(-passed * np.arange(steps + 1))[:, None] * slow - np.expm1(-passed) * (left @ targets)
+    return (before[:-1] - targets) * _mean_left(passed), before[-1]
 
 
 def _relaxed(slow: Array, target: Array, passed: float) -> tuple[Array, Array]:
     """The mean of slow − target over a time, in time constants, and slow after it."""
-    share = -np.expm1(-passed) / passed if passed > 0.0 else 1.0
-    return (slow - target) * share, target + (slow - target) * np.exp(-passed)
+    return (slow - target) * _mean_left(passed), target + (slow - target) * np.exp(-passed)
+
+
+def _mean_left(passed: float) -> float:
+    """The mean of e^(−t) over a time."""
+    return float(-np.expm1(-passed) / passed) if passed > 0.0 else 1.0

@@ -162,8 +162,9 @@ def _held(session: LinearisedSession) -> Cause | None:
     fewest = np.zeros(6, dtype=np.int64)
     for start, stop in zip(samples.start.tolist(), samples.stop.tolist(), strict=True):
         rates, forces, _ = samples.samples.read(start, stop)
-        equal = np.concatenate([np.diff(rates, axis=0) == 0.0, np.diff(forces, axis=0) == 0.0], axis=1)
-        rows, same, fewest = rows + len(equal), same + int(equal.all(axis=1).sum()), fewest + equal.sum(axis=0)
+        equal = [column[1:] == column[:-1] for column in (*rates.T, *forces.T)]
+        rows, same = rows + len(equal[0]), same + int(np.count_nonzero(np.logical_and.reduce(equal)))
+        fewest += [np.count_nonzero(column) for column in equal]
     if same < FEWEST_HELD or same < 0.8 * fewest.min() or fewest.min() > 0.5 * rows:
         return None
     return Cause(

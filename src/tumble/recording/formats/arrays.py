@@ -1,4 +1,4 @@
-"""MATLAB files and HDF5: arrays of numbers, found by their names.
+"""MATLAB files, HDF5 and NumPy: arrays of numbers, found by their names.
 
 Every array is named by its path (`imu/gyro`); one of three columns (or rows) is a triad `imu/gyro[0]` … `imu/gyro[2]`,
 one of four, the first or last of which grows, a time `imu/gyro/t` and a triad, one of more a table. Arrays of one
@@ -8,7 +8,7 @@ length make a table, of which the sensors are taken by name, else by their numbe
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -157,6 +157,8 @@ def _part(shape: tuple[int, ...], read: Read, part: slice, axis: int | None) -> 
 
 def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
     """Arrays of numbers by their paths: shape, and how to read a part of them."""
+    if path.suffix.lower() in (".npy", ".npz"):
+        return dict(_nested(_of_numpy(path)))
     if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
         try:
             with warnings.catch_warnings(action="ignore", category=MatReadWarning):
@@ -166,13 +168,43 @@ def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
     return _datasets(path)
 
 
+def _of_numpy(path: Path) -> Mapping[str, Any]:
+    """The arrays of a NumPy file by their names. Raises InputError for one of objects, which only Python reads, as it
+    runs what is in the file."""
+    try:
+        with path.open("rb") as stream:
+            read = np.load(stream, allow_pickle=False)
+            return dict(read) if isinstance(read, np.lib.npyio.NpzFile) else {path.stem: read}
+    except ValueError as error:
+        if "pickle" not in str(error):
+            raise
+        raise InputError(
+            f"{path}: expected arrays of numbers, found objects of Python; save the arrays themselves, np.savez(file, "
+            "t=t, acc=acc, gyro=gyro)"
+        ) from None
+
+
 def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, tuple[tuple[int, ...], Read]]]:
     """The arrays of a MATLAB file, those in structures too."""
     for name, value in content.items():
+        if isinstance(value, np.ndarray) and value.dtype.names:
+            value = {field: value[field] for field in value.dtype.names}
+        samples = list(value) if isinstance(value, list) or _of_objects(value) else []
+        if samples and all(isinstance(sample, dict) for sample in samples):
+            value = _stacked(samples)
         if isinstance(value, dict):
             yield from _nested(value, f"{prefix}{name}/")
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and not name.startswith("__"):
             yield prefix + name, (value.shape, value.__getitem__)
+
+
+def _of_objects(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.ndim == 1
+
+
+def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Structures of one sample each as arrays of all samples, by their names."""
+    return {name: np.array([np.asarray(s.get(name, np.nan)) for s in samples]) for name in samples[0]}
 
 
 def _datasets(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:

@@ -7,7 +7,7 @@ number among the words, or at the end of one, is the axis, and the rest says whi
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from tumble.recording.formats.message import Sensors
@@ -17,9 +17,12 @@ from tumble.recording.formats.thermometers import of_sensors, thermometer
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 
 _KINDS: Mapping[str, re.Pattern[str]] = {
-    ACCEL: re.compile(r"^(?!.*(angular|gravity|free|user)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)\d*$"),
+    ACCEL: re.compile(
+        r"^(?!.*(angular|gravity|free|user|bias|variance)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)\d*$"
+    ),
     GYRO: re.compile(
-        r"gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|omega|delta_?ang|dtheta|(^|_)(w|g|as|rate|w_rs_s)\d*$"
+        r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|omega|delta_?ang|dtheta)|"
+        r"(^|_)(w|g|as|rate|w_rs_s)\d*$"
     ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
 }
@@ -29,11 +32,21 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
 }
 """Words for sensors in the names of files, and of rows."""
 
+_NO_SENSOR = re.compile(
+    r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|gravity|user|(^|_)lin|mag|compass|variance|bias|drift|"
+    r"(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|status|(^|_)q[wxyz0-3]?$"
+)
+_WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
+"""Words for what a phone or a filter made of the readings, taken where nothing else is there."""
+
 _TIME = re.compile(
     r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
-    r"micros(econds)?|time_?startup|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
+    r"micros(econds)?|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
     r"^time_(since|elapsed|from)"
 )
+_OF_THE_SAMPLE = re.compile(r"header_stamp|time_?stamp_?sample|elapsed_?realtime|since_?reboot")
+"""Times of the samples, and not of their arrival, which are taken where there are several."""
+
 _TIME_WORDS = {
     "seconds": "s", "secs": "s",
     "ms": "ms", "millis": "ms", "milliseconds": "ms",
@@ -61,13 +74,21 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     GYRO: {
         "rad/s": "rad/s", "rads-1": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "radps": "rad/s", "rps": "rad/s",
         "deg/s": "deg/s", "°/s": "deg/s", "degs-1": "deg/s", "degree/s": "deg/s", "degrees/s": "deg/s", "dps": "deg/s",
+        "radians/s": "rad/s", "radian/s": "rad/s",
         "deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "deg/h": "deg/h", "°/h": "deg/h", "dph": "deg/h",
         "mdps": "mdps", "mdeg/s": "mdps", "rad": "rad", "deg": "deg", "arcsec": "arcsec", "count": "count",
         "counts": "count", "lsb": "count", "raw": "count", "adc": "count", "v": "V",
     },
-    MAGNETOMETER: {"nt": "nT", "ut": "uT", "µt": "uT", "gauss": "gauss", "ga": "gauss"},
+    MAGNETOMETER: {
+        "nt": "nT", "ut": "uT", "µt": "uT", "microteslas": "uT", "gauss": "gauss", "ga": "gauss",
+        "t": "T", "tesla": "T", "mgauss": "mgauss", "mg": "mgauss",
+    },
     TIME_KIND: {"s": "s", "sec": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"},
 }  # fmt: skip
+
+
+_RATES = ("rad/s", "deg/s", "mdps", "deg/h")
+"""Units that nothing but gyros has."""
 
 
 def _unit(text: str) -> str:
@@ -98,7 +119,8 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     warm = {name: found for name in names if (found := thermometer(_split(name)[0])) is not None}
     triads: dict[str, Sensors] = {}
     others: list[str] = []
-    for (kind, stem), axes in _stems(name for name in names if name not in warm).items():
+    stems = _stems(name for name in names if name not in warm).items()
+    for (kind, stem), axes in sorted(stems, key=lambda found: bool(_WITHOUT_GRAVITY.search(found[0][1]))):
         if set(axes) != set("xyz"):
             continue
         if kind in triads:
@@ -108,7 +130,8 @@ def columns_by_name(names: Iterable[str]) -> Columns:
             triads[kind] = Sensors(columns=three, unit=_UNITS[kind].get(_split(three[0])[1]))
     taken = {column for triad in triads.values() for column in triad.columns}
     free = [name for name in names if name and name not in taken]
-    time = next((name for name in free if name != "T" and _TIME.search("_".join(_split(name)[0]))), None)
+    times = [name for name in free if name != "T" and _TIME.search("_".join(_split(name)[0]))]
+    time = next((name for name in times if _OF_THE_SAMPLE.search("_".join(_split(name)[0]))), next(iter(times), None))
     warm.pop(time or "", None)
     temperatures = of_sensors(warm, gyros=GYRO in triads)
     return Columns(
@@ -146,12 +169,38 @@ def temperature_unit(name: str) -> str | None:
     return _TEMPERATURE_UNITS.get(unit or words[-1])
 
 
+def is_no_sensor(name: str) -> bool:
+    """Whether the name of a column says that it is no accelerometer, and no gyro that a name does not tell already.
+
+    >>> is_no_sensor("attitude_roll(radians)"), is_no_sensor("user_acc_x(G)"), is_no_sensor("ch3")
+    (True, True, False)
+    """
+    words, unit = _split(name)
+    return bool(_NO_SENSOR.search("_".join(words))) or _UNITS[GYRO].get(unit) in _RATES
+
+
+def in_order(names: Sequence[str]) -> tuple[str, str, str]:
+    """Three columns in the order of their axes, where their names differ by these: z, x and y are x, y and z.
+
+    >>> in_order(["rate z", "rate x", "rate y"]), in_order(["4", "5", "6"])
+    (('rate x', 'rate y', 'rate z'), ('4', '5', '6'))
+    """
+    first = [next(iter(_axes(_split(name)[0])), ("", "")) for name in names]
+    of_axis = dict(zip((axis for axis, _ in first), names, strict=True))
+    if set(of_axis) == set("xyz") and len({stem for _, stem in first}) == 1:
+        names = [of_axis[axis] for axis in "xyz"]
+    x, y, z = names
+    return x, y, z
+
+
 def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
     """Columns by kind and name without the axis, and then by axis."""
     found: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
         for axis, stem in _axes(_split(name)[0]):
             kind = next((kind for kind, pattern in _KINDS.items() if pattern.search(stem)), None)
+            if kind is None and _UNITS[GYRO].get(_split(name)[1]) in _RATES:
+                kind = GYRO
             if kind is not None:
                 found.setdefault((kind, stem), {}).setdefault(axis, name)
                 break
@@ -178,7 +227,7 @@ def _split(name: str) -> tuple[list[str], str]:
     """The words of a name in small letters and its unit, if it has one: `AccX (m/s²)` is acc, x and m/s²; `gyr_x_dps`
     gyr, x and dps; `TimeUS` time and us; `gyro[0]` gyro and 0."""
     name = _shortened(in_english(name))
-    bracketed = re.search(r"[\[(]\s*([^\])]*[^\])\d\s][^\])]*?)\s*[\])]", name)
+    bracketed = re.search(r"[\[(]\s*(?![xyzXYZ]\s*[\])])([^\])]*[^\])\d\s][^\])]*?)\s*[\])]", name)
     if bracketed:
         return _words(name.replace(bracketed[0], " ")), _unit(bracketed[1])
     behind = re.fullmatch(r"(.*\w)\s*(?:,\s*|\s/\s|\sin\s)([^,]+)", name)
@@ -196,6 +245,9 @@ def _split(name: str) -> tuple[list[str], str]:
 
 
 _PER_SECOND = (
+    (re.compile(r"(?<=[a-z][XYZ])Mps2$"), " mps2"),
+    (re.compile(r"(?<=[a-z][XYZ])RadPerSec$"), " radps"),
+    (re.compile(r"(?<=[a-z][XYZ])MicroT$"), " ut"),
     (re.compile(r"(?<![a-z])rad(ian)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "radps"),
     (re.compile(r"(?<![a-z])deg(ree)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "degps"),
     (re.compile(r"(?<![a-z])m(et(er|re)s?)?[_ ]per[_ ]s(ec(ond)?)?[_ ]?(2|squared)$", re.IGNORECASE), "mps2"),
@@ -209,7 +261,7 @@ def _shortened(name: str) -> str:
     return name
 
 
-_ALL_UNITS = frozenset(text for units in _UNITS.values() for text in units)
+_ALL_UNITS = frozenset(text for units in _UNITS.values() for text in units if text != "t")
 
 
 def _stands_for_itself(words: list[str]) -> bool:

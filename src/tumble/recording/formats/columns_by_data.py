@@ -8,11 +8,11 @@ gravity. A time grows from row to row.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from tumble.recording.formats.columns import ACCEL, GYRO, Columns
+from tumble.recording.formats.columns import ACCEL, GYRO, Columns, in_order
 from tumble.recording.formats.message import Sensors
 from tumble.units import G_STANDARD, Array, BoolArray
 
@@ -23,45 +23,126 @@ _STEADY = 0.25
 _FEWEST_ROWS = 200
 _ANEW = 1e-3
 _STILL = 0.05
+_SAME_NORM = 1e-5
+_NEAR, _OFF, _UNSTEADY = 0.06, 0.25, 0.6
+_STRANGEST = 3
+_THERMOMETER = 5.0
+
+ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
+"""Counts per g of data sheets: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
+
+MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
+"""Where a converter that knows no sign, and so writes nothing negative, has its zero."""
 
 
 def columns_by_data(names: Sequence[str], read: Array) -> Columns:
-    """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers."""
+    """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
+    Columns of no numbers are NaN."""
+    if not len(read):
+        return Columns(time=None, time_unit=None, triads={}, temperatures=(), others=())
     growing = [j for j in range(len(names)) if grows(read[:, j])]
     numbers = [
         j
         for j in range(len(names))
         if j not in growing and np.isfinite(read[:, j]).mean() > 0.5 and _varies(read[:, j])
     ]
+    attitudes = _attitudes(read, numbers)
+    numbers = [j for j in numbers if j not in attitudes]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
-    triads: dict[str, Sensors] = {}
+    found: dict[str, Run] = {}
     if runs and len(read) >= _FEWEST_ROWS:
-        quiet = _quiet(read[:, numbers])
-        used: set[int] = set()
-        for run in runs:
-            kind = None if used & set(run) else _kind(read[:, run], quiet)
-            if kind is not None and kind not in triads:
-                x, y, z = (names[j] for j in run)
-                triads[kind] = Sensors(columns=(x, y, z), unit=None)
-                used |= set(run)
-        triads = triads if ACCEL in triads else _at_rest(names, read, runs)
+        found = _sensors(read, runs, _quiet(read[:, numbers]), fused=bool(attitudes)) or _at_rest(read, runs)
     return Columns(
         time=_time([names[j] for j in growing], read[:, growing]),
         time_unit=None,
-        triads=triads,
+        triads={kind: Sensors(columns=in_order([names[j] for j in run]), unit=None) for kind, run in found.items()},
         temperatures=(),
         others=(),
     )
 
 
-def _at_rest(names: Sequence[str], read: Array, runs: Sequence[tuple[int, int, int]]) -> dict[str, Sensors]:
+Run = tuple[int, int, int]
+"""Three columns side by side."""
+
+
+def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
+    """Columns of quaternions, and of vectors of unit length or of gravity that a filter has made: three or four whose
+    length is one and the same in motion too, which no sensor reads."""
+    found: set[int] = set()
+    for width in (4, 3):
+        for first in numbers:
+            run = [first + k for k in range(width)]
+            if not found & set(run) and set(run) <= set(numbers) and _turns_alone(read[:, run]):
+                found |= set(run)
+    return found
+
+
+def _turns_alone(columns: Array) -> bool:
+    """Whether vectors change their direction, and never their length."""
+    columns = columns[np.isfinite(columns).all(axis=1)]
+    length = np.linalg.norm(columns, axis=1)
+    return bool(len(length) and length.std() < min(_SAME_NORM * length.mean(), 0.1 * columns.std(axis=0).max()))
+
+
+def _sensors(read: Array, runs: Sequence[Run], quiet: BoolArray, *, fused: bool) -> dict[str, Run]:
+    """Accelerometers, which of those that read one length are those that read it as gravity, and the gyros that are
+    next to them, behind them first. What is in no unit and
+    no counts of data sheets is none beside what a filter has `fused`, and without gyros."""
+    kinds = {run: _kind(read[:, run], quiet) for run in runs}
+    accels = [run for run in runs if kinds[run] == ACCEL]
+    accel = min(accels, key=lambda run: _strangeness(read[:, run], quiet), default=None)
+    if accel is None:
+        return {}
+    strange = _strangeness(read[:, accel], quiet)
+    gyros = [run for run in runs if kinds[run] == GYRO and not set(run) & set(accel)]
+    next_to = min(gyros, key=lambda run: (run[0] < accel[0], abs(run[0] - accel[0])), default=None)
+    if strange >= _STRANGEST and (fused or next_to is None):
+        return {}
+    if next_to is None:
+        return {ACCEL: accel}
+    return {ACCEL: accel, GYRO: _without_thermometer(next_to, gyros, lambda run: _unrest(read[:, run], quiet))}
+
+
+def _without_thermometer(run: Run, gyros: Sequence[Run], unrest: Callable[[Run], Array]) -> Run:
+    """Three gyros, or where the first column is a thermometer between accelerometers and gyros the three behind it: its
+    means differ from rest to rest far more than theirs, in parts of what it does in all."""
+    behind = (run[1], run[2], run[2] + 1)
+    if behind not in gyros:
+        return run
+    first, *others = unrest(run)
+    last = unrest(behind)[2]
+    return behind if first > _THERMOMETER * max(*others, last) else run
+
+
+def _strangeness(columns: Array, quiet: BoolArray) -> int:
+    """How unlike those of accelerometers the readings of three columns are whose length is one at rest: in no unit and
+    no counts of data sheets, or with a zero far off, as magnetometers with iron about have it."""
+    means = _rests(columns, quiet)
+    read = columns[np.isfinite(columns)]
+    counts = ACCEL_STEPS if (read == np.floor(read)).all() else ()
+    ones = (G_STANDARD,), (1.0, 1e3), counts
+
+    def strange(centre: Array | float) -> int:
+        lengths = np.linalg.norm(means - centre, axis=1)
+        length = float(lengths.mean())
+        off = min(float(np.abs(centre - middle).max()) for middle in (0.0, *(MIDDLES if (means > 0.0).all() else ())))
+        near = next((k for k, values in enumerate(ones) if _is_near(length, values)), len(ones))
+        return near + len(ones) * (off > _OFF * length or lengths.std() > _SAME_LENGTH * length)
+
+    return min(strange(0.0), strange(_centre(means)))  # a sphere is not seen from one side
+
+
+def _is_near(length: float, ones: Sequence[float]) -> bool:
+    return any(abs(length / one - 1.0) < _NEAR for one in ones)
+
+
+def _at_rest(read: Array, runs: Sequence[Run]) -> dict[str, Run]:
     """What columns are where nothing ever moves: accelerometers read one gravity, gyros are beside them."""
     still = [run for run in runs if _reads_gravity(read[:, run])]
     if not still:
         return {}
     beside = [run for run in runs if not set(run) & set(still[0])]
-    found = {ACCEL: still[0]} | ({GYRO: beside[0]} if beside else {})
-    return {kind: Sensors(columns=(names[x], names[y], names[z]), unit=None) for kind, (x, y, z) in found.items()}
+    return {ACCEL: still[0]} | ({GYRO: beside[0]} if beside else {})
 
 
 def _reads_gravity(columns: Array) -> bool:
@@ -124,18 +205,28 @@ def _quiet(columns: Array) -> BoolArray:
     return np.asarray(read & (largest <= np.quantile(largest[read], _QUIET_SHARE)))
 
 
+def _rests(columns: Array, quiet: BoolArray) -> Array:
+    """Means of the quiet blocks."""
+    means = _means(columns)[0][quiet]
+    return np.asarray(means[np.isfinite(means).all(axis=1)])
+
+
 def _kind(columns: Array, quiet: BoolArray) -> str | None:
     """What three columns side by side are."""
-    means = _means(columns)[0][quiet]
-    means = means[np.isfinite(means).all(axis=1)]
+    means = _rests(columns, quiet)
     if not len(means):
         return None
-    everything = columns[np.isfinite(columns).all(axis=1)]
-    spread = np.linalg.norm(means.std(axis=0))
-    if spread < _STEADY * np.linalg.norm(everything.std(axis=0)):
-        return GYRO
+    everything = columns[np.isfinite(columns).all(axis=1)].std(axis=0)
+    if np.linalg.norm(means.std(axis=0)) < _STEADY * np.linalg.norm(everything):
+        return GYRO if _unrest(columns, quiet).max() < _UNSTEADY else None
     length = np.linalg.norm(means - _centre(means), axis=1)
     return ACCEL if length.std() < _SAME_LENGTH * length.mean() else None
+
+
+def _unrest(columns: Array, quiet: BoolArray) -> Array:
+    """How much the readings at rest differ from one rest to another, (3,), in parts of how much they do in all."""
+    everything = columns[np.isfinite(columns).all(axis=1)].std(axis=0)
+    return np.asarray(_rests(columns, quiet).std(axis=0) / np.where(everything > 0.0, everything, 1.0))
 
 
 def _centre(means: Array) -> Array:

@@ -20,6 +20,8 @@ _READERS = {
     ".mat": "arrays",
     ".h5": "arrays",
     ".hdf5": "arrays",
+    ".npy": "arrays",
+    ".npz": "arrays",
 }
 
 ENDINGS: tuple[str, ...] = tuple(_READERS)

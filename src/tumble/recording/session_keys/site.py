@@ -11,7 +11,7 @@ from tumble.recording.session_keys.table import SessionTable
 LEAST_GRAVITY_U = 1e-15
 """m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
 
-_TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4}
+_TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0}
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from tumble.estimation.estimate import Fit
 from tumble.estimation.likelihood import COMPONENTS, Problem, Scatter, Weights
 from tumble.estimation.methods.joint.iteration import MAX_ITERATIONS, At, Out, Solved, iterate
 from tumble.estimation.methods.joint.scatter import CLOSELY, ROUGHLY, Scattered, scatter_of, seen_components
-from tumble.estimation.methods.joint.widening import with_wider_priors
-from tumble.estimation.step import Left, completed, left
+from tumble.estimation.methods.joint.widening import has_groups, with_wider_priors
+from tumble.estimation.step import Left, completed
 from tumble.units import Array, BoolArray, IntArray
 
 ROUNDS = 6
@@ -52,24 +52,23 @@ def fit_of(problem: Problem, start: At, most: int = ALL_STEPS, guess: Scatter | 
     """The solution with the scatter that it shows, after so many steps at most; a `guess` of the scatter saves time."""
     wide, solved = problem, iterate(problem, start, Scatter(), most)
     increments, steps = solved.increments, len(solved.increments)
-    found = Scattered.begun(solved.step, left(problem, solved.step), Scatter())
+    found = Scattered.of(problem, solved.last, Scatter(), solved.step)
     without = found.left, solved.step.told.weights
     seen = seen_components(problem, solved.last.noise, *without)
     for _ in range(ROUNDS):
         at = solved.last
         shown, wider, seen = _shown(wide, at, found, seen, guess)
         if (shown.scatter == found.scatter and wider is wide) or steps >= most:
-            found = replace(found, components=shown.components)
             break
         found, settled, wide = shown, wider is wide, wider
         if not settled:
             at = at.with_priors(wide)
             step = completed(wide, at.rows, found.step.told)
-            found = replace(found, step=step, left=left(wide, step))
+            found = Scattered.of(wide, at, found.scatter, step, found.share)
         solved = iterate(wide, at, found.scatter, most - steps, found.step)  # the last step again, with scatter
         increments, steps = increments[:-1] + solved.increments, steps + len(solved.increments)
         if solved.step is not found.step:
-            found = replace(found, step=solved.step, left=left(wide, solved.step))
+            found = Scattered.of(wide, solved.last, found.scatter, solved.step, found.share)
         if settled and len(solved.increments) == 1:
             break
     return Fitted(
@@ -89,13 +88,14 @@ def _shown(
     problem: Problem, at: At, begun: Scattered, seen: BoolArray, guess: Scatter | None
 ) -> tuple[Scattered, Problem, BoolArray]:
     """The scatter that a linearisation shows, the problem with the priors that go with it, and the components seen."""
-    found = scatter_of(problem, at, begun, seen, ROUGHLY, guess)
+    within = ROUGHLY if has_groups(problem) else CLOSELY
+    found = scatter_of(problem, at, begun, seen, within, guess)
     if found.scatter.aliased > MOST_ALIASED:
         seen = seen & (np.array(COMPONENTS) != "aliased")
-        plain = at.solved(problem, Scatter())
-        found = scatter_of(problem, at, Scattered.begun(plain, left(problem, plain), Scatter()), seen, ROUGHLY)
+        plain = Scattered.of(problem, at, Scatter(), at.solved(problem, Scatter()))
+        found = scatter_of(problem, at, plain, seen, within)
     wider = with_wider_priors(problem, at, found.step.told)
-    if wider is problem:
+    if wider is problem and within > CLOSELY:
         found = scatter_of(problem, at, found, seen, CLOSELY)
     return found, wider, seen
 

@@ -8,8 +8,7 @@ judged by what the others predict.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from scipy import special
@@ -25,53 +24,49 @@ FREE = 0.01  # of the variance of the noise: directions in which residuals have 
 ROUNDED = 1e-9  # of the largest: directions of a projector below it are rounding
 STANDS_OUT = 8.0  # times the median fall of chi-square of its group: of 15 without a bad one, 1 % have such a one
 LEAST_CHANCE = 1e-300
+TURNS = 2
+"""The number of the group of turns, after accelerometers and gyros at rest."""
 
 
-def _judged(fitted: Fitted, left_of: tuple[Left, Weights], scatter: Scatter) -> Iterator[tuple[Array, Array]]:
-    """Of accelerometers and gyros at rest, by rest, and of the turns, by turn: by how much chi-square falls without
-    them, and in how many directions they have residuals, where weights are those with a `scatter`."""
+def _judged(
+    fitted: Fitted, left_of: tuple[Left, Weights], scatter: Scatter, groups: Iterable[int]
+) -> Iterator[tuple[Array, Array]]:
+    """Of the groups asked for of accelerometers (0) and gyros (1) at rest, by rest, and of the turns (2), by turn: by
+    how much chi-square falls without them, and in how many directions they have residuals, where weights are those with
+    a `scatter`."""
     problem, out, (after, weight) = fitted.problem, fitted.out, left_of
     n, last = problem.observations.accel_block.size, fitted.solved.last
     stop, r = n + problem.observations.rests.gyro.shape[1], after.rest[0].shape[1]
     plain = noise_of(problem, last.rows) if out.any else last.noise
     at_rest = _pulls(weight.rest, after.rest, last.noise.variances_at_rest(scatter), plain.rest)
     merged = _pulls(weight.merged, after.merged, last.noise.variances_merged(scatter), plain.merged)
-    for part in (slice(0, n), slice(n, stop)):
-        rows = at_rest.part(part)
-        for own, of_turn in zip(rows, merged.part(part), strict=True):
-            own[problem.before_turn] = of_turn
-        yield _falls(rows, out.rest)
-    yield _falls(merged.part(slice(r, None)), out.turn)
+    for of_rests, before_turns in zip(at_rest, _part(merged, slice(r)), strict=True):
+        of_rests[problem.before_turn] = before_turns
+    for group in groups:
+        if group == TURNS:
+            yield _falls(_part(merged, slice(r, None)), out.turn)
+        else:
+            yield _falls(_part(at_rest, (slice(n), slice(n, stop))[group]), out.rest)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Pulls:
-    """Of rows (N, r): the pull P r on them, the block of P, their standard deviations, and what is added to their
-    variances where they are left out."""
-
-    pull: Array
-    projector: Array
-    size: Array
-    left_out: Array
-
-    def part(self, rows: slice) -> tuple[Array, Array, Array, Array]:
-        """The same of some of the rows."""
-        own = self.pull[:, rows], self.projector[:, rows, rows], self.size[:, rows], self.left_out[:, rows]
-        pull, projector, size, left_out = (each.copy() for each in own)
-        return pull, projector, size, left_out
+_Pulls = tuple[Array, Array, Array, Array]
+"""Of rows (N, r): the pull P r on them, P (N, r, r), their standard deviations, and what is added to their variances
+where they are left out."""
 
 
 def _pulls(W: Array, left_of: tuple[Array, Array], variances: Array, noise: Array) -> _Pulls:
     back = np.swapaxes(W, 1, 2)
-    return _Pulls(
-        pull=(back @ left_of[0][:, :, None])[:, :, 0],
-        projector=back @ left_of[1] @ W,
-        size=np.sqrt(variances),
-        left_out=LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2),
-    )
+    pull = (back @ left_of[0][:, :, None])[:, :, 0]
+    return pull, back @ left_of[1] @ W, np.sqrt(variances), LEFT_OUT * np.diagonal(noise, axis1=1, axis2=2)
 
 
-def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tuple[Array, Array]:
+def _part(pulls: _Pulls, rows: slice) -> _Pulls:
+    """The same of some of the rows."""
+    pull, projector, size, left_out = pulls
+    return pull[:, rows], projector[:, rows, rows], size[:, rows], left_out[:, rows]
+
+
+def _falls(rows: _Pulls, left_out: BoolArray) -> tuple[Array, Array]:
     """Falls of chi-square (N,) without rows, see `_Pulls`, and directions (N,) in which they have residuals; of those
     that are left out, the chi-square of their readings about what all others predict."""
     pull, Q, size, inflation = rows
@@ -79,8 +74,8 @@ def _falls(rows: tuple[Array, Array, Array, Array], left_out: BoolArray) -> tupl
         return np.zeros(len(left_out)), np.zeros(len(left_out), dtype=np.int64)
     variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
     seen = variance > FREE
-    square = np.einsum("ia,iab->ib", pull * size, directions) ** 2
-    fall = np.where(seen, square / np.where(seen, variance, 1.0), 0.0).sum(axis=1)
+    square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
+    fall = (square / np.where(seen, variance, np.inf)).sum(axis=1)
     count = seen.sum(axis=1)
     for i in np.flatnonzero(left_out):
         kept = variance[i] > ROUNDED * variance[i].max()
@@ -97,7 +92,7 @@ def sigmas_of(fitted: Fitted, scatter: Scatter) -> tuple[Array, Array, Array]:
     Groups that have a `scatter` when nothing is left out are judged by their own scale: that they have none without
     some of them may be by choice of these."""
     out, found = fitted.out, []
-    judged = _judged(fitted, fitted.left, fitted.scatter)
+    judged = _judged(fitted, fitted.left, fitted.scatter, range(TURNS + 1))
     scales = (scatter.accel, scatter.gyro, scatter.of_turns)
     for (fall, count), left_out, name, scale in zip(
         judged, (out.rest, out.rest, out.turn), GROUPS[:3], scales, strict=True
@@ -116,14 +111,13 @@ def _suspect(fitted: Fitted) -> Out | None:
     is allowed for; None where none does."""
     most, found, out, scatter = STANDS_OUT, None, fitted.out, fitted.scatter
     scales = (scatter.accel, scatter.gyro, scatter.of_turns)
-    if not any(scales):
+    scattering = [group for group, scale in enumerate(scales) if scale > 0.0]
+    if not scattering:
         return None
-    judged = _judged(fitted, fitted.without, Scatter())
-    for group, ((fall, count), left_out, scale) in enumerate(
-        zip(judged, (out.rest, out.rest, out.turn), scales, strict=True)
-    ):
-        candidates = (count > 0) & ~left_out
-        if scale == 0.0 or candidates.sum() < 3:
+    judged = _judged(fitted, fitted.without, Scatter(), scattering)
+    for group, (fall, count) in zip(scattering, judged, strict=True):
+        candidates = (count > 0) & ~(out.turn if group == TURNS else out.rest)
+        if candidates.sum() < 3:
             continue
         size = np.where(candidates, fall / np.maximum(count, 1), 0.0)
         ratio = size / np.median(size[candidates])
@@ -133,7 +127,7 @@ def _suspect(fitted: Fitted) -> Out | None:
     if found is None:
         return None
     rest, turn = out.rest.copy(), out.turn.copy()
-    (turn if found[0] == 2 else rest)[found[1]] = True
+    (turn if found[0] == TURNS else rest)[found[1]] = True
     return Out(rest=rest, turn=turn)
 
 

@@ -14,9 +14,8 @@ from tumble.estimation.elimination import carry
 from tumble.estimation.likelihood import Point, Problem
 from tumble.estimation.methods.joint.iteration import At, Out
 from tumble.estimation.turns_about import TurnsAbout
-from tumble.rotation import skew
-from tumble.sensors.model import SensorModel
-from tumble.units import Array, IntArray
+from tumble.rotation import skew, unit_vector
+from tumble.units import Array
 
 ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
 ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
@@ -27,7 +26,7 @@ def start_of(problem: Problem) -> tuple[At, tuple[Array, ...]]:
     observations, instrument = problem.observations, problem.instrument
     values = problem.measured[0][1:].copy()
     force = problem.accel_model(values).apply(observations.rests.accel)
-    vertical = force / np.linalg.norm(force, axis=1, keepdims=True)
+    vertical = unit_vector(force)
     about = None
     if instrument.gyro is not None:
         about, values[instrument.own(instrument.gyro)] = _started_gyros(problem, values, vertical)
@@ -44,10 +43,9 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
     block = instrument.gyro
     assert block is not None
     own = instrument.own(block)
-    model = block.model(values[own])
     median = np.median(observations.rests.gyro, axis=0)
     started = values.copy()
-    started[own] = block.parameters(SensorModel(matrix=model.matrix, bias=median))
+    started[own][: block.size] = median[block.channels]
     turns = observations.turns
     if turns is None:
         return None, started[own]
@@ -88,18 +86,15 @@ def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout
         return attitudes
     rate = problem.gyro_model(values).apply(observations.rests.gyro) - problem.earth[1] * vertical
     chain = problem.chain
-    count = np.bincount(chain)
+    first, size = np.flatnonzero(np.diff(chain, prepend=-1)), np.sqrt(np.bincount(chain))[:, None]
     level = attitudes[:, ::2]  # N' and E'
-    seen = _sums(np.einsum("iab,ib->ia", level, rate), chain)
-    axes = _sums(level.reshape(-1, 6), chain).reshape(-1, 2, 3)
-    normal = len(rate) * np.eye(3) - np.einsum("cab,cad,c->bd", axes, axes, 1.0 / count)
-    error = np.linalg.lstsq(normal, rate.sum(axis=0) - np.einsum("cab,ca,c->b", axes, seen, 1.0 / count), 1e-6)[0]
-    heading = seen - axes @ error
-    heading = (heading / np.linalg.norm(heading, axis=1, keepdims=True))[chain]
-    north = np.einsum("ia,iab->ib", heading, level)
-    return np.stack([north, vertical, np.cross(north, vertical)], axis=1)
-
-
-def _sums(values: Array, chain: IntArray) -> Array:
-    """Sums of rows (N, c) over the chains."""
-    return np.asarray(np.add.reduceat(values, np.flatnonzero(np.diff(chain, prepend=-1)), axis=0))
+    seen = np.add.reduceat((level @ rate[:, :, None])[:, :, 0], first, axis=0) / size
+    axes = np.add.reduceat(level, first, axis=0) / size[:, None]
+    flat = axes.reshape(-1, 3)
+    normal = len(rate) * np.eye(3) - flat.T @ flat
+    error = np.linalg.lstsq(normal, rate.sum(axis=0) - flat.T @ seen.ravel(), 1e-6)[0]
+    heading = unit_vector(seen - axes @ error)[chain]
+    out = np.empty_like(attitudes)
+    out[:, 0], out[:, 1] = (heading[:, None] @ level)[:, 0], vertical
+    out[:, 2] = (skew(out[:, 0]) @ vertical[:, :, None])[:, :, 0]
+    return out

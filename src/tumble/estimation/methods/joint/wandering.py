@@ -43,6 +43,8 @@ def _wandering(fitted: Fitted) -> Iterator[int]:
     rests = fitted.problem.observations.rests
     n = rests.accel.shape[1]
     last = n + rests.gyro.shape[1]
+    if max(n, last - n) <= FEW:
+        return
     squares, weights = _squares(fitted, last)
     for channels in (range(n), range(n, last)):
         for channel in channels if len(channels) > FEW else ():

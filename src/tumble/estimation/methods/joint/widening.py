@@ -23,12 +23,17 @@ WIDENING_STEPS = 50
 WIDENED = 1.01  # λ of a step that counts as settled
 
 
+def has_groups(problem: Problem) -> bool:
+    """Whether there are parameters beyond the linear model, whose priors may be too narrow."""
+    return bool(problem.instrument.further) or problem.own is not None
+
+
 def with_wider_priors(problem: Problem, at: At, told: Told) -> Problem:
     """The problem with the priors of groups widened that the data exceed (A4), at one linearisation, of what its
     rows have told; the same where none is."""
-    members, own_members = problem.instrument.members, _own_members(problem)
-    if not members and not own_members:
+    if not has_groups(problem):
         return problem
+    members, own_members = problem.instrument.members, _own_members(problem)
     expected, u = problem.measured
     now, own = u.copy(), problem.own_known.copy()
     further = np.arange(len(u)) > problem.instrument.linear_count

@@ -1,0 +1,59 @@
+"""Archives of several files, as phones export them, as the files in them."""
+
+from __future__ import annotations
+
+import lzma
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+
+from tumble.errors import InputError
+from tumble.files import whole_file
+from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
+
+_MOST_FILES = 200
+_PIECE_BYTES = 1 << 20
+_NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".jpg", ".html", ".zip")
+
+_DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError)
+
+
+def is_archive(file: Path) -> bool:
+    """Whether a file is an archive by its ending."""
+    return file.suffix.lower() == ".zip"
+
+
+def unzipped(archive: Path, folder: Path) -> list[Path]:
+    """The files in an archive, in a folder that is made if need be, but for hidden ones and those that are no logs.
+
+    Raises InputError for an archive that is damaged or locked, or holds none, or more than readings would."""
+    limit = max(LARGEST_RATIO * archive.stat().st_size, SMALL_BYTES)
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            members = [m for m in opened.infolist() if not m.is_dir() and _may_be_log(PurePosixPath(m.filename))]
+            if not 0 < len(members) <= _MOST_FILES or sum(m.file_size for m in members) > limit:
+                raise InputError(
+                    f"{archive}: expected 1 to {_MOST_FILES} files of at most {limit / 1e6:.3g} MB together, found "
+                    f"{len(members)}, {sum(m.file_size for m in members) / 1e6:.3g} MB; unpack it and name the logs"
+                )
+            return [_written(opened, member, folder) for member in members]
+    except _DAMAGED as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{archive}: expected a sound archive, found: {said[:200]}") from None
+
+
+def _may_be_log(name: PurePosixPath) -> bool:
+    hidden = any(part.startswith((".", "__MACOSX")) for part in name.parts)
+    return not hidden and name.suffix.lower() not in _NO_LOGS
+
+
+def _written(opened: zipfile.ZipFile, member: zipfile.ZipInfo, folder: Path) -> Path:
+    """A file of an archive, of which no more than it states comes out, by its name without folders."""
+    target = folder / PurePosixPath(member.filename.replace("\\", "/")).name
+    while target.exists():
+        target = target.with_stem(f"{target.stem}-copy")
+    with opened.open(member) as stream, whole_file(target) as temporary, temporary.open("wb") as out:
+        while piece := stream.read(_PIECE_BYTES):
+            out.write(piece)
+    return target

@@ -1,0 +1,43 @@
+"""Lines that name their values: `ax=0.01 ay=-0.02`, `acc: 0.1, 0.2, 9.8; gyro: …`, `Acc (mg) [ 12.2, …`, `Rotation X:
+0.01, Y: -0.02, Z: 0.00 rad/s`."""
+
+from __future__ import annotations
+
+import re
+
+from tumble.recording.dialect import is_clock
+
+LONGEST_LINE = 4096
+_KEY = re.compile(r"([^\W\d][\w.]*)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))")
+_NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_WHEN = re.compile(r"[\s\[\]()>,;|-]*$")
+_WORD = re.compile(r"([^\W\d]\w*)\s+$")
+_UNIT = re.compile(r"\s*(m/s\^?2|rad/s|deg/s|dps|mdps|m?g)\s*$")
+_TIME = "time"
+
+
+def cells(line: str) -> dict[str, str]:
+    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three."""
+    keys = list(_KEY.finditer(line[:LONGEST_LINE]))
+    if not keys:
+        return {}
+    when = _WHEN.sub("", line[: keys[0].start()]).strip(" []")
+    found = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
+    for key, after in zip(keys, [*keys[1:], None], strict=True):
+        numbers = _NUMBER.findall(line[key.end() : after.start() if after else None])
+        unit = f" [{key[2]}]" if key[2] else ""
+        if len(numbers) == 1:
+            found[key[1] + unit] = numbers[0]
+        elif len(numbers) == 3:
+            found |= {f"{key[1]}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
+    return found
+
+
+def named_numbers(line: str) -> dict[str, str]:
+    """The same, each name with the word before the first and the unit behind the last number, as in `Rotation X: 0.01,
+    Y: -0.02, Z: 0.00 rad/s`."""
+    first = _KEY.search(line[:LONGEST_LINE])
+    word = _WORD.search(line[: first.start()]) if first else None
+    unit = _UNIT.search(line[:LONGEST_LINE])
+    before, behind = f"{word[1]} " if word else "", f" [{unit[1]}]" if unit else ""
+    return {f"{before}{name}{behind}": number for name, number in cells(line).items()}
