@@ -51,7 +51,7 @@ FUSED = {"reduction/moment_kernels", "campaigns/triads"}
 """Modules whose products and sums may be rounded once; the others give the same bits on all processors."""
 PLAIN = {"reduction/kernels"}
 """Modules that newer processors do not run faster."""
-INDEPENDENT = {"reduction/moment_kernels"}
+INDEPENDENT = {"reduction/moment_kernels", "sensors/fixed_point"}
 """Modules in which the steps of a loop over `i` do not depend on one another. GCC does not see it, and would ask in
 every loop over lanes whether rows overlap."""
 AVX2 = ("-mavx2", "-mfma", "-mbmi2")

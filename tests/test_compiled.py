@@ -172,12 +172,13 @@ def test_fits_of_triads_are_those_of_python() -> None:
 @pytest.mark.parametrize("of_force", [True, False])
 def test_samples_are_solved_as_by_python_to_the_bit(of_force: bool) -> None:
     rng = np.random.default_rng(6)
-    readings, other, gain = rng.standard_normal((21, 4)), rng.standard_normal((21, 3)), 1.0 + 0.01 * np.ones((21, 4))
+    readings, other = rng.standard_normal((150, 4)), rng.standard_normal((150, 3))
+    change = 0.1 * rng.standard_normal((150, 4)), 1.0 + 0.01 * rng.standard_normal((150, 4))
     K, axes = 1e-2 * rng.standard_normal((4, 15)), rng.standard_normal((4, 3))
     sensors = np.linalg.pinv(axes), axes, K
     readings[5, 2] = np.nan
     found, expected = (
-        module.fixed_point(readings, gain, other, sensors, 6, of_force=of_force)
+        module.fixed_point(readings, change, other, sensors, 6, of_force=of_force)
         for module in (fixed_point, as_python("sensors/fixed_point"))
     )
     np.testing.assert_array_equal(found, expected)

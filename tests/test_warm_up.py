@@ -11,7 +11,11 @@ import pytest
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
+from tumble.estimation.likelihood import WARMING, Problem
+from tumble.estimation.methods.joint.fit import fit_of
 from tumble.estimation.methods.joint.method import joint
+from tumble.estimation.methods.joint.start import start_of
+from tumble.estimation.methods.joint.time_constants import TimeConstants, settling_with, without_own
 from tumble.planning.setup import Setup
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
@@ -98,3 +102,21 @@ axes = {axes}
     assert said in observations.notes
     assert observed.observations is not None
     assert observations.arrays is observed.observations.arrays
+
+
+def test_one_elimination_says_the_likelihood_of_every_time_constant() -> None:
+    found, _, _ = calibrated(1, 1.0, 80.0)
+    assert found.linearised is not None
+    solved = found.linearised.problem
+    blind = replace(solved.observations, warm_up=None)
+    problem = Problem.of(blind, instrument=solved.instrument, usual=blind.usual)
+    fitted = fit_of(problem, start_of(problem)[0])
+    of_all = TimeConstants.of(fitted, problem, (10.0, 600.0))
+    steps, told = [], []
+    for settling in (30.0, 90.0, 250.0):
+        warm = replace(settling_with(problem, settling, WARMING), measured=fitted.problem.measured)
+        steps.append(without_own(warm, fitted.solved).solved(warm, fitted.scatter))
+        told.append(of_all.deviance(settling, warm))
+        change = (of_all.values(settling, warm) - steps[-1].parameters) / np.sqrt(np.diag(steps[-1].covariance))
+        assert np.abs(change).max() < 1e-2
+    assert np.diff(told) == pytest.approx(np.diff([step.deviance for step in steps]), abs=0.02)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ from tumble.recording.arrays import SI
 from tumble.recording.clock import times_of
 from tumble.recording.description import description_of
 from tumble.recording.formats.columns import unit_of_name
+from tumble.recording.gaps import side_by_side
 from tumble.recording.log import open_log
 from tumble.recording.log_source import LogSource, rows_of_numbers
 from tumble.recording.readers import source_of
@@ -49,8 +51,11 @@ from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import ZERO_CELSIUS, Array, Unit
 
+_SLICE = 1 << 14
+"""Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Correction:
     """The sensors of one kind and what corrects them."""
 
@@ -58,7 +63,7 @@ class _Correction:
     channels: Channels
     model: SensorModel
 
-    @property
+    @cached_property
     def written(self) -> Channels:
         """What the corrected columns are: in the log's own unit, with its nominal scale and offset, where the names of
         the columns say it, else in SI."""
@@ -94,7 +99,7 @@ class _Correction:
 
     def readings(self, table: pl.DataFrame) -> Array:
         """Readings (N, n) of a table, SI; of increments the integrals themselves."""
-        raw = np.ascontiguousarray(table.select(self.channels.columns).to_numpy())
+        raw = side_by_side(table, self.channels.columns)
         return self.channels.to_si(raw, np.ones(len(raw)))
 
     def columns(self, true: Array) -> dict[str, Array]:
@@ -254,7 +259,8 @@ def _tables(
     for file in session.log.files:
         source = source_of(file, session.log.dialect)
         reader = _Reader(path=source.path, session=session, parts=parts, compensator=compensator, interval=interval)
-        pieces = ((table, reader.piece(table)) for table in one_ahead(_rows(source, parts, session.log)))
+        slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(_rows(source, parts, session.log)))
+        pieces = ((table, reader.piece(table)) for table in slices)
         for table, piece, own in _with_neighbours(pieces) if moved else _alone(pieces):
             names = table.columns if names is None else names
             if table.columns != names:
@@ -263,7 +269,14 @@ def _tables(
                 )
             true = _true(compensator, piece, parts, session, interval if moved else None)
             new = {name: c for part in parts for name, c in part.columns(true[part.kind][own]).items()}
-            yield table.with_columns(pl.Series(name, np.ascontiguousarray(c)) for name, c in new.items())
+            yield _with_columns(table, new)
+
+
+def _with_columns(table: pl.DataFrame, new: Mapping[str, Array]) -> pl.DataFrame:
+    """A table with new columns in place of those of their names, and behind the others; `with_columns` of polars takes
+    as long as correcting a few thousand rows."""
+    corrected = {name: pl.Series(name, np.ascontiguousarray(column)) for name, column in new.items()}
+    return pl.DataFrame(list(({each.name: each for each in table} | corrected).values()))
 
 
 def _is_moved(session: Session, compensator: Compensator) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any, Literal, overload
@@ -14,7 +15,7 @@ from tumble import __version__
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.from_estimate import result_of, without_result
 from tumble.calibration.notes import bridged_in
-from tumble.calibration.observed import Progress, inspect_session, observations_for_calibration
+from tumble.calibration.observed import Progress, inspected, observations_for_calibration
 from tumble.calibration.with_magnetometer import with_magnetometer
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.common_errors import by_time_base
@@ -108,13 +109,14 @@ def calibrate(
     estimator = _estimator(method, iterations)
     Convention(frame=frame, block=session.accel_block)
     systematic = systematic_of(session)
-    observed = inspect_session(session, progress=progress)
-    observations = observations_for_calibration(observed)
     found: tuple[Estimate, Observations] | Outcome
-    if isinstance(observations, Outcome):
-        found = observations
-    else:
-        found = estimated(session, observations, estimator, systematic, terms if method == "joint" else "linear")
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        observed = inspected(session, progress, beside)
+        observations = observations_for_calibration(observed)
+        if isinstance(observations, Outcome):
+            found = observations
+        else:
+            found = estimated(session, observations, estimator, systematic, terms if method == "joint" else "linear")
     provenance, bridged = provenance_of(observed.sha256), bridged_in(observed.gaps)
     if isinstance(found, Outcome):
         made = without_result(session, method, found, provenance, bridged)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.sensors.compensation import Compensator
+from tumble.sensors.fixed_point import central_differences
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
@@ -58,20 +59,10 @@ def _column(dt: Array | None) -> Array:
 def at_one_point(compensator: Compensator, readings: Array, rate: Array, time: Array, interval: float) -> Array:
     """Readings (N, n) of accelerometers, m/s², moved to the last one by the rate (N, 3), rad/s, at times (N,), s. Where
     the rate of a sample or of a neighbour is not known, they stay where they are."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        moved = compensator.at_one_point(readings, rate, angular_acceleration(rate, time, interval))
-    return np.where(np.isfinite(moved), moved, readings)
+    return compensator.at_one_point(readings, rate, angular_acceleration(rate, time, interval))
 
 
 def angular_acceleration(rate: Array, time: Array, interval: float) -> Array:
     """ω̇ (N, 3), rad/s², by central differences of the rate (N, 3), one-sided at both ends; not a number where the
     neighbours are too far apart."""
-    steps, changes = (_over_two(each) for each in (time, rate))
-    steps = np.where((steps > 0.0) & (steps <= LONGEST_STEP * interval), steps, np.nan)
-    return np.asarray(changes / steps[:, None])
-
-
-def _over_two(values: Array) -> Array:
-    """Differences of the neighbours (N, ...) of values (N, ...), of the first and the last value from themselves."""
-    padded = np.concatenate([values[:1], values, values[-1:]])
-    return np.asarray(padded[2:] - padded[:-2])
+    return central_differences(rate, time, LONGEST_STEP * interval)

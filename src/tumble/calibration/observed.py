@@ -9,7 +9,7 @@ A log is opened, read and reduced here and nowhere else. `inspect_session` takes
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,15 +42,15 @@ Progress = Callable[[Log], Iterable[Chunk]]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observed:
-    """What a session's log shows: the SHA-256 of its content, the gaps that were bridged, the rests and turns that were
-    found and rejected, and the observations of all of them (None where nothing rests); `faults`, in sentences, are
-    what is wrong with the recording.
+    """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
+    the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
+    `faults`, in sentences, are what is wrong with the recording.
 
     `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
     alone show: in a wrong unit every turn is too slow to be one."""
 
     session: Session
-    sha256: str
+    digest: Future[str]
     gaps: tuple[Gap, ...]
     reduction: Reduction
     segmentation: Segmentation
@@ -59,6 +59,11 @@ class Observed:
     faults: tuple[str, ...]
     recorded: str | None = None
     """When, ISO 8601, by the log's own times."""
+
+    @property
+    def sha256(self) -> str:
+        """The SHA-256 of the log's content."""
+        return self.digest.result()
 
     @property
     def circumstances(self) -> Circumstances:
@@ -86,11 +91,15 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
     >>> len(found.segmentation.rests), found.faults
     (4, ())
     """
-    session = session_from(session)
-    log = open_log(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
-        digest = beside.submit(log.sha256)
-        reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+        return inspected(session_from(session), progress, beside)
+
+
+def inspected(session: Session, progress: Progress, beside: Executor) -> Observed:
+    """The same; the content of a log that was read is hashed `beside` what follows, which needs one core alone."""
+    log = open_log(session)
+    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log))
+    digest = beside.submit(log.sha256)
     faults = (
         channel_faults(reduction, session.log)
         or accelerometer_faults(reduction, session)
@@ -108,7 +117,7 @@ def inspect_session(session: Session | FilePath, *, progress: Progress = Log.chu
         faults = sense_faults(trial, session, reduction.rate)
     return Observed(
         session=session,
-        sha256=digest.result(),
+        digest=digest,
         gaps=log.gaps,
         reduction=reduction,
         segmentation=segmentation,

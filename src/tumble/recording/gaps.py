@@ -167,7 +167,7 @@ def rows_of(source: LogSource, spec: LogSpec, file: int, grid: Grid | None, gaps
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
         numbers = np.arange(first, first + table.height)
         time = table[spec.time].to_numpy() * spec.time_factor if spec.time is not None else np.empty(table.height)
-        values = tuple(_matrix(table, group) for group in groups)
+        values = tuple(side_by_side(table, group) for group in groups)
         rows = LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread})
         yield sieve.kept(rows)
         first += table.height
@@ -252,7 +252,7 @@ class _Sieve:
         )
 
 
-def _matrix(table: pl.DataFrame, columns: Sequence[str]) -> Array:
+def side_by_side(table: pl.DataFrame, columns: Sequence[str]) -> Array:
     """Columns of a table side by side, column after column in memory."""
     out = np.empty((len(columns), table.height))
     for j, column in enumerate(columns):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tumble.rotation import left_inverse
-from tumble.sensors.fixed_point import fixed_point
+from tumble.sensors.fixed_point import fixed_point, moved
 from tumble.sensors.instrument import Instrument, is_linear, measured_by
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, RATE, group_name
@@ -21,7 +21,7 @@ FIXED_POINT_STEPS = 5
 def specific_force(instrument: Instrument, values: Array, readings: Array) -> Array:
     """Specific force (N, 3), m/s², in the body from readings (N, n) of the accelerometers, SI."""
     K = instrument.coefficients(instrument.accel, values)
-    return _solved(instrument.accel, K, FORCE, readings, np.zeros((len(readings), 3)))
+    return _solved(instrument.accel, K, FORCE, readings, np.zeros(3))
 
 
 def angular_rate(instrument: Instrument, values: Array, readings: Array, force: Array) -> Array:
@@ -39,14 +39,16 @@ def _solved(
     inverse = left_inverse(K[:, measured])
     rest = K.copy()
     rest[:, measured], rest[:, CONSTANT] = 0.0, 0.0
-    offset, gain = change if change is not None else (np.zeros(1), np.ones(1))
-    reading = readings - (K[:, CONSTANT] + offset)
+    warmer, gain = change if change is not None else (np.zeros(1), np.ones(1))
+    offset = K[:, CONSTANT] + warmer
     if not np.any(rest):
-        return np.asarray((reading / gain) @ inverse.T)
+        return np.asarray(((readings - offset) / gain) @ inverse.T)
+    if not np.any(rest[:, FORCE]):
+        force = np.zeros(3)  # what does not count may be lost
     return fixed_point(
-        reading,
-        np.broadcast_to(gain, reading.shape),
-        force if np.any(rest[:, FORCE]) else np.zeros((len(reading), 3)),  # what does not count may be lost
+        readings,
+        (np.broadcast_to(offset, readings.shape), np.broadcast_to(gain, readings.shape)),
+        np.broadcast_to(force, (len(readings), 3)),
         (inverse, block.axes, rest),
         1 + FIXED_POINT_STEPS,
         of_force=measured == FORCE,
@@ -130,17 +132,13 @@ class Compensator:
 
     def at_one_point(self, readings: Array, rate: Array, acceleration: Array) -> Array:
         """Readings (N, n), SI, as all accelerometers would have them where the last one is, in motion with a rate and
-        an angular acceleration (N, 3), rad/s and rad/s²: less what f_p − f = ω̇ × r_p + ω × (ω × r_p) adds through
-        the sensitivity."""
-        r, k = self.levers, self.accel_coefficients[:, FORCE]
-        # k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k)
-        across = (rate @ r.T) * (rate @ k.T) - np.sum(rate * rate, axis=1)[:, None] * np.sum(r * k, axis=1)
-        return np.asarray(readings - acceleration @ np.cross(r, k).T - across)
+        an angular acceleration (N, 3), rad/s and rad/s²; where these are not known, the readings as they are."""
+        return moved(readings, rate, acceleration, self.levers, self.accel_coefficients[:, FORCE])
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
         """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N, n) or (N, 1), °C, of the sensors."""
         change = self._change(self.accel, self.accel_coefficients, temperature)
-        return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros((len(readings), 3)), change)
+        return _solved(self.accel, self.accel_coefficients, FORCE, readings, np.zeros(3), change)
 
     def rate(self, readings: Array, force: Array, temperature: Array | None = None) -> Array:
         """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures likewise."""

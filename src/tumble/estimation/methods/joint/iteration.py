@@ -21,6 +21,7 @@ MAX_ITERATIONS = 30
 CONVERGED = 1e-3  # of the standard uncertainty
 SQUARED = 10.0  # error after a step, in units of the spreads, over the square of the step
 UNSEEN = 0.2  # rad: a heading that the gyros know to no better
+TO_AND_FRO = 6  # steps after which a heading that still moves is one that the gyros do not know either
 LEFT_OUT = 1e6  # times its variance: what a rest or turn that is left out has on top
 
 
@@ -109,7 +110,7 @@ def iterate(
     increments: list[Array] = []
     step = at.solved(problem, scatter) if first is None else first
     while True:
-        point, change = moved(problem, at.point, step)
+        point, change = moved(problem, at.point, step, keep=len(increments) >= TO_AND_FRO)
         increments.append(change)
         about = integrated(problem, point, at.about)
         if (negligible(problem, step) and about is at.about) or len(increments) == min(most, MAX_ITERATIONS):
@@ -125,16 +126,24 @@ def negligible(problem: Problem, step: Step) -> bool:
     return bool(np.all(after <= CONVERGED * u + 1e-15))
 
 
-def moved(problem: Problem, point: Point, step: Step) -> tuple[Point, Array]:
+def moved(problem: Problem, point: Point, step: Step, keep: bool = False) -> tuple[Point, Array]:
     """The point after a step, shortened so that no parameter moves by more than its spread, and the change of the
-    parameters. Chains whose heading is hardly seen keep it."""
+    parameters. Chains whose heading is hardly seen `keep` it, or all chains."""
     share = 1.0 / max(1.0, float(np.max(np.abs(step.parameters[1:]) / problem.spread)))
     angles, chain = share * step.angles, problem.chain
-    hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2
-    if hidden.any():
+    hidden = np.bincount(chain, heading_information(problem, step)) < UNSEEN**-2 * _overshot(problem, step)
+    if keep or hidden.any():
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
-        angles[:, 2] -= np.where(hidden, mean, 0.0)[chain]
+        angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
     return point.moved(share * step.parameters, angles, share * step.own), share * step.parameters[1:]
+
+
+def _overshot(problem: Problem, step: Step) -> float:
+    """Chi-square after a step per row, 1 at least: so many times less is known than the noise has it. A heading by
+    residuals that are many times the Earth's rate would turn to and fro."""
+    rest, merged = step.told.whitened
+    rows = np.count_nonzero(problem.link < 0) * rest.shape[1] + merged.shape[0] * merged.shape[1]
+    return float(max(1.0, step.square / rows))
 
 
 def heading_information(problem: Problem, step: Step) -> Array:

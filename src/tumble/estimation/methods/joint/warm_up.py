@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from tumble.estimation.likelihood import WARMING, Problem, changing_with
+from tumble.estimation.likelihood import WARMING, Problem
 from tumble.estimation.methods.joint.fit import TOTAL, Fitted, fit_of
-from tumble.estimation.methods.joint.iteration import At, Solved
+from tumble.estimation.methods.joint.time_constants import TimeConstants, settling_with, without_own
 from tumble.estimation.methods.joint.wandering import with_wandering
-from tumble.estimation.step import Step
 from tumble.sensors.parameters import Variable
 from tumble.units import Array
 
@@ -19,6 +18,8 @@ UNEXPLAINED = 1e-4
 """Where chance alone exceeds all residuals, by the noise within rests, less often, a warm-up is looked for."""
 WARM_UPS = np.geomspace(0.03, 1.0, 11)
 """Its time constants that are tried, in parts of the session; the first and the last belong to none."""
+SPAN = 0.01, 3.0
+"""And within which the most likely one is sought, likewise."""
 NEAR = 0.2
 """A change of the logarithm of a time constant over which its likelihood is a parabola."""
 FARTHEST = 0.5
@@ -44,10 +45,11 @@ def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
     first = _time_constant(fitted, problem)
     straight = None if first is None else _warmed(fitted, problem, WARMING[:1], first)
     longest = WARM_UPS[-1] * np.ptp(problem.observations.rests.start)
-    if straight is None or straight.settling > longest or _evidence(fitted) - _evidence(straight.fitted) < EVIDENT:
+    if straight is None or straight.settling > longest or _evidence(fitted) - straight.evidence < EVIDENT:
         return with_wandering(fitted)
-    curved = _warmed(straight.fitted, problem, WARMING, straight.settling, known=TIME_CONSTANT_KNOWN)
-    if curved is None or _evidence(straight.fitted) - _evidence(curved.fitted) < CURVED:
+    hopeless = straight.evidence + EVIDENT
+    curved = _warmed(straight.fitted, problem, WARMING, straight.settling, TIME_CONSTANT_KNOWN, hopeless)
+    if curved is None or straight.evidence - curved.evidence < CURVED:
         return straight.spread
     return curved.spread
 
@@ -62,6 +64,11 @@ class _Warmed:
     by: Array
 
     @property
+    def evidence(self) -> float:
+        """−2 log of the likelihood of the session."""
+        return _evidence(self.fitted)
+
+    @property
     def spread(self) -> Fitted:
         """The solution with what is not known of the time constant in its covariance."""
         fitted = with_wandering(self.fitted)
@@ -71,21 +78,35 @@ class _Warmed:
 
 
 def _warmed(
-    fitted: Fitted, problem: Problem, variables: tuple[Variable, ...], first: float, known: float = np.inf
+    fitted: Fitted,
+    problem: Problem,
+    variables: tuple[Variable, ...],
+    first: float,
+    known: float = np.inf,
+    hopeless: float = np.inf,
 ) -> _Warmed | None:
     """The solution with a warm-up of the most likely time constant, sought from the first one, of which the logarithm
-    is `known` to so much; None where there is none."""
+    is `known` to so much; None where there is none, and where by the first one −2 log of the likelihood is `hopeless`:
+    no other one makes up for that."""
     settling, found, by = first, fitted, np.zeros(0)
     for _ in range(WARM_UP_ROUNDS):
-        before, warm = settling, _settling(problem, settling, variables)
-        found = fit_of(warm, _without_own(warm, found.solved), guess=found.scatter)
-        closest = _closest(found, settling, variables, (first, known))
+        before, warm = settling, settling_with(problem, settling, variables)
+        found = fit_of(warm, without_own(warm, found.solved), guess=found.scatter)
+        if before == first and _evidence(found) > hopeless:
+            return None
+        closest = _closest(_time_constants(found, problem), settling, found.problem, (first, known))
         if closest is None:
             return None
         settling, u, by = closest
         if abs(np.log(settling / before)) < SETTLED_TO * u:
             break
     return _Warmed(fitted=found, settling=settling, by=by)
+
+
+def _time_constants(fitted: Fitted, problem: Problem) -> TimeConstants:
+    """What a solution says of the time constants that come into question."""
+    span = np.ptp(problem.observations.rests.start)
+    return TimeConstants.of(fitted, problem, (SPAN[0] * span, SPAN[1] * span))
 
 
 def _time_constant(fitted: Fitted, problem: Problem) -> float | None:
@@ -97,52 +118,32 @@ def _time_constant(fitted: Fitted, problem: Problem) -> float | None:
     if explained or unknown or rests.temperatures is not None or rests.file[0] != rests.file[-1]:
         return None
     tried = (WARM_UPS * np.ptp(rests.start)).tolist()
-    best = int(np.argmin([_at_time_constant(fitted, each, WARMING[:1]).deviance for each in tried]))
+    of_all, warm = _time_constants(fitted, problem), settling_with(problem, tried[0], WARMING[:1])
+    best = int(np.argmin([of_all.deviance(each, warm) for each in tried]))
     return tried[best] if 0 < best < len(tried) - 1 else None
 
 
-def _settling(problem: Problem, settling: float, variables: tuple[Variable, ...]) -> Problem:
-    """The problem with what settles with a time constant, s."""
-    observations = replace(problem.observations, warm_up=settling)
-    own = changing_with(observations, variables)
-    return Problem.of(observations, problem.prior, instrument=problem.instrument, own=own, usual=observations.usual)
-
-
-def _without_own(problem: Problem, solved: Solved) -> At:
-    """The start of a solution from one with another warm-up, or without."""
-    point = replace(solved.point, own=np.zeros((len(problem.parts), len(problem.own_known))))
-    return At.of(problem, point, solved.last.about, solved.last.out)
-
-
-def _at_time_constant(fitted: Fitted, settling: float, variables: tuple[Variable, ...]) -> Step:
-    """The step from a solution to that with another time constant, s, or with one, of a warm-up."""
-    other = replace(_settling(fitted.problem, settling, variables), measured=fitted.problem.measured)
-    if fitted.problem.own is not None:
-        other = replace(other, own_known=fitted.problem.own_known)
-    return _without_own(other, fitted.solved).solved(other, fitted.scatter)
-
-
 def _closest(
-    fitted: Fitted, settling: float, variables: tuple[Variable, ...], prior: tuple[float, float]
+    of_all: TimeConstants, settling: float, warm: Problem, prior: tuple[float, float]
 ) -> tuple[float, float, Array] | None:
     """The most likely time constant, s, with the scatter and the priors of a solution with one, by parabolas of the
     likelihood over its logarithm, of which another one and its u are known before; u of the logarithm, and what that
     makes of gravity and the parameters (1 + m,). None where there is none."""
-    u, by = np.inf, np.zeros(0)
+    u, near = np.inf, np.array([-NEAR, 0.0, NEAR])
     for _ in range(WARM_UP_ROUNDS):
-        steps = [_at_time_constant(fitted, settling * float(np.exp(h)), variables) for h in (-NEAR, 0.0, NEAR)]
-        off = np.log(settling / prior[0]) + np.array([-NEAR, 0.0, NEAR])
-        shorter, here, longer = (np.array([step.deviance for step in steps]) + (off / prior[1]) ** 2).tolist()
+        off = np.log(settling / prior[0]) + near
+        deviances = [of_all.deviance(each, warm) for each in settling * np.exp(near)]
+        shorter, here, longer = (np.array(deviances) + (off / prior[1]) ** 2).tolist()
         bend = (shorter - 2.0 * here + longer) / NEAR**2
         if bend <= 2.0 * TIME_CONSTANT_KNOWN**-2:
             return None
         u = float(np.sqrt(2.0 / bend))
-        by = u * (steps[-1].parameters - steps[0].parameters) / (2.0 * NEAR)
         moved = float(np.clip(0.5 * (shorter - longer) / (NEAR * bend), -FARTHEST, FARTHEST))
-        settling *= float(np.exp(moved))
+        last, settling = settling, settling * float(np.exp(moved))
         if abs(moved) < SETTLED_TO * u:
             break
-    return settling, u, by
+    shorter_by, longer_by = (of_all.values(last * float(np.exp(h)), warm) for h in (-NEAR, NEAR))
+    return settling, u, u * (longer_by - shorter_by) / (2.0 * NEAR)
 
 
 def _evidence(fitted: Fitted) -> float:
