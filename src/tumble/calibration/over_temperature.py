@@ -44,8 +44,8 @@ def _left_open(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """Which coefficients the temperatures say nothing of, and why."""
     if at_two_temperatures(observations):
         yield (
-            "coefficients t2 are what is usual, which is in the u of biases and scale factors at the reference temperature: "
-            "two temperatures show slopes and no curvature; take a third between them"
+            "coefficients t2 are what is usual, which is in the u of biases and scale factors at the reference "
+            "temperature: two temperatures show slopes and no curvature; take a third between them"
         )
         return
     left = [group.name for group in estimate.groups if variable_of(group.name) in THERMAL and not group.kept]

@@ -16,8 +16,8 @@ turn: with the leverage h, the variance of |true| from the parameters over that 
 
 which is exact for a linear fit. The plain residual would be too small by √(1 − h).
 
-What turning on again changes is in no u: positions of the same power-on check a calibration to the noise, where those of
-another one would check it to the turn-on spread of the grade only. So a refusal says whether that spread explains it:
+What turning on again changes is in no u: positions of the same power-on check a calibration to the noise, those of
+another one could check it to the turn-on spread of the grade only. So a refusal says whether that spread explains it:
 
     Δgᵀ V⁻¹ Δg,   V = diag(own variance) + J (Σ + 2 diag(s_g²)) Jᵀ + u(g)²,   J = ∂|true|/∂θ
 
@@ -73,7 +73,7 @@ NOTHING_LEFT = 1e-6
 class Positions:
     """Readings at rest to verify a calibration with: mean readings (N, n) of a block with covariance (N, n, n), SI,
     what the positions are called, gravity with its standard uncertainty, m/s², the SHA-256 of their source, and where
-    they are known the temperatures (N, n), °C, of the sensors, and the grade of the device."""
+    they are known the temperatures (N, n), °C, of the sensors and the grade."""
 
     block: Block
     readings: Array
@@ -89,8 +89,8 @@ class Positions:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Verification:
     """Δg (N,) of every position with standard uncertainty `u` (N,), m/s², both without the position where
-    `left_out`; `sigmas` (N,) is |Δg|/u (of positions left out studentised), `limit` what it may be; whether what turning on
-    again usually changes explains them, `by_turn_on`."""
+    `left_out`; `sigmas` (N,) is |Δg|/u (of positions left out studentised), `limit` what it may be; whether what
+    turning on again usually changes explains them all, `by_turn_on`."""
 
     labels: tuple[str, ...]
     difference: Array

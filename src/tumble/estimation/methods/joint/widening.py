@@ -5,8 +5,8 @@ data exceed is widened, never narrowed:
 
     λ² ← max(1, mean of (ĉ² + Var ĉ)/s²),   s ← λ s   until it settles                                            (A4)
 
-Curvatures are not widened where there are but two temperatures: rests have b + t₂ x² alone there, x² the same at both, and
-what a bias, or anything that goes with it, has beyond its usual size would be taken for one.
+Curvatures are not widened where there are but two temperatures: rests have b + t₂ x² alone there, x² the same at both,
+and what a bias, or anything that goes with it, has beyond its usual size would be taken for one.
 """
 
 from __future__ import annotations
