@@ -177,8 +177,8 @@ def observe(
     turns, samples, readings = None, None, None
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
-        turns, samples = reduced_turns(reduction, reduction.samples, spans, *noises, rounded)
-        readings = turn_readings(reduction, spans, turns, gyro_noise, rounded["gyro"]) if gyro.size > 3 else None
+        turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, *noises, rounded)
+        readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
         arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
     return Observations(
         accel_block=accel,

@@ -1,4 +1,4 @@
-"""What the resolution of a channel does to its mean at rest.
+"""What the resolution of a channel does to its mean at rest and to its integral over a turn.
 
 The values of a channel that was rounded lie on a grid of one step, the resolution L. White noise of standard deviation
 σ before rounding makes the mean of many rounded samples follow the true value: the error that is left is a sawtooth of
@@ -8,7 +8,10 @@ the place x of the true value between two steps, smoothed by the noise,
 
 of mean square B(σ) = (L²/2π²) Σ_k exp(−4π²k²σ²/L²)/k² over all x: L²/12 without noise, and nothing to speak of from
 half a step of noise on. It does not fall with the length of a rest. Rests whose readings are many steps apart have
-errors of their own; rests that read the same, as gyros do, all have the same error, and it passes for a bias.
+errors of their own; rests that read the same, as gyros do, all have the same error, and it passes for a bias. Their
+scatter is that of one place x, next to none in the middle between two edges and half a step on an edge whatever the
+noise, and says how large the error may be there. In a turn
+at a steady rate it lasts as long as the rate stays between the same two steps.
 
 Source: Widrow & Kollár, Quantization Noise, 2008, on the moments of a rounded Gaussian.
 """
@@ -19,9 +22,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from tumble.reduction.blocks import ChannelState
-from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array
+from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array, IntArray
 
 ON_GRID = 0.1
 """How far a difference may be from a whole number of steps, in steps, and still be on the grid."""
@@ -31,6 +35,12 @@ GRID_STEPS = 64
 LEAST_DIFFERENCES, MOST = 3, 2000
 ENOUGH_NOISE = 0.5
 """Noise, in steps, from which on rounding is forgotten."""
+ALIKE = 0.2
+"""Standard deviation of the means of rests, in steps, up to which they read the same."""
+RARE = 0.01
+"""Of samples, beyond which a second value says something."""
+LITTLE_NOISE = 0.1
+"""Noise, in steps, below which a reading keeps to one step while the true value does."""
 _TERMS = np.arange(1, 40)
 
 
@@ -45,6 +55,26 @@ class Rounding:
     of_rest: Array
     common_u: Array
 
+    def of_integrals(self, readings: Array, intervals: Array) -> Array:
+        """Variance (n,) from rounding of the integrals of m ≥ 1 samples (m, n) at intervals (m,), s. An error lasts as
+        long as a reading keeps to one step, or, where noise takes it to and fro, to two: Σ T² of_rest² over such
+        times T."""
+        out = np.zeros(len(self.step))
+        for i in np.flatnonzero((self.step > 0.0) & (self.noise < ENOUGH_NOISE * self.step)):
+            steps = np.round((readings[:, i] - readings[0, i]) / self.step[i]).astype(int)
+            if self.noise[i] < LITTLE_NOISE * self.step[i]:
+                squares = _squares(steps, intervals)
+            else:
+                squares = max(_squares(steps // 2, intervals), _squares((steps + 1) // 2, intervals))
+            out[i] = squares * self.of_rest[i] ** 2
+        return out
+
+
+def _squares(values: IntArray, intervals: Array) -> float:
+    """Σ T², s², over the times T in which integers (m,) do not change."""
+    first = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
+    return float((np.add.reduceat(intervals, first) ** 2).sum())
+
 
 def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelState]) -> Rounding:
     """The rounding of channels from samples (m, n) of all of a log, those (k, n) of each rest in the order of time,
@@ -55,12 +85,50 @@ def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelS
     noise = np.array([_noise(s, L) for s, L in zip(scatter, step, strict=True)])
     relative = np.divide(noise, step, out=np.full(len(step), np.inf), where=step > 0.0)
     amplitude = np.exp(-2.0 * np.pi**2 * relative**2) / np.pi
+    common = np.where(relative < ENOUGH_NOISE, np.minimum(amplitude, 12.0**-0.5), 0.0)
+    for i in np.flatnonzero(relative < 2.0 * ENOUGH_NOISE):
+        if (of_rests := _alike([rest[:, i] / step[i] for rest in rests if len(rest)])) is not None:
+            relative[i], common[i] = _of_one_place(of_rests)
+            noise[i] = relative[i] * step[i]
     return Rounding(
         step=step,
         noise=noise,
         of_rest=step * np.sqrt(_left(relative)),
-        common_u=np.where(relative < ENOUGH_NOISE, step * np.minimum(amplitude, 12.0**-0.5), 0.0),
+        common_u=step * common,
     )
+
+
+def _alike(rests: Sequence[Array]) -> Array | None:
+    """The samples (m,) of all rests, in steps, less a whole number, where all rests read the same and not only one
+    value is among them; else None."""
+    if not rests or np.std([rest.mean() for rest in rests]) > ALIKE:
+        return None
+    values = np.concatenate(rests)
+    whole = np.round(values - np.round(np.median(values)))
+    return whole if np.mean(whole != 0.0) > RARE else None
+
+
+def _of_one_place(values: Array) -> tuple[float, float]:
+    """The noise σ before rounding and the standard uncertainty of the mean, both in steps, from samples (m,) about one
+    place x between two steps. Of two values alone it is not seen how much of their variance is noise: each σ up to half
+    a step has the x that gives the mean and counts as it gives the variance, x and σ being taken as even."""
+    mean, variance = values.mean(), values.var()
+    noise = np.linspace(0.0, ENOUGH_NOISE, 26)[1:]
+    x = np.linspace(-1.0, 1.0, 201)
+    whole = np.arange(-4, 5)
+    below = ndtr((np.append(whole, 5) - 0.5 - x[:, None]) / noise[:, None, None])
+    share = np.diff(below, axis=2)
+    means = share @ whole
+    variances = share @ whole**2 - means**2
+    error, weight = np.empty(len(noise)), np.empty(len(noise))
+    for i in range(len(noise)):
+        low, place, high = np.interp([mean - 2e-3, mean, mean + 2e-3], means[i], x)
+        off = (variance - np.interp(place, x, variances[i])) / (0.01 + variance * np.sqrt(2.0 / len(values)))
+        error[i], weight[i] = mean - place, (high - low) * np.exp(-0.5 * off**2)
+    if not weight.sum() > 0.0:
+        return ENOUGH_NOISE, 0.0
+    weight /= weight.sum()
+    return float(weight @ noise), float(np.sqrt(weight @ error**2))
 
 
 def rounding_notes(found: Mapping[str, Rounding]) -> tuple[str, ...]:

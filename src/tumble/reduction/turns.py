@@ -92,7 +92,7 @@ def reduced_turns(
     rounded: Mapping[str, Rounding],
 ) -> tuple[Turns, TurnSamples]:
     """The turns between consecutive rests, those that were recorded as a whole, integrated with nominal gyros. Samples
-    that are `rounded` err in turns by what their mean errs by at rest, but each by itself."""
+    that are `rounded` err as `Rounding.of_integrals` has it."""
     first, last = np.array(_recorded(spans, reduction.gaps), dtype=int).reshape(-1, 2).T
     by_file, block_seconds = reduction.by_file, reduction.block_seconds
     start = np.array([by_file[spans[i].file].sample_at(spans[i].last) for i in first], dtype=int)
@@ -102,13 +102,14 @@ def reduced_turns(
     (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
     moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
     long = np.maximum(duration, block_seconds)
-    by_rounding = [
-        _in_body(block, np.diag(rounded[block.kind].of_rest ** 2)) / reduction.rate for block in (accel, gyro)
-    ]
+    of_forces, of_rates = (
+        np.array([_in_body(block, np.diag(each)) for each in _by_rounding(samples, block, rounded[block.kind])])
+        for block in (accel, gyro)
+    )
     density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
-    density += by_rounding[1]
+    density += of_rates.reshape(-1, 3, 3) / long[:, None, None]
     velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
-    velocity += long * np.trace(by_rounding[0]) / 3.0
+    velocity += np.trace(of_forces.reshape(-1, 3, 3), axis1=1, axis2=2) / 3.0
     covariance = _carried(samples, density) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=first,
@@ -124,6 +125,16 @@ def reduced_turns(
         aliased=aliased_rotations(samples, covariance),
     )
     return turns, samples
+
+
+def _by_rounding(samples: TurnSamples, block: Block, rounded: Rounding) -> Array:
+    """Variances (K, n) of the integrals of the readings of n sensors over the turns from rounding."""
+    out = np.zeros((len(samples.lengths), block.size))
+    for pieces in samples.pieces() if np.any(rounded.common_u) else ():
+        readings = (pieces.rates if block.kind == "gyro" else pieces.forces) @ block.axes.T
+        for turn, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
+            out[turn] += rounded.of_integrals(readings[start:stop], pieces.intervals[start:stop])
+    return out
 
 
 def rotations_of_independent(samples: TurnSamples) -> Array:
@@ -197,16 +208,21 @@ def _in_body(block: Block, covariance: Array) -> Array:
 
 
 def turn_readings(
-    reduction: Reduction, spans: tuple[RestSpan, ...], turns: Turns, noise: ColouredNoise, rounded: Rounding
+    reduction: Reduction,
+    spans: tuple[RestSpan, ...],
+    turned: tuple[Turns, TurnSamples],
+    gyro_noise: tuple[Block, ColouredNoise],
+    rounded: Rounding,
 ) -> TurnReadings:
     """The readings of every gyro between the rests, from the blocks."""
-    channels, by_file, block_seconds = noise.autocovariance.shape[0], reduction.by_file, reduction.block_seconds
+    (turns, samples), (gyro, noise) = turned, gyro_noise
+    channels, by_file, block_seconds = gyro.size, reduction.by_file, reduction.block_seconds
     integral, covariance = np.zeros((len(turns), channels)), np.zeros((len(turns), channels, channels))
     for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
         blocks, between = by_file[spans[i].file], slice(spans[i].last, spans[j].first)
         integral[k] = np.diff(blocks.edges)[between] @ gyro_of(blocks)[between]
         covariance[k] = T**2 * noise.covariance_of_mean(max(T / block_seconds, 1.0))
-    by_rounding = turns.duration[:, None, None] * np.diag(rounded.of_rest**2) / reduction.rate
+    by_rounding = _by_rounding(samples, gyro, rounded)[:, :, None] * np.eye(channels)
     return TurnReadings(integral=integral, covariance=covariance + by_rounding + TURN_FLOOR**2 * np.eye(channels))
 
 
