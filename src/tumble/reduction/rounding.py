@@ -86,7 +86,7 @@ def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelS
     relative = np.divide(noise, step, out=np.full(len(step), np.inf), where=step > 0.0)
     amplitude = np.exp(-2.0 * np.pi**2 * relative**2) / np.pi
     common = np.where(relative < ENOUGH_NOISE, np.minimum(amplitude, 12.0**-0.5), 0.0)
-    for i in np.flatnonzero(relative < 2.0 * ENOUGH_NOISE):
+    for i in np.flatnonzero(relative < ENOUGH_NOISE):
         if (of_rests := _alike([rest[:, i] / step[i] for rest in rests if len(rest)])) is not None:
             relative[i], common[i] = _of_one_place(of_rests)
             noise[i] = relative[i] * step[i]
