@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from formulas_against_simulation import DEVICE
 
+from tumble.estimation.components import Scatter
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Point, Problem, Scatter, weights
+from tumble.estimation.likelihood import Point, Problem, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.fit import TOTAL
 from tumble.estimation.methods.joint.method import joint

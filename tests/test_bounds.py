@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tumble.errors import InputError
-from tumble.estimation.likelihood import Point, Problem, Scatter, weights
+from tumble.estimation.components import Scatter
+from tumble.estimation.likelihood import Point, Problem, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.observability import in_words

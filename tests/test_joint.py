@@ -16,9 +16,10 @@ import pytest
 from formula_setup import device_setup
 
 from tumble.calibration.calibrate import calibrate
+from tumble.estimation.components import Scatter
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate
-from tumble.estimation.likelihood import Prior, Problem, Scatter, weights
+from tumble.estimation.likelihood import Prior, Problem, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.fit import TOTAL
 from tumble.estimation.methods.joint.method import QUICK_STEPS, joint

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from formula_setup import device_setup
 
-from tumble.estimation.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, Scatter, bases, noise_of, weights
+from tumble.estimation.components import Scatter
+from tumble.estimation.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.iteration import heading_information
 from tumble.estimation.row_loops import inverse_left_jacobian

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from tumble.campaigns.triads import LANES, STEPS, fit_statics
-from tumble.estimation.likelihood import Point, Problem, Scatter, weights
+from tumble.estimation.components import Scatter
+from tumble.estimation.likelihood import Point, Problem, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.step import solve
 from tumble.recording.session import Site

@@ -19,9 +19,10 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.by_session import each_session
 from tumble.estimation.causes.projection import Projection
+from tumble.estimation.components import Scatter
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.verdict import verdict
-from tumble.estimation.likelihood import OWN, Point, Problem, Scatter, noise_of
+from tumble.estimation.likelihood import OWN, Point, Problem, noise_of
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.estimation.step import solve

@@ -22,12 +22,12 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.estimation.causes.chances import weighted_chance
 from tumble.estimation.causes.former_attitudes import _followed
 from tumble.estimation.causes.projection import Projection, by_north
+from tumble.estimation.components import Scatter
 from tumble.estimation.diagnosis.misfit import misfit
 from tumble.estimation.diagnosis.site_gravity import gravity_doubted, gravity_said
 from tumble.estimation.diagnosis.undetermined import listed
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
-from tumble.estimation.likelihood import Scatter
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
 from tumble.planning.setup import Setup

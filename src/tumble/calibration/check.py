@@ -37,9 +37,9 @@ from tumble.calibration.observed import inspect_session, observations_for_calibr
 from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import CalibrationError, InputError
+from tumble.estimation.components import Scatter
 from tumble.estimation.estimate import Outcome
 from tumble.estimation.field_check import ChangedParameter, CheckResult, KnownBefore, field_check
-from tumble.estimation.likelihood import Scatter
 from tumble.estimation.prediction import prediction
 from tumble.estimation.variables import variables_of
 from tumble.files import FilePath

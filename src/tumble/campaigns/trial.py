@@ -22,9 +22,10 @@ from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, calibrate
 from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
+from tumble.estimation.components import Scatter
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import DETERMINED, Estimate
-from tumble.estimation.likelihood import Point, Problem, Scatter, weights
+from tumble.estimation.likelihood import Point, Problem, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.paper.compensation import triad_model
 from tumble.estimation.step import solve

@@ -12,7 +12,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Linearised, Noise, Problem, Rows
+from tumble.estimation.components import Noise
+from tumble.estimation.likelihood import Linearised, Problem, Rows
 from tumble.estimation.session_spans import SessionSpan
 from tumble.estimation.step import tell, with_own
 from tumble.estimation.turns_about import TurnsAbout

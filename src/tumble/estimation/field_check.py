@@ -32,9 +32,10 @@ from functools import cache
 import numpy as np
 from scipy import special
 
+from tumble.estimation.components import Scatter, Weights
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import DETERMINED, Fit
-from tumble.estimation.likelihood import Point, Prior, Problem, Scatter, Weights, weights
+from tumble.estimation.likelihood import Point, Prior, Problem, weights
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.iteration import integrated, moved
 from tumble.estimation.methods.joint.start import headings

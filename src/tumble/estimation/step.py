@@ -13,8 +13,9 @@ import numpy as np
 from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dtrtri
 
+from tumble.estimation.components import COMPONENTS, Noise, Weights
 from tumble.estimation.elimination import eliminate, fold, put_back
-from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Rows, Weights
+from tumble.estimation.likelihood import Problem, Rows
 from tumble.estimation.residual_loops import leave
 from tumble.units import Array, IntArray
 

@@ -26,9 +26,10 @@ import numpy as np
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
+from tumble.estimation.components import Scatter
 from tumble.estimation.elimination import eliminate
 from tumble.estimation.estimate import GroupFinding, Solution, least_squares
-from tumble.estimation.likelihood import Point, Problem, Scatter, noise_of
+from tumble.estimation.likelihood import Point, Problem, noise_of
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.turns_about import TurnsAbout, own_axes, warms
 from tumble.planning.inertial_turns import inertial_turns

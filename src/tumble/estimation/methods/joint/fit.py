@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.estimation.components import COMPONENTS, Scatter, Weights
 from tumble.estimation.estimate import Fit
-from tumble.estimation.likelihood import COMPONENTS, Problem, Scatter, Weights
+from tumble.estimation.likelihood import Problem
 from tumble.estimation.methods.joint.iteration import MAX_ITERATIONS, At, Out, Solved, iterate
 from tumble.estimation.methods.joint.scatter import CLOSELY, ROUGHLY, Scattered, scatter_of, seen_components
 from tumble.estimation.methods.joint.widening import has_groups, with_wider_priors

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Noise, Point, Problem, Rows, Scatter, noise_of
+from tumble.estimation.components import Noise, Scatter
+from tumble.estimation.likelihood import Point, Problem, Rows, noise_of
 from tumble.estimation.linearisation import linearise, with_priors
 from tumble.estimation.step import Step, solve
 from tumble.estimation.turns_about import TurnsAbout

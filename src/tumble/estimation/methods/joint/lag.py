@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.estimation.likelihood import Point, Problem, Scatter
+from tumble.estimation.components import Scatter
+from tumble.estimation.likelihood import Point, Problem
 from tumble.estimation.methods.joint.fit import Fitted, fit_of
 from tumble.estimation.methods.joint.iteration import At, iterate
 from tumble.estimation.step import Step, left

@@ -13,8 +13,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from scipy import special
 
+from tumble.estimation.components import Scatter, Weights
 from tumble.estimation.estimate import FIT_SIGMAS
-from tumble.estimation.likelihood import Problem, Scatter, Weights, noise_of
+from tumble.estimation.likelihood import Problem, noise_of
 from tumble.estimation.methods.joint.fit import GROUPS, Fitted, fit_of
 from tumble.estimation.methods.joint.iteration import LEFT_OUT, At, Out
 from tumble.estimation.step import Left

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from tumble.estimation.likelihood import COMPONENTS, Noise, Problem, Scatter, Weights
+from tumble.estimation.components import COMPONENTS, Noise, Scatter, Weights
+from tumble.estimation.likelihood import Problem
 from tumble.estimation.methods.joint.iteration import At
 from tumble.estimation.residual_loops import score
 from tumble.estimation.step import Left, Step, left

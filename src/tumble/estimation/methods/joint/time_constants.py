@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from tumble.estimation.components import Scatter
 from tumble.estimation.elimination import eliminate
-from tumble.estimation.likelihood import WARMING, Problem, Scatter, changing_with
+from tumble.estimation.likelihood import WARMING, Problem, changing_with
 from tumble.estimation.methods.joint.fit import Fitted
 from tumble.estimation.methods.joint.iteration import At, Solved
 from tumble.estimation.variables import left_of_warm_up
