@@ -28,7 +28,7 @@ import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
-from tumble.export.exported import NO_UNCERTAINTY, Exported, example, inverse_of, models, numbers, origin, shown
+from tumble.export.exported import NO_UNCERTAINTY, Exported, example, models, numbers, origin, shown
 from tumble.export.larger_model import not_held
 from tumble.reduction.thermometer import followed
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
@@ -288,7 +288,7 @@ def _beyond(
     tables |= {"quadratic": K[:, PRODUCTS]} if kind == "accel" else {}
     tables |= {"by_force": K[:, FORCE]} if by_force else {}
     more = [_QUADRATIC] * (kind == "accel") + [_BY_FORCE] * by_force
-    inverse = inverse_of(model)
+    inverse = model.inverse()
     warm = _over_temperature(kind, model, at, single=single)
     force = f"const {number} force[3], " if by_force else ""
     return _BEYOND.format(
@@ -323,7 +323,7 @@ def _rows(values: Array, *, single: bool) -> str:
 
 
 def _function(kind: str, model: SensorModel, *, single: bool, at: Calibration | None = None) -> str:
-    inverse = inverse_of(model)
+    inverse = model.inverse()
     warm = _over_temperature(kind, model, at, single=single)
     return _FUNCTION.format(
         what=_WHAT[kind],

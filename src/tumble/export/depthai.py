@@ -20,7 +20,6 @@ from tumble.export.exported import (
     SINGLE_PRECISION,
     Exported,
     example,
-    inverse_of,
     one_line,
     origin,
     shown,
@@ -49,7 +48,7 @@ def depthai(calibration: Calibration) -> Exported:
 
 def _affine(model: SensorModel) -> list[list[float]]:
     """[A | b] (3, 4), in single precision."""
-    inverse = inverse_of(model)
+    inverse = model.inverse()
     both = np.column_stack([inverse, -inverse @ model.bias])
     return [[float(f"{np.float32(number):.9g}") for number in row] for row in both]
 

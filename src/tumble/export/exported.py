@@ -45,13 +45,6 @@ def example(kind: str, model: SensorModel) -> Example:
     return Example(reading=reading, true=model.apply(reading))
 
 
-def inverse_of(model: SensorModel) -> Array:
-    """The matrix (3, n) that takes reading − bias to the true vector: the inverse, of more than three sensors the
-    pseudo-inverse."""
-    square = len(model.bias) == 3
-    return np.asarray(np.linalg.inv(model.matrix) if square else model.inverse())
-
-
 def models(calibration: Calibration) -> dict[str, SensorModel]:
     """The models a calibration has, by kind. Raises InputError where it has none, or was not accepted."""
     if not calibration.outcome.accepted:

@@ -27,12 +27,15 @@ NOT_IN_MATRIX = "not in matrix and bias"
 
 
 def not_held(calibration: Calibration, held: Container[str] = (), said: str = NO_PLACE) -> tuple[str, ...]:
-    """A sentence for each group beyond the linear model that the calibration has and that is not `held`."""
+    """A sentence for each group beyond the linear model that the calibration has and that is not `held`: those of
+    accelerometers and those of gyros, of each the largest first."""
     if calibration.accel is None:
         return ()
     found = positions_by_group(p.name for p in calibration.parameters)
     lost = [group for group in groups() if not group.linear and group.name in found and group.name not in held]
-    return tuple(_sentence(calibration, group, said) for group in lost)
+    effects = [(group, *_largest(calibration, group)) for group in lost]
+    effects.sort(key=lambda each: (each[0].kind, -each[1]))
+    return tuple(_sentence(*each, said) for each in effects)
 
 
 def session_rate(calibration: Calibration) -> float:
@@ -42,8 +45,7 @@ def session_rate(calibration: Calibration) -> float:
     return calibration.prediction.at_rate
 
 
-def _sentence(calibration: Calibration, group: ParameterGroup, said: str) -> str:
-    size, where = _largest(calibration, group)
+def _sentence(group: ParameterGroup, size: float, where: str, said: str) -> str:
     words = group.words.partition(",")[0].replace("−", "-")
     shown = f"{size / (1e-3 * G_STANDARD):.3g} mg" if group.kind == "accel" else f"{size / DEGREE:.3g} deg/s"
     return f"{words}: {said}, an error of up to {shown} {where}"

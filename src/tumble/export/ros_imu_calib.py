@@ -16,7 +16,6 @@ from tumble.export.exported import (
     Exported,
     example,
     gyro_matrix_lost,
-    inverse_of,
     origin,
     shown,
     triads,
@@ -29,7 +28,7 @@ def ros_imu_calib(calibration: Calibration) -> Exported:
     """imu_calib.yaml of a calibration."""
     known = triads(calibration, "ros-imu-calib", gyro=False)
     model = known["accel"]
-    inverse = inverse_of(model)
+    inverse = model.inverse()
     losses = [*not_held(calibration), NO_UNCERTAINTY]
     if "gyro" in known:
         losses.insert(

@@ -9,6 +9,7 @@ from rich.text import Text
 from tumble.calibration.compare import Comparison
 from tumble.sensors.parameters import shown_in
 from tumble.terminal.table import add_numbers, plain_table
+from tumble.terminal.text import probability_text
 from tumble.units import rounded
 
 
@@ -25,9 +26,10 @@ def comparison_report(comparison: Comparison) -> RenderableType:
 
 def chi_square_of(comparison: Comparison) -> str:
     """χ² of all differences together, and how likely it is."""
+    assert comparison.probability is not None
     return (
         f"χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with probability "
-        f"{comparison.probability:.2g}"
+        f"{probability_text(comparison.probability)}"
     )
 
 

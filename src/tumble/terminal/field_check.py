@@ -12,6 +12,7 @@ from tumble.calibration.check import FieldCheck
 from tumble.estimation.field_check import CHANCE, CheckResult
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, shown_in
 from tumble.terminal.table import add_numbers, plain_table
+from tumble.terminal.text import probability_text
 from tumble.units import rounded
 
 
@@ -25,7 +26,7 @@ def field_check_report(check: FieldCheck) -> RenderableType:
     parts.append(
         Text(
             f"what no change explains: χ² {result.misfit.chi_square:.1f} for {result.misfit.degrees:.0f}, by chance "
-            f"with probability {result.misfit.probability:.2g}"
+            f"with probability {probability_text(result.misfit.probability)}"
         )
     )
     unseen = _unseen(check)

@@ -26,6 +26,11 @@ def shown_units(parameters: Sequence[Parameter]) -> dict[str, tuple[float, str]]
     return {p.name: of_kind[group_name(p.name)] for p in parameters}
 
 
+def probability_text(probability: float) -> str:
+    """A probability to two digits, none as if it were 1."""
+    return "above 0.99" if probability > 0.99 else f"{probability:.2g}"
+
+
 def print_report(report: RenderableType) -> None:
     """Print to standard output, as wide as the terminal, or as needed where there is none; characters that it cannot
     show become question marks."""
