@@ -10,11 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from registry_files import content, write
 
 from tumble.cli import main
+from tumble.sensors.parameters import group_of
 from tumble.units import G_STANDARD
 
 MG = 1e-3 * G_STANDARD
@@ -232,3 +234,20 @@ def data(*words: object) -> dict[str, Any]:
 def test_an_export_is_written_to_a_file(filled: Path) -> None:
     assert run("export", "-o", filled / "all.jsonl").stdout == ""
     assert (filled / "all.jsonl").read_text(encoding="utf-8") == run("export").stdout
+
+
+def test_parameters_beyond_the_linear_model_are_counted_and_shown_on_request(folder: Path) -> None:
+    whole = content(log="more")
+    further = [
+        {"name": f"accel.quadratic.{axis}", "value": 1e-6, "u": 1e-7, "unit": group_of("accel.quadratic.x").unit}
+        for axis in "xyz"
+    ]
+    whole["parameters"] += further
+    whole["covariance"] = np.diag([p["u"] ** 2 for p in whole["parameters"]]).tolist()
+    write(folder / "more.json", whole)
+    for words in (("add", "more.json"), ("show", 1), ("trend", "A-0007")):
+        short, full = run(*words).stdout, run(*words, "--all").stdout
+        assert "and 3 parameters beyond bias, scale and axes, in 1 group: --all shows them" in short
+        assert "accel.quadratic.x" not in short
+        assert "accel.quadratic.x" in full
+        assert "--all" not in full

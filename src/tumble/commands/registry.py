@@ -54,6 +54,9 @@ def registry() -> None:
     """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
 
 
+_EVERY = click.option("--all", "every", is_flag=True, help="Show every parameter, not those of a linear model alone.")
+
+
 @registry.command()
 @click.argument("calibration", type=FILE)
 @click.option("--check", type=click.Choice(["incoming", "periodic"]), help="Default: incoming the first time.")
@@ -70,6 +73,7 @@ def registry() -> None:
 @click.option("--supersedes", metavar="NUMBER", callback=_number, help="The record that this one corrects.")
 @click.option("--reason", help="Why it is corrected.")
 @JSON
+@_EVERY
 @_place
 def add(
     calibration: Path,
@@ -79,6 +83,7 @@ def add(
     supersedes: int | None,
     reason: str | None,
     as_json: bool,
+    every: bool,
     place: str | None,
 ) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
@@ -100,11 +105,11 @@ def add(
         number = added.record.number
         said = "added as" if added.new else "the same calibration is there already:"
         say(f"{said} record {number} in {opened.name}")
-        passed = _print_record(opened, added.record, parameters_of(opened, [number])[number], as_json)
+        passed = _print_record(opened, added.record, parameters_of(opened, [number])[number], as_json, every)
     sys.exit(0 if passed else 1)
 
 
-def _print_record(opened: Any, record: Record, rows: list[ParameterRow], as_json: bool) -> bool:
+def _print_record(opened: Any, record: Record, rows: list[ParameterRow], as_json: bool, every: bool) -> bool:
     """Print a record with the verdict on it, and whether it passes."""
     from tumble.registry.series import rows_in_frame, verdict_of
     from tumble.registry.store import launches_of, limits_records
@@ -120,7 +125,7 @@ def _print_record(opened: Any, record: Record, rows: list[ParameterRow], as_json
     if as_json:
         print_data(record_data(record, launches, shown, verdict))
     else:
-        print_report(record_report(record, launches, shown, verdict))
+        print_report(record_report(record, launches, shown, verdict, every=every))
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons():
@@ -185,8 +190,9 @@ def _verdicts(opened: Any, found: list[Record]) -> dict[int, str]:
 @click.argument("number", callback=_number)
 @click.option("-o", "--out", type=FILE, help="Write the calibration file of the record, as it was added.")
 @JSON
+@_EVERY
 @_place
-def show(number: int, out: Path | None, as_json: bool, place: str | None) -> None:
+def show(number: int, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """The record NUMBER with the verdict on each parameter. Exit status 1 if it does not pass."""
     from tumble.files import whole_file
     from tumble.registry.connect import open_registry
@@ -200,7 +206,7 @@ def show(number: int, out: Path | None, as_json: bool, place: str | None) -> Non
             with whole_file(out) as temporary:
                 temporary.write_text(file_of(opened, number), encoding="utf-8")
             say(f"written to {out}")
-        passed = _print_record(opened, found, parameters_of(opened, [number])[number], as_json)
+        passed = _print_record(opened, found, parameters_of(opened, [number])[number], as_json, every)
     sys.exit(0 if passed else 1)
 
 
@@ -209,8 +215,9 @@ def show(number: int, out: Path | None, as_json: bool, place: str | None) -> Non
 @click.argument("parameter", required=False)
 @click.option("-o", "--out", type=FILE, help="Draw control charts into this .html or .svg; needs matplotlib.")
 @JSON
+@_EVERY
 @_place
-def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, place: str | None) -> None:
+def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, every: bool, place: str | None) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
     Exit status 1 if the device has changed since the calibration before by more than chance makes (0.001), in a
@@ -232,7 +239,7 @@ def trend(serial: str, parameter: str | None, out: Path | None, as_json: bool, p
     if as_json:
         print_data(trend_data(found))
     else:
-        print_report(trend_report(found) if parameter is None else history_report(found))
+        print_report(trend_report(found, every=every) if parameter is None else history_report(found))
     changed = found.changed()
     if changed:
         say(f"changed: {', '.join(changed)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from datetime import date
 
 from rich.console import Group, RenderableType
@@ -20,6 +20,7 @@ from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
+from tumble.sensors.parameters import group_name, named_group
 from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
@@ -65,9 +66,10 @@ def records_table(records: Iterable[Record], verdicts: Mapping[int, str]) -> Tab
 
 
 def record_report(
-    record: Record, launches: Sequence[LaunchRow], rows: Sequence[ParameterRow], verdict: Verdict | None
+    record: Record, launches: Sequence[LaunchRow], rows: Sequence[ParameterRow], verdict: Verdict | None, *, every: bool
 ) -> RenderableType:
-    """A record with its parameters and the verdict on each."""
+    """A record with its parameters and the verdict on each; of those beyond the linear model that have no limits only
+    how many there are, unless `every` one is wanted."""
     lines = [
         f"record {record.number} · device {_device(record)} · {record.occasion} check · {record.state}",
         f"performed {_day(record.performed)} · method {record.method} · frame {record.frame}",
@@ -80,9 +82,23 @@ def record_report(
         lines.append(f"superseded by record {record.superseded_by}")
     judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
     results = [row for row in rows if row.launch == 0]
-    return Group(
-        Text("\n".join(lines)), Text(""), _verdict_table(results, judged), Text(""), Text(_verdict_line(verdict))
-    )
+    further = () if every else _further((row.name for row in results), judged)
+    shown = _verdict_table([row for row in results if row.name not in further], judged)
+    return Group(Text("\n".join(lines)), Text(""), shown, *_counted(further), Text(""), Text(_verdict_line(verdict)))
+
+
+def _further(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
+    """The parameters beyond the linear model of which nothing is `judged`."""
+    found = ((name, named_group(group_name(name))) for name in names if name not in judged)
+    return frozenset(name for name, group in found if group is not None and not group.linear)
+
+
+def _counted(further: Collection[str]) -> list[Text]:
+    """A line for parameters that are not shown."""
+    groups = len(set(map(group_name, further)))
+    where = "1 group" if groups == 1 else f"{groups} groups"
+    said = f"and {len(further)} parameters beyond bias, scale and axes, in {where}: --all shows them"
+    return [Text(said)] if further else []
 
 
 def _verdict_table(rows: Sequence[ParameterRow], judged: Mapping[str, LimitJudgement]) -> Table:
@@ -161,8 +177,10 @@ def due_table(found: Iterable[Due], today: date) -> Table:
 # -------------------- trend --------------------
 
 
-def trend_report(found: Monitored) -> RenderableType:
-    """Every parameter of a device over its calibrations, a line each, with verdicts on the latest values."""
+def trend_report(found: Monitored, *, every: bool) -> RenderableType:
+    """Every parameter of a device over its calibrations, a line each, with verdicts on the latest values; of those
+    beyond the linear model that have no limits and have not changed only how many there are, unless `every` one is
+    wanted."""
     trends, limits, verdicts = found.trends, found.limits, found.latest_verdicts()
     launches = any(trend.run_to_run is not None for trend in trends)
     table = _table("parameter", "history")
@@ -172,8 +190,12 @@ def trend_report(found: Monitored) -> RenderableType:
     for heading in ("unit", *(["verdict"] if limits else [])):
         table.add_column(heading)
     units = units_of(found)
+    kept = {*limits, *found.changed()}
+    further = () if every else _further((trend.series.name for trend in trends), kept)
     for trend in trends:
         name = trend.series.name
+        if name in further:
+            continue
         size, unit = units[name]
         table.add_row(
             Text(name),
@@ -187,7 +209,7 @@ def trend_report(found: Monitored) -> RenderableType:
             *([verdicts.get(name, "")] if limits else []),
         )
     forecasts = [Text(line) for line in forecast_lines(found)]
-    return Group(Text(_trend_line(found)), Text(""), table, *_together(found), *forecasts)
+    return Group(Text(_trend_line(found)), Text(""), table, *_counted(further), *_together(found), *forecasts)
 
 
 def forecast_lines(found: Monitored) -> list[str]:
