@@ -70,7 +70,6 @@ def bench(
     another program writes there is followed. Several are several benches, each with a page of its own, and a list of
     them.
     """
-    say("starting …")
     from tumble.bench.opening import stations_of
     from tumble.bench.serve import serve
 
