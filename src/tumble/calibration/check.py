@@ -268,17 +268,15 @@ def _to_temperature(calibration: Calibration, observations: Observations, instru
 
 def _turned_on(calibration: Calibration, instrument: Instrument, grade: str) -> tuple[Array, Array]:
     """Variances (m,) by which parameters change from the calibration to another power-on, and 1/ν of each, Eq. (2)."""
-    names, launched = (
-        instrument.names[: instrument.linear_count],
-        {p.name: p.run_to_run for p in calibration.parameters},
-    )
+    names = instrument.names[: instrument.linear_count]
     usual = np.array([spread_of(TURN_ON[grade], name) for name in names]) ** 2
     variance, inverse_degrees = np.zeros((2, len(instrument.names)))
     if len(calibration.launches) < 2:
         # the values are those of one power-on, or u has what several together change by
         variance[: len(names)] = usual if calibration.together else 2.0 * usual
         return variance, inverse_degrees
-    own, degrees = np.array([launched.get(name) or 0.0 for name in names]) ** 2, len(calibration.launches) - 1.0
+    launched, degrees = {p.name: p.run_to_run for p in calibration.parameters}, len(calibration.launches) - 1.0
+    own = np.array([launched.get(name) or 0.0 for name in names]) ** 2
     pooled = (USUAL_DEGREES * usual + degrees * own) / (USUAL_DEGREES + degrees)
     variance[: len(names)] = np.maximum(own, pooled)
     inverse_degrees[: len(names)] = np.where(own > pooled, 1.0 / degrees, 1.0 / (USUAL_DEGREES + degrees))

@@ -205,7 +205,7 @@ def _iterated(at: _Where, known: KnownBefore, covariance: Array) -> tuple[_Where
 def _reduced(problem: Problem, rows: tuple[Array, Array], weight: Weights) -> _Reduced:
     """The session's own rows, without a prior, with the attitudes eliminated."""
     rest, merged = weight.rest @ rows[0], weight.merged @ rows[1]
-    p, last = rest.shape[2] - 4, problem.link < 0
+    p, last = rest.shape[2] - 4, problem.unlinked
     factor, triangle = np.empty((len(rest), 3, 7 + p)), np.zeros((p + 1, p + 1))
     eliminate(rest, merged, problem.link, last, factor, triangle)
     count = int(last.sum()) * rest.shape[1] + merged.shape[0] * merged.shape[1]

@@ -10,8 +10,8 @@ of mean square B(σ) = (L²/2π²) Σ_k exp(−4π²k²σ²/L²)/k² over all x:
 half a step of noise on. It does not fall with the length of a rest. Rests whose readings are many steps apart have
 errors of their own; rests that read the same, as gyros do, all have the same error, and it passes for a bias. Their
 scatter is that of one place x, next to none in the middle between two edges and half a step on an edge whatever the
-noise, and says how large the error may be there. In a turn
-at a steady rate it lasts as long as the rate stays between the same two steps.
+noise, and says how large the error may be there. In a turn at a steady rate it lasts as long as the rate stays between
+the same two steps.
 
 Source: Widrow & Kollár, Quantization Noise, 2008, on the moments of a rounded Gaussian.
 """
@@ -20,12 +20,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.special import ndtr
 
 from tumble.reduction.blocks import ChannelState
-from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array, IntArray
+from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array, BoolArray, IntArray
 
 ON_GRID = 0.1
 """How far a difference may be from a whole number of steps, in steps, and still be on the grid."""
@@ -55,12 +56,17 @@ class Rounding:
     of_rest: Array
     common_u: Array
 
+    @property
+    def coarse(self) -> BoolArray:
+        """The channels (n,) whose noise is too small for rounding to average out."""
+        return np.asarray((self.step > 0.0) & (self.noise < ENOUGH_NOISE * self.step))
+
     def of_integrals(self, readings: Array, intervals: Array) -> Array:
         """Variance (n,) from rounding of the integrals of m ≥ 1 samples (m, n) at intervals (m,), s. An error lasts as
         long as a reading keeps to one step, or, where noise takes it to and fro, to two: Σ T² of_rest² over such
         times T."""
         out = np.zeros(len(self.step))
-        for i in np.flatnonzero((self.step > 0.0) & (self.noise < ENOUGH_NOISE * self.step)):
+        for i in np.flatnonzero(self.coarse):
             steps = np.round((readings[:, i] - readings[0, i]) / self.step[i]).astype(int)
             if self.noise[i] < LITTLE_NOISE * self.step[i]:
                 squares = _squares(steps, intervals)
@@ -113,13 +119,7 @@ def _of_one_place(values: Array) -> tuple[float, float]:
     place x between two steps. Of two values alone it is not seen how much of their variance is noise: each σ up to half
     a step has the x that gives the mean and counts as it gives the variance, x and σ being taken as even."""
     mean, variance = values.mean(), values.var()
-    noise = np.linspace(0.0, ENOUGH_NOISE, 26)[1:]
-    x = np.linspace(-1.0, 1.0, 201)
-    whole = np.arange(-4, 5)
-    below = ndtr((np.append(whole, 5) - 0.5 - x[:, None]) / noise[:, None, None])
-    share = np.diff(below, axis=2)
-    means = share @ whole
-    variances = share @ whole**2 - means**2
+    noise, x, means, variances = _rounded_gaussians()
     error, weight = np.empty(len(noise)), np.empty(len(noise))
     for i in range(len(noise)):
         low, place, high = np.interp([mean - 2e-3, mean, mean + 2e-3], means[i], x)
@@ -129,6 +129,16 @@ def _of_one_place(values: Array) -> tuple[float, float]:
         return ENOUGH_NOISE, 0.0
     weight /= weight.sum()
     return float(weight @ noise), float(np.sqrt(weight @ error**2))
+
+
+@cache
+def _rounded_gaussians() -> tuple[Array, Array, Array, Array]:
+    """Noise (s,) and places x (m,), and the means and variances (s, m) of samples that were rounded, all in steps."""
+    noise, x, whole = np.linspace(0.0, ENOUGH_NOISE, 26)[1:], np.linspace(-1.0, 1.0, 201), np.arange(-4, 5)
+    below = ndtr((np.append(whole, 5) - 0.5 - x[:, None]) / noise[:, None, None])
+    share = np.diff(below, axis=2)
+    means = share @ whole
+    return noise, x, means, share @ whole**2 - means**2
 
 
 def rounding_notes(found: Mapping[str, Rounding]) -> tuple[str, ...]:

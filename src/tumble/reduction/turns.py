@@ -103,13 +103,12 @@ def reduced_turns(
     moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
     long = np.maximum(duration, block_seconds)
     of_forces, of_rates = (
-        np.array([_in_body(block, np.diag(each)) for each in _by_rounding(samples, block, rounded[block.kind])])
-        for block in (accel, gyro)
+        _in_body(block, _by_rounding(samples, block, rounded[block.kind])) for block in (accel, gyro)
     )
     density = np.array([T * _of_mean(gyro, of_gyro, T / block_seconds) for T in long]).reshape(-1, 3, 3)
-    density += of_rates.reshape(-1, 3, 3) / long[:, None, None]
+    density += of_rates / long[:, None, None]
     velocity = np.array([T**2 * np.trace(_of_mean(accel, of_accel, T / block_seconds)) / 3.0 for T in long])
-    velocity += np.trace(of_forces.reshape(-1, 3, 3), axis1=1, axis2=2) / 3.0
+    velocity += np.trace(of_forces, axis1=1, axis2=2) / 3.0
     covariance = _carried(samples, density) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=first,
@@ -128,13 +127,13 @@ def reduced_turns(
 
 
 def _by_rounding(samples: TurnSamples, block: Block, rounded: Rounding) -> Array:
-    """Variances (K, n) of the integrals of the readings of n sensors over the turns from rounding."""
+    """Covariances (K, n, n), diagonal, of the integrals of the readings of n sensors over the turns from rounding."""
     out = np.zeros((len(samples.lengths), block.size))
-    for pieces in samples.pieces() if np.any(rounded.common_u) else ():
+    for pieces in samples.pieces() if rounded.coarse.any() else ():
         readings = (pieces.rates if block.kind == "gyro" else pieces.forces) @ block.axes.T
         for turn, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
             out[turn] += rounded.of_integrals(readings[start:stop], pieces.intervals[start:stop])
-    return out
+    return out[:, :, None] * np.eye(block.size)
 
 
 def rotations_of_independent(samples: TurnSamples) -> Array:
@@ -202,7 +201,7 @@ def _of_mean(block: Block, noise: ColouredNoise, blocks: float) -> Array:
 
 
 def _in_body(block: Block, covariance: Array) -> Array:
-    """The covariance (3, 3) in the body of what has this one (n, n) in the sensors of a block."""
+    """The covariance (..., 3, 3) in the body of what has this one (..., n, n) in the sensors of a block."""
     to_body = np.linalg.pinv(block.axes)
     return np.asarray(to_body @ covariance @ to_body.T)
 
@@ -222,7 +221,7 @@ def turn_readings(
         blocks, between = by_file[spans[i].file], slice(spans[i].last, spans[j].first)
         integral[k] = np.diff(blocks.edges)[between] @ gyro_of(blocks)[between]
         covariance[k] = T**2 * noise.covariance_of_mean(max(T / block_seconds, 1.0))
-    by_rounding = _by_rounding(samples, gyro, rounded)[:, :, None] * np.eye(channels)
+    by_rounding = _by_rounding(samples, gyro, rounded)
     return TurnReadings(integral=integral, covariance=covariance + by_rounding + TURN_FLOOR**2 * np.eye(channels))
 
 

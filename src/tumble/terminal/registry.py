@@ -20,7 +20,7 @@ from tumble.registry.records import LaunchRow, ParameterRow, Record
 from tumble.registry.series import SeriesPoint
 from tumble.registry.store import LimitsRecord
 from tumble.registry.trend import Change, Trend
-from tumble.sensors.parameters import group_name, named_group
+from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.table import plain_table
 from tumble.terminal.text import shown_units
@@ -89,8 +89,7 @@ def record_report(
 
 def _further(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
     """The parameters beyond the linear model of which nothing is `judged`."""
-    found = ((name, named_group(group_name(name))) for name in names if name not in judged)
-    return frozenset(name for name, group in found if group is not None and not group.linear)
+    return frozenset(name for name in names if name not in judged and beyond_linear(name))
 
 
 def _counted(further: Collection[str]) -> list[Text]:

@@ -143,7 +143,7 @@ def _overshot(problem: Problem, step: Step) -> float:
     """Chi-square after a step per row, 1 at least: so many times less is known than the noise has it. A heading by
     residuals that are many times the Earth's rate would turn to and fro."""
     rest, merged = step.told.whitened
-    rows = np.count_nonzero(problem.link < 0) * rest.shape[1] + merged.shape[0] * merged.shape[1]
+    rows = np.count_nonzero(problem.unlinked) * rest.shape[1] + merged.shape[0] * merged.shape[1]
     return float(max(1.0, step.square / rows))
 
 

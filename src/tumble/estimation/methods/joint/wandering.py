@@ -56,7 +56,7 @@ def _wandering(fitted: Fitted) -> Iterator[int]:
 def _squares(fitted: Fitted, sensors: int) -> tuple[Array, Array]:
     """Squares of the residuals along every channel (M, n) by rest, with its turn where one follows, and their
     expectations."""
-    (after, weight), noise, last = fitted.left, fitted.solved.last.noise, fitted.problem.link < 0
+    (after, weight), noise, last = fitted.left, fitted.solved.last.noise, fitted.problem.unlinked
     found = []
     for W, Z, (residual, covariance) in (
         (weight.rest[last], noise.rest_directions[0][last], (after.rest[0][last], after.rest[1][last])),
