@@ -50,8 +50,8 @@ def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
     hopeless = straight.evidence + EVIDENT
     curved = _warmed(straight.fitted, problem, WARMING, straight.settling, TIME_CONSTANT_KNOWN, hopeless)
     if curved is None or straight.evidence - curved.evidence < CURVED:
-        return straight.spread
-    return curved.spread
+        return _apart(straight, problem, WARMING[:1]).spread
+    return _apart(curved, problem, WARMING).spread
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -71,10 +71,21 @@ class _Warmed:
     @property
     def spread(self) -> Fitted:
         """The solution with what is not known of the time constant in its covariance."""
-        fitted = with_wandering(self.fitted)
-        solved = fitted.solved
+        solved = self.fitted.solved
         step = replace(solved.step, covariance=solved.step.covariance + np.outer(self.by, self.by))
-        return replace(fitted, solved=replace(solved, step=step))
+        return replace(self.fitted, solved=replace(solved, step=step))
+
+
+def _apart(warmed: _Warmed, problem: Problem, variables: tuple[Variable, ...]) -> _Warmed:
+    """The same with a scatter of their own for sensors that wander, without which the time constant is sought again:
+    one that jumps among the first rests may be taken for a device that settles sooner."""
+    apart = with_wandering(warmed.fitted)
+    if apart is warmed.fitted:
+        return warmed
+    of_all, warm = _time_constants(apart, problem), settling_with(problem, warmed.settling, variables)
+    tried = [warmed.settling, *(WARM_UPS * np.ptp(problem.observations.rests.start)).tolist()]
+    first = min(tried, key=lambda each: of_all.deviance(each, warm))
+    return _warmed(apart, problem, variables, first) or replace(warmed, fitted=apart)
 
 
 def _warmed(
@@ -90,7 +101,7 @@ def _warmed(
     no other one makes up for that."""
     settling, found, by = first, fitted, np.zeros(0)
     for _ in range(WARM_UP_ROUNDS):
-        before, warm = settling, settling_with(problem, settling, variables)
+        before, warm = settling, replace(settling_with(problem, settling, variables), wandering=fitted.problem.wandering)
         found = fit_of(warm, without_own(warm, found.solved), guess=found.scatter)
         if before == first and _evidence(found) > hopeless:
             return None
