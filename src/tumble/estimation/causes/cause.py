@@ -54,7 +54,7 @@ def tested(
     candidate: Candidate,
     session: LinearisedSession,
     seen_by: tuple[Projection, Projection],
-    alike: Iterable[Neighbours] = (),
+    alike: Iterable[Neighbours],
 ) -> Cause | None:
     """A candidate by Eq. (11) of the dynamics method, with the noise `alone` and with the scatter of the estimate: it
     is no more likely than by either. With the scatter, biases may be `alike` in neighbouring rests by as much as they
