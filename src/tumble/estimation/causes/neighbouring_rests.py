@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy import special
@@ -38,7 +39,7 @@ class Neighbours:
     """The biases of a `kind` of sensor at rest: their whitened directions (rows, P), the columns of which, `before` and
     `after`, belong to a sensor in neighbouring rests, and what the unknowns leave: y (P,) and M (P, P)."""
 
-    kind: str
+    kind: Literal["accel", "gyro"]
     directions: Array
     before: IntArray
     after: IntArray
@@ -79,7 +80,8 @@ def neighbours(linearised: Linearised, projection: Projection) -> Iterator[Neigh
     (rest, of), (merged, _) = linearised.noise.rest_directions, linearised.noise.merged_directions
     link, r = linearised.problem.link, rest.shape[1]
     joined = np.flatnonzero(link >= 0)
-    for kind in ("accel", "gyro"):
+    kinds: tuple[Literal["accel", "gyro"], ...] = ("accel", "gyro")
+    for kind in kinds:
         own = np.flatnonzero(of == COMPONENTS.index(kind))
         if len(own) <= FEW or not len(joined):
             continue
@@ -101,12 +103,11 @@ def common_to_neighbours(linearised: Linearised) -> Array:
     """What is to be added to the covariance (m, m) of the parameters because biases are alike in neighbouring rests."""
     m = len(linearised.problem.instrument.names)
     added = np.zeros((m, m))
-    several = linearised.problem.observations.together is not None
-    if several or max(block.size for block in linearised.problem.instrument.blocks) <= FEW:
+    if max(block.size for block in linearised.problem.instrument.blocks) <= FEW:
         return added
-    alone = next(each_session(linearised))
-    projection = Projection(alone, alone.scatter)
-    for each in neighbours(alone, projection):
-        if (correlation := each.alone) > 0.0:
-            added += correlation * each.joined(projection.changes(each.directions)[:m].T)
+    for session in each_session(linearised):
+        projection = Projection(session, session.scatter)
+        for each in neighbours(session, projection):
+            if (correlation := each.alone) > 0.0:
+                added += correlation * each.joined(projection.changes(each.directions)[:m].T)
     return added
