@@ -142,23 +142,28 @@ class Block:
     def jacobian(self, values: Array) -> Array:
         """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the
         parameters: shape (n, 4, m), so that d(reading) = jacobian · dθ applied to (true, 1); not to be written to."""
-        return _jacobian(self, np.asarray(values, dtype=float).tobytes())
+        return self.linearised(values)[1]
 
-    def _jacobian(self, values: Array) -> Array:
+    def linearised(self, values: Array) -> tuple[Array, Array]:
+        """[matrix | bias] (n, 4) of parameter values, and its `jacobian`; not to be written to."""
+        return _linearised(self, np.asarray(values, dtype=float).tobytes())
+
+    def _linearised(self, values: Array) -> tuple[Array, Array]:
         n, m = self.size, len(values)
-        out = np.zeros((n, 4, m))
+        model, out = np.empty((n, 4)), np.zeros((n, 4, m))
         scale, angles = values[n : 2 * n], values[2 * n :]
+        model[self.channels, 3] = values[:n]
+        out[self.channels, 3, np.arange(n)] = 1.0
         if self.triad:
             six, places = self._six(angles), _FREE_PLACES[self.kind]
-            out[self.channels, 3, np.arange(3)] = 1.0
-            out[:, :3, 3:6] = self.axes[:, None, :] * axes_matrix(*six).T
-            by_row = (self.axes * (1.0 + scale))[:, places // 2]
-            out[:, :3, 6:] = by_row[:, None, :] * axes_derivatives(*six)[places].T
-            return out
+            axes, scaled = axes_matrix(*six), self.axes * (1.0 + scale)
+            model[:, :3] = scaled @ axes
+            out[:, :3, 3:6] = self.axes[:, None, :] * axes.T
+            out[:, :3, 6:] = scaled[:, None, places // 2] * axes_derivatives(*six)[places].T
+            return model, out
         rotated = self._rotated(angles)
-        for p in range(n):
-            out[p, 3, p] = 1.0
-            out[p, :3, n + p] = rotated[p]
+        model[:, :3] = (1.0 + scale)[:, None] * rotated
+        out[np.arange(n), :3, n + np.arange(n)] = rotated
         free = self._free_angles()
         for which in (0, 1):  # a complex step, exact to rounding: an angle of one sensor moves no other
             own = [i for i, (_, j) in enumerate(free) if j == which]
@@ -167,7 +172,7 @@ class Block:
             change = (1.0 + scale)[:, None] * self._rotated(stepped).imag / 1e-20
             for i in own:
                 out[free[i][0], :3, 2 * n + i] = change[free[i][0]]
-        return out
+        return model, out
 
     def _six(self, angles: Array) -> list[float]:
         """The six angles of Eq. (1) of a triad, of which `angles` are free."""
@@ -225,10 +230,11 @@ def _along_body_axes(axes: bytes) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _jacobian(block: Block, values: bytes) -> Array:
-    """`Block.jacobian` of parameters, float64: an estimate asks for that of one point again and again."""
-    out = block._jacobian(np.frombuffer(values))
-    out.flags.writeable = False
+def _linearised(block: Block, values: bytes) -> tuple[Array, Array]:
+    """`Block.linearised` of parameters, float64: an estimate asks for that of one point again and again."""
+    out = block._linearised(np.frombuffer(values))
+    for each in out:
+        each.flags.writeable = False
     return out
 
 
