@@ -21,14 +21,20 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.rotation import axes_angles, axes_derivatives, axes_matrix, left_inverse
+from tumble.rotation import axes_angles, left_inverse
+from tumble.sensors import triad_axes
 from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
 
 _ANGLE_PAIRS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "gyro": _ANGLE_PAIRS}
-_FREE_PLACES = {kind: np.array([_ANGLE_PAIRS.index(pair) for pair in pairs]) for kind, pairs in _FREE_PAIRS.items()}
+_LEANING = (("xy", "xz"), ("yz", "yx"), ("zx", "zy"))
+"""The angles of each sensor of a triad towards the next axis and the one before."""
+_FREE_PLACES = {
+    kind: np.array([[6 + pairs.index(pair) if pair in pairs else -1 for pair in both] for both in _LEANING])
+    for kind, pairs in _FREE_PAIRS.items()
+}
 _BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 
@@ -119,13 +125,12 @@ class Block:
 
     def model(self, values: Array) -> SensorModel:
         """The sensor model of parameter values given in the order of `names`."""
-        n = self.size
-        bias, scale, angles = values[:n], values[n : 2 * n], values[2 * n :]
         if self.triad:
-            rows = (1.0 + scale)[:, None] * axes_matrix(*self._six(angles))
-            return SensorModel(matrix=self.axes @ rows, bias=bias[self._axis_of_channel])
-        rotated = self._rotated(angles)
-        return SensorModel(matrix=(1.0 + scale)[:, None] * rotated, bias=np.array(bias))
+            found = self.linearised(values)[0]
+            return SensorModel(matrix=found[:, :3].copy(), bias=found[:, 3].copy())
+        n = self.size
+        rotated = self._rotated(values[2 * n :])
+        return SensorModel(matrix=(1.0 + values[n : 2 * n])[:, None] * rotated, bias=np.array(values[:n]))
 
     def parameters(self, model: SensorModel) -> Array:
         """Parameter values of a sensor model given in this block's frame: `model` inverted."""
@@ -151,19 +156,16 @@ class Block:
     def _linearised(self, values: Array) -> tuple[Array, Array]:
         n, m = self.size, len(values)
         model, out = np.empty((n, 4)), np.zeros((n, 4, m))
-        scale, angles = values[n : 2 * n], values[2 * n :]
-        model[self.channels, 3] = values[:n]
-        out[self.channels, 3, np.arange(n)] = 1.0
         if self.triad:
-            six, places = self._six(angles), _FREE_PLACES[self.kind]
-            axes, scaled = axes_matrix(*six), self.axes * (1.0 + scale)
-            model[:, :3] = scaled @ axes
-            out[:, :3, 3:6] = self.axes[:, None, :] * axes.T
-            out[:, :3, 6:] = scaled[:, None, places // 2] * axes_derivatives(*six)[places].T
+            triad_axes.linearise(
+                np.asarray(self.axes, dtype=float), self.channels, _FREE_PLACES[self.kind], values, model, out
+            )
             return model, out
+        each, scale, angles = np.arange(n), values[n : 2 * n], values[2 * n :]
+        model[:, 3], out[each, 3, each] = values[:n], 1.0
         rotated = self._rotated(angles)
         model[:, :3] = (1.0 + scale)[:, None] * rotated
-        out[np.arange(n), :3, n + np.arange(n)] = rotated
+        out[each, :3, n + each] = rotated
         free = self._free_angles()
         for which in (0, 1):  # a complex step, exact to rounding: an angle of one sensor moves no other
             own = [i for i, (_, j) in enumerate(free) if j == which]
@@ -173,18 +175,6 @@ class Block:
             for i in own:
                 out[free[i][0], :3, 2 * n + i] = change[free[i][0]]
         return model, out
-
-    def _six(self, angles: Array) -> list[float]:
-        """The six angles of Eq. (1) of a triad, of which `angles` are free."""
-        six = [0.0] * 6
-        for place, angle in zip(_FREE_PLACES[self.kind], angles.tolist(), strict=True):
-            six[place] = angle
-        return six
-
-    @cached_property
-    def _axis_of_channel(self) -> IntArray:
-        """The place (n,) of each channel in the order of `sensors`."""
-        return np.argsort(self.channels)
 
     def _free_angles(self) -> list[tuple[int, int]]:
         """(sensor, 0 or 1) of every axis angle that is a parameter."""
