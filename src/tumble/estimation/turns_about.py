@@ -250,6 +250,7 @@ def warms(instrument: Instrument) -> bool:
     return any(group.variable == "temperature" for group in instrument.further)
 
 
+@lru_cache(maxsize=8)
 def own_axes(instrument: Instrument) -> OwnAxes:
     """The axes whose own sums an instrument needs."""
     used, gyro = instrument.used, instrument.gyro
