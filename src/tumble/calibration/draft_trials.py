@@ -14,7 +14,7 @@ import numpy as np
 
 from tumble.calibration.draft import Draft
 from tumble.calibration.gyro_unit_by_earth import RATES, reads_the_earth
-from tumble.calibration.log_times import ASSUMED_RATE
+from tumble.calibration.log_times import ASSUMED_RATE, RATES_OF_LOGS
 from tumble.calibration.observed import Progress, inspect_session
 from tumble.calibration.raw_scale import (
     PLAIN,
@@ -160,7 +160,7 @@ def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress
         observations = _observed({**draft.content, "log": {**even, "rate_hz": trial}}, progress)
         factor = None if observations is None else gyro_factor(observations)
         found = trial * factor if found is None and factor is not None else found
-    if found is None:
+    if found is None or not RATES_OF_LOGS[0] <= found <= RATES_OF_LOGS[1]:
         return draft, faults
     unit, rate = _unit_and_rate(found, log["gyro"]["unit"], draft)
     if doubted and max(rate.found / draft.rate, draft.rate / rate.found) < _RATE_AGREES:

@@ -9,9 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from tumble.calibration.spelling import Spelling, of_named_values
-from tumble.recording.dialect import is_clock
+from tumble.recording.dialect import Dialect, is_clock
 
 _LONGEST_LINE = 4096
+_WORD = re.compile(r"[^\W\d][\w .()-]{0,40}")
 
 
 def json_lines(lines: Sequence[str]) -> Spelling | None:
@@ -28,18 +29,23 @@ def _cells(line: str) -> dict[str, str]:
         read = json.loads(text)
     except (ValueError, RecursionError):
         return {}
-    return dict(_flat(read)) if isinstance(read, dict) else {}
+    return dict(values_of(read)) if isinstance(read, dict) else {}
 
 
-def _flat(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Names and values of an object and those within it: numbers and times of day."""
+def values_of(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of an object and those within it: numbers, also as text, times of day, and words."""
     for key, value in read.items():
-        name = before + re.sub('[,"\\s]+', " ", key)
+        name = before + column_name(key)
         if isinstance(value, dict):
-            yield from _flat(value, f"{name}_")
+            yield from values_of(value, f"{name}_")
         elif isinstance(value, list) and len(value) == 3:
-            yield from _flat(dict(zip("xyz", value, strict=True)), f"{name}_")
+            yield from values_of(dict(zip("xyz", value, strict=True)), f"{name}_")
         elif isinstance(value, int | float) and not isinstance(value, bool):
             yield name, repr(value)
-        elif isinstance(value, str) and is_clock(value):
+        elif isinstance(value, str) and (is_clock(value) or Dialect().is_number(value) or _WORD.fullmatch(value)):
             yield name, value
+
+
+def column_name(key: str) -> str:
+    """The name of a value as that of a column of a table."""
+    return re.sub('[,"\\s]+', " ", key)

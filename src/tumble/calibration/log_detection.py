@@ -12,6 +12,8 @@ import numpy as np
 import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
+from tumble.calibration.json_document import tables_of_json
+from tumble.calibration.other_formats import check_is_log
 from tumble.calibration.respelled import respelled
 from tumble.calibration.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
 from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
@@ -117,12 +119,16 @@ def _found(file: Path, folder: Path) -> list[FoundLog]:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
         raise _NoRowsError(f"{file}: expected a log, found an empty file")
+    check_is_log(file, seen)
     kinds = headed_kinds(seen)
     if kinds:
         return [log for part in split_by_header(file, kinds, folder) for log in _found(part, folder)]
     copied = respelled(file, seen, folder)
     if copied is not None:
         return [replace(log, said=(copied[1], *log.said)) for log in _found(copied[0], folder)]
+    document = tables_of_json(file, seen, folder)
+    if document is not None:
+        return [replace(log, said=(document[1], *log.said)) for part in document[0] for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None:
         if max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]:

@@ -17,7 +17,12 @@ import numpy as np
 from tumble.units import TIME_UNITS, Array
 
 ASSUMED_RATE = 100.0
-_RATES = 2.0, 20_000.0  # Hz, of a log
+RATES_OF_LOGS = 2.0, 20_000.0
+"""Hz."""
+_SLOWEST = 0.5  # Hz, of a log that may be one
+_SHORTEST_LOG = 2.0  # s
+_CENTURY = 9.5e8, 4.1e9  # s since 1970: 2000 to 2099
+_BY_DATES = "by its dates"
 _SHARE, _FREE = 2e-2, 3
 _PAUSES, _PAUSE = 2e-3, 10.0
 _LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
@@ -60,7 +65,7 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
         return Times(keys={"rate_hz": rate}, said=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
     for line in remarks:
         found = _RATE_IN_TEXT.search(line)
-        if found and float(found[1].replace(",", ".")) >= _RATES[0]:
+        if found and float(found[1].replace(",", ".")) >= RATES_OF_LOGS[0]:
             stated = float(found[1].replace(",", "."))
             said = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
             return Times(keys={"rate_hz": stated}, said=(said,), rate=stated)
@@ -85,8 +90,8 @@ def times_of_column(stamps: Stamps) -> Times | None:
     keys: dict[str, Any] = {"time": stamps.column}
     if stamps.clock or taken != "s":
         keys["time_unit"] = "iso8601" if stamps.clock else taken
-    guessed = not stamps.clock and stamps.unit is None
-    if not _RATES[0] <= 1.0 / interval <= _RATES[1]:
+    guessed = not stamps.clock and stamps.unit is None and how != _BY_DATES
+    if not RATES_OF_LOGS[0] <= 1.0 / interval <= RATES_OF_LOGS[1]:
         sure = (*sure, f"time: {1.0 / interval:.3g} samples per second is no rate of a log: is the unit right?")
     uneven = _unevenness(values, typical)
     said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
@@ -113,12 +118,13 @@ def overflow_of(values: Array) -> float | None:
     values = values[np.isfinite(values)]
     steps = np.diff(values)
     falls = np.flatnonzero(steps < 0.0)
+    span = float(np.ptp(values)) if len(values) else 0.0
     if not len(falls) or len(falls) > _MOST_OVERFLOWS:
         return None
     usual = float(np.median(steps))
     for number in _OVERFLOWS:
         after = steps[falls] + number
-        if ((after > 0.0) & (after < _LATE * usual)).all():
+        if span < number and ((after > 0.0) & (after < _LATE * usual)).all():
             return number
     return None
 
@@ -152,7 +158,12 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
         return "s", "of a clock", ()
     if stamps.unit is not None:
         return stamps.unit, "by its name", ()
-    likely = [name for name, size in TIME_UNITS.items() if _RATES[0] <= 1.0 / (step * size) <= _RATES[1]]
+    likely = [name for name, size in TIME_UNITS.items() if _SLOWEST <= 1.0 / (step * size) <= RATES_OF_LOGS[1]]
+    dated = next((name for name in likely if _are_dates(stamps.values, TIME_UNITS[name])), None)
+    if dated is not None:
+        return dated, _BY_DATES, ()
+    whole = float(np.nanmax(stamps.values) - np.nanmin(stamps.values))
+    likely = [name for name in likely if whole * TIME_UNITS[name] >= _SHORTEST_LOG] or likely
     usual = [name for name in likely if 10.0 <= 1.0 / (step * TIME_UNITS[name]) <= 2000.0] or likely
     taken = usual[0] if usual else "s"
     others = [f"{name}: {1.0 / (step * TIME_UNITS[name]):.4g} Hz" for name in likely if name != taken]
@@ -162,6 +173,11 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
         sure = (f"{counted}give the rate (--rate)",)
     return taken, "by its steps", sure
+
+
+def _are_dates(values: Array, unit: float) -> bool:
+    """Whether time stamps in a unit, s, since 1970 are of days of this century."""
+    return bool(_CENTURY[0] < np.nanmin(values) * unit and np.nanmax(values) * unit < _CENTURY[1])
 
 
 def _unevenness(values: Array, typical: float) -> str | None:

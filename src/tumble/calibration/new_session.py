@@ -26,6 +26,7 @@ from tumble.calibration.log_times import Times
 from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
 from tumble.calibration.opposite_sign import with_sign
+from tumble.calibration.workbook import is_workbook, sheets_of
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
@@ -99,6 +100,7 @@ def new_session(
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
         files = [found for file in files for found in (unzipped(file, folder) if is_archive(file) else [file])]
+        files = [found for file in files for found in (sheets_of(file, folder) if is_workbook(file) else [file])]
         draft = _of_files(files, folder, given)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         draft, faults = tried(draft, progress)
