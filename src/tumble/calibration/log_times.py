@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,8 @@ _PAUSES, _PAUSE = 2e-3, 10.0
 _LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
 _JITTER = 0.25
 _UNEVEN = 3.0
-_SHORTEST = 1e-9  # from the first stamp to the last, in any unit
+_SHORTEST = 1e-9  # that stamps grow by in all, in any unit
+_ANEW = 0.01
 _RATE_IN_TEXT = re.compile(
     r"(?:rate|frequency|freq|fs|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
     re.IGNORECASE,
@@ -80,7 +82,7 @@ def times_of_column(stamps: Stamps) -> Times | None:
     """Unit and rate of a time column; None where it is none."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
-    if len(values) < 3 or not values[-1] - values[0] > _SHORTEST:
+    if len(values) < 3 or not _grow(values):
         return None
     typical = _typical_step(values)
     if not 0.0 < typical < math.inf:
@@ -107,9 +109,16 @@ def times_of_column(stamps: Stamps) -> Times | None:
     return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean, unit_guessed=guessed)
 
 
+def _grow(values: Array) -> bool:
+    """Whether stamps grow, but for a few places at which a clock was started anew."""
+    steps = np.diff(values)
+    return bool(steps[steps > 0.0].sum() > _SHORTEST and np.mean(steps < 0.0) <= _ANEW)
+
+
 _OVERFLOWS = (65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
 _MOST_OVERFLOWS = 10_000
 _LATE = 50  # samples that may be lost where a counter starts anew
+_MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50
 
 
 def overflow_of(values: Array) -> float | None:
@@ -127,6 +136,23 @@ def overflow_of(values: Array) -> float | None:
         if span < number and ((after > 0.0) & (after < _LATE * usual)).all():
             return number
     return None
+
+
+def recordings_of(values: Array) -> list[tuple[int, int]] | None:
+    """First and last + 1 row of recordings that follow each other in a log, each with a clock that was started anew;
+    None for one, and where stamps fall by little, or a stretch between falls is no recording."""
+    stamps = np.where(np.isfinite(values), values, np.interp(np.arange(len(values)), *_known(values)))
+    steps = np.diff(stamps)
+    falls = np.flatnonzero(steps < 0.0)
+    if not 0 < len(falls) <= _MOST_RECORDINGS or (steps[falls] > -_LATE * np.median(steps)).any():
+        return None
+    edges = list(pairwise([0, *(falls + 1).tolist(), len(values)]))
+    return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
+
+
+def _known(values: Array) -> tuple[Array, Array]:
+    rows = np.flatnonzero(np.isfinite(values))
+    return rows.astype(float), values[rows]
 
 
 def unwound(values: Array, overflow: float, last: float | None) -> Array:
@@ -162,14 +188,15 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
     dated = next((name for name in likely if _are_dates(stamps.values, TIME_UNITS[name])), None)
     if dated is not None:
         return dated, _BY_DATES, ()
-    whole = float(np.nanmax(stamps.values) - np.nanmin(stamps.values))
+    steps = np.diff(stamps.values)
+    counts = step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE
+    whole = math.inf if counts else float(np.nanmax(stamps.values) - np.nanmin(stamps.values))
     likely = [name for name in likely if whole * TIME_UNITS[name] >= _SHORTEST_LOG] or likely
     usual = [name for name in likely if 10.0 <= 1.0 / (step * TIME_UNITS[name]) <= 2000.0] or likely
     taken = usual[0] if usual else "s"
     others = [f"{name}: {1.0 / (step * TIME_UNITS[name]):.4g} Hz" for name in likely if name != taken]
     sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
-    steps = np.diff(stamps.values)
-    if step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE:
+    if counts:
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
         sure = (f"{counted}give the rate (--rate)",)
     return taken, "by its steps", sure

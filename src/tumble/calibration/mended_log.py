@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
-from tumble.calibration.log_times import overflow_of, times_without_column, unwound
+from tumble.calibration.log_times import overflow_of, recordings_of, times_without_column, unwound
 from tumble.calibration.positions_apart import positions_apart
 from tumble.calibration.raw_scale import unwrapped, wrapped
 from tumble.errors import InputError
@@ -55,7 +55,7 @@ def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
     for kind, sensors in log.columns.triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
-    mending = _with_positions(_with_time(_with_signs(_with_samples(log), log), log, rate), log)
+    mending = _with_positions(_with_time(_with_signs(_with_samples(log), log), log, rate), log, rate)
     return _copied(log, folder, mending) if mending.said else log
 
 
@@ -110,7 +110,12 @@ def _with_time(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending
     return replace(mending, time=time, overflow=overflow, said=tuple(said))
 
 
-def _with_positions(mending: _Mending, log: FoundLog) -> _Mending:
+def _with_positions(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending:
+    stamps = log.stamps() if rate is None and mending.overflow is None and len(log.files) == 1 else None
+    recordings = None if stamps is None or stamps.clock else recordings_of(stamps.values)
+    if recordings is not None:
+        said = f"time: the clock starts anew, so that there are {len(recordings)} recordings: a file each"
+        return replace(mending, positions=recordings, said=(*mending.said, said))
     positions = positions_apart(log, unsigned=ACCEL in mending.unsigned)
     if positions is None:
         return mending

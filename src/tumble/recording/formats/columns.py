@@ -41,10 +41,12 @@ _WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
 
 _TIME = re.compile(
     r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
-    r"micros(econds)?|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
+    r"micros(econds)?|device_?time_?stamp|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
     r"^time_(since|elapsed|from)|^elapsed_time"
 )
-_OF_THE_SAMPLE = re.compile(r"header_stamp|time_?stamp_?sample|elapsed_?realtime|since_?reboot")
+_OF_THE_SAMPLE = re.compile(
+    r"header_stamp|(^|_)stamp$|time_?stamp_?sample|elapsed_?realtime|since_?reboot|(device|sensor|imu|chip|board)_?time"
+)
 """Times of the samples, and not of their arrival, which are taken where there are several."""
 
 _TIME_WORDS = {
