@@ -45,8 +45,8 @@ def tables_of_json(file: Path, seen: bytes, folder: Path) -> tuple[list[Path], s
     tables = {name: table for name, table in _tables(document, "").items() if len(table) >= 3}
     if not tables:
         raise InputError(
-            f'{file}: expected columns of numbers, {{"t": […], "ax": […], …}}, or a list of samples, found a document of '
-            "JSON with neither; write the readings as CSV"
+            f'{file}: expected columns of numbers, {{"t": […], "ax": […], …}}, or a list of samples, found a document '
+            "of JSON with neither; write the readings as CSV"
         )
     folder.mkdir(parents=True, exist_ok=True)
     stem = file.name.partition(".")[0]

@@ -97,7 +97,11 @@ def _pooled(logs: Sequence[FoundLog]) -> Sequence[FoundLog]:
     all of them do."""
     first = logs[0]
     nameless = all(log.cells and all(map(str.isdecimal, log.cells)) for log in logs)
-    if len(logs) < 2 or not nameless or any((log.keys, set(log.cells)) != (first.keys, set(first.cells)) for log in logs):
+    if (
+        len(logs) < 2
+        or not nameless
+        or any((log.keys, set(log.cells)) != (first.keys, set(first.cells)) for log in logs)
+    ):
         return logs
     numeric = _numeric(first)
     time = time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))

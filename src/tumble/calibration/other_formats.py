@@ -30,13 +30,13 @@ def check_is_log(file: Path, seen: bytes) -> None:
             raise InputError(f"{file}: expected a log, found {name}; {advice}")
     if _is_sbet(file, seen):
         raise InputError(
-            f"{file}: expected readings of accelerometers and gyros, found a trajectory (SBET), which a filter has made "
-            "of them; write the raw readings of the same mission as text"
+            f"{file}: expected readings of accelerometers and gyros, found a trajectory (SBET), which a filter has "
+            "made of them; write the raw readings of the same mission as text"
         )
     if _is_oxts(seen):
         raise InputError(
-            f"{file}: expected a log, found one sample of a vehicle that moves (oxts of KITTI, a file for each); a drive "
-            "has no rests in other attitudes to calibrate from: record some, in one table"
+            f"{file}: expected a log, found one sample of a vehicle that moves (oxts of KITTI, a file for each); a "
+            "drive has no rests in other attitudes to calibrate from: record some, in one table"
         )
 
 

@@ -31,7 +31,9 @@ def sheets_of(workbook: Path, folder: Path) -> list[Path]:
 
     Raises InputError for one that is damaged, has none, or is larger than readings would be, and MissingExtraError
     where the extra `formats` is not installed; the message names the way without it."""
-    with needs_extra(f"{workbook}: reading a workbook, unless its sheets are saved as CSV,", "formats", "python_calamine"):
+    with needs_extra(
+        f"{workbook}: reading a workbook, unless its sheets are saved as CSV,", "formats", "python_calamine"
+    ):
         from python_calamine import CalamineError, CalamineWorkbook
     try:
         _check_size(workbook)
