@@ -10,7 +10,7 @@ import pytest
 
 from tumble.calibration.found_log import samples_in
 from tumble.calibration.log_times import Stamps, overflow_of, recordings_of, times_of_column
-from tumble.calibration.new_session import new_session
+from tumble.calibration.new_session import Given, new_session
 from tumble.calibration.raw_scale import accel_scale, plain_unit
 from tumble.calibration.respelled import respelled
 from tumble.recording.clock import seconds_of
@@ -226,3 +226,33 @@ def test_gyros_that_nothing_turns_are_told_by_what_they_read_at_rest(
     pl.DataFrame(np.column_stack([0.01 * np.arange(800), accel, gyro]), schema=names).write_csv(tmp_path / "log.csv")
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
     assert draft.content["log"]["gyro"]["unit"] == unit
+
+
+def test_where_one_axis_reads_all_of_gravity_columns_are_counted_in_threes() -> None:
+    rng = np.random.default_rng(6)
+    noise = 1e-3 * rng.normal(size=(400, 6))
+    still = np.array([-0.008, -0.007, 0.009, -0.98, 0.121, 0.009]) + noise
+    assert triads_of(still) == {ACCEL: ("4", "5", "6"), GYRO: ("1", "2", "3")}
+    counts = np.array([0.0, 450.0, 16280.0, 140.0, 150.0, 10.0]) + np.round(40e3 * noise)
+    counts[300:320, 3:] += np.round(900.0 * np.sin(np.arange(20.0)))[:, None]
+    assert triads_of(counts) == {ACCEL: ("1", "2", "3"), GYRO: ("4", "5", "6")}
+
+
+def test_rests_in_one_attitude_draw_no_sphere() -> None:
+    means = np.array([20.0, 470.0, 16250.0]) + 60.0 * np.random.default_rng(2).normal(size=(6, 3))
+    assert accel_scale(means) is None
+    assert accel_scale(means + 16384.0 * np.vstack([FACES]) - [0.0, 0.0, 16250.0]) is not None
+
+
+def test_axes_alone_are_taken_in_their_order(read: Array) -> None:
+    found = columns_by_data(["time", "z", "y", "x"], np.column_stack([np.arange(600.0), read[:, :3]]))
+    assert found.triads[ACCEL].columns == ("x", "y", "z")
+
+
+def test_magnetometers_without_readings_are_left_out(read: Array, tmp_path: Path) -> None:
+    names = [f"{kind}_{a}" for kind in ("acc", "gyr", "mag") for a in "xyz"]
+    table = pl.DataFrame(np.column_stack([read[:300], np.ones((300, 3))]), schema=names)
+    table.with_columns(pl.lit("").alias("mag_y")).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    assert draft.magnetometer is None
+    assert "magnetometers: mag_x, mag_y, mag_z are left out; they have no readings" in draft.said

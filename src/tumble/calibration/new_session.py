@@ -339,6 +339,8 @@ def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any
     """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []
+    if not np.isfinite(log.read(sensors.columns, rows=_HEAD)).all(axis=1).any():
+        return None, [f"magnetometers: {', '.join(sensors.columns)} are left out; they have no readings"]
     field = _magnitude(log, sensors)
     likely = [unit for unit, (low, high) in _FIELDS.items() if low <= field <= high]
     unit = sensors.unit or next(iter(likely), None)

@@ -191,15 +191,21 @@ def is_no_sensor(name: str) -> bool:
 def in_order(names: Sequence[str]) -> tuple[str, str, str]:
     """Three columns in the order of their axes, where their names differ by these: z, x and y are x, y and z.
 
-    >>> in_order(["rate z", "rate x", "rate y"]), in_order(["4", "5", "6"])
-    (('rate x', 'rate y', 'rate z'), ('4', '5', '6'))
+    >>> in_order(["rate z", "rate x", "rate y"]), in_order(["z", "y", "x"]), in_order(["4", "5", "6"])
+    (('rate x', 'rate y', 'rate z'), ('x', 'y', 'z'), ('4', '5', '6'))
     """
-    first = [next(iter(_axes(_split(name)[0])), ("", "")) for name in names]
+    first = [_axis_and_rest(_split(name)[0]) for name in names]
     of_axis = dict(zip((axis for axis, _ in first), names, strict=True))
     if set(of_axis) == set("xyz") and len({stem for _, stem in first}) == 1:
         names = [of_axis[axis] for axis in "xyz"]
     x, y, z = names
     return x, y, z
+
+
+def _axis_and_rest(words: list[str]) -> tuple[str, str]:
+    """The likeliest reading of a name's words, which may be an axis alone."""
+    alone = (words[0], "") if len(words) == 1 and words[0] in ("x", "y", "z") else ("", "")
+    return next(iter(_axes(words)), alone)
 
 
 def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:

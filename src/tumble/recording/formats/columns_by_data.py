@@ -49,6 +49,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     attitudes = _attitudes(read, numbers)
     numbers = [j for j in numbers if j not in attitudes]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
+    runs.sort(key=lambda run: _is_amid(run, numbers))
     found: dict[str, Run] = {}
     if runs and len(read) >= _FEWEST_ROWS:
         found = _sensors(read, runs, _quiet(read[:, numbers]), fused=bool(attitudes)) or _at_rest(read, runs)
@@ -63,6 +64,14 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
 
 Run = tuple[int, int, int]
 """Three columns side by side."""
+
+
+def _is_amid(run: Run, numbers: Sequence[int]) -> bool:
+    """Whether three columns are some of two threes, where columns side by side are counted in threes."""
+    first = run[0]
+    while first - 1 in numbers:
+        first -= 1
+    return (run[0] - first) % len(run) != 0
 
 
 def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
@@ -90,16 +99,17 @@ def _sensors(read: Array, runs: Sequence[Run], quiet: BoolArray, *, fused: bool)
     `fused`, without gyros, and where three others read gravity in a unit."""
     kinds = {run: _kind(read[:, run], quiet) for run in runs}
     accels = [run for run in runs if kinds[run] == ACCEL]
-    accel = min(accels, key=lambda run: _strangeness(read[:, run], quiet), default=None)
-    if accel is None:
+    strangeness = {run: _strangeness(read[:, run], quiet) for run in runs} if accels else {}
+    told = min(accels, key=strangeness.__getitem__, default=None)
+    if told is None:
         return {}
-    strange = _strangeness(read[:, accel], quiet)
+    # where one axis reads nearly all of gravity, two of three and another have its length too
+    strange = strangeness[told]
+    accel = next(run for run in runs if set(run) & set(told) and strangeness[run] <= strange)
     gyros = [run for run in runs if kinds[run] == GYRO and not set(run) & set(accel)]
     next_to = min(gyros, key=lambda run: (run[0] < accel[0], abs(run[0] - accel[0])), default=None)
     others = (run for run in runs if run != accel)
-    if strange >= _STRANGEST and (
-        fused or next_to is None or any(_strangeness(read[:, run], quiet) < _PLAIN for run in others)
-    ):
+    if strange >= _STRANGEST and (fused or next_to is None or any(strangeness[run] < _PLAIN for run in others)):
         return {}
     if next_to is None:
         return {ACCEL: accel}
