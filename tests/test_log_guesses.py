@@ -155,7 +155,7 @@ def test_no_log_is_shorter_than_two_seconds() -> None:
 
 
 def test_a_counter_starts_anew_only_where_it_can() -> None:
-    stamps = 1e7 + 8500.0 * np.arange(400)
+    stamps: Array = np.asarray(1e7 + 8500.0 * np.arange(400))
     stamps[160] -= 14_000.0
     assert overflow_of(stamps) is None
     counter: Array = np.asarray(np.arange(1000.0) * 100.0 % 65536.0)

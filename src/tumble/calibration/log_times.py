@@ -194,7 +194,8 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
     likely = [name for name in likely if whole * TIME_UNITS[name] >= _SHORTEST_LOG] or likely
     usual = [name for name in likely if 10.0 <= 1.0 / (step * TIME_UNITS[name]) <= 2000.0] or likely
     taken = usual[0] if usual else "s"
-    others = [f"{name}: {1.0 / (step * TIME_UNITS[name]):.4g} Hz" for name in likely if name != taken]
+    rates = {name: 1.0 / (step * TIME_UNITS[name]) for name in likely if name != taken}
+    others = [f"{name}: {rate:.4g} Hz" for name, rate in rates.items() if rate >= RATES_OF_LOGS[0]]
     sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
     if counts:
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
