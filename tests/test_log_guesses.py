@@ -143,9 +143,10 @@ def test_dates_tell_the_unit_of_a_time() -> None:
         assert times.rate == pytest.approx(1 / 0.6, rel=1e-3)
         assert times.keys.get("time_unit", "s") == unit
         assert not times.unit_guessed
-    running = times_of_column(Stamps(column="t", values=1.1e9 + 1e4 * np.arange(1000.0), unit=None))  # of a processor
-    assert running is not None
-    assert running.keys["time_unit"] == "us"
+    for start, step, unit in ((1.2e9, 1e4, "us"), (1.3e15, 2e6, "ns")):  # that a processor has been running for
+        running = times_of_column(Stamps(column="t", values=start + step * np.arange(2000.0), unit=None))
+        assert running is not None
+        assert running.keys["time_unit"] == unit
 
 
 def test_no_log_is_shorter_than_two_seconds() -> None:

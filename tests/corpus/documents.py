@@ -73,7 +73,7 @@ def printed_by_python(rows: Array, folder: Path) -> Path:
 DOCUMENTS: dict[str, Write] = {
     "columns": _json(_named),
     "threes, indented": _json(_threes, indent=1),
-    "within an object": _json(lambda rows: {"rate": 50, "data": _named(rows)}),
+    "within an object": _json(lambda rows: {"rate": 50, "data": {"bands": list(range(64)), **_named(rows)}}),
     "sensors apart": _json(_apart),
     "samples": _json(_samples),
     "samples, indented": _json(lambda rows: {"samples": _samples(rows)}, indent=2),

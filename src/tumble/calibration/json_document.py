@@ -22,7 +22,7 @@ from tumble.recording.formats.columns import columns_by_name
 from tumble.recording.log_source import readable
 from tumble.recording.text_pieces import opened
 
-_LARGEST_BYTES = 1 << 29
+_LARGEST_BYTES = 1 << 26
 _FEWEST = 10
 _WIDEST = 100
 _DEEPEST = 8
@@ -77,26 +77,24 @@ def _tables(content: Any, name: str, depth: int = 0) -> dict[str, _Table]:
         return {f"{name}{word}": table for word, table in _tables_of_list(content).items() if table}
     if not isinstance(content, dict):
         return {}
-    own: _Table = {}
+    of_length: dict[int, _Table] = {}
     apart: dict[str, _Table] = {}
     for key, value in content.items():
         word = column_name(key)
         inner = f"{name}_{word}" if name else word
         for found, table in _tables(value, inner, depth + 1).items():
-            same = len(_longest(table)) == len(_longest(own)) or not own
-            if found == inner and same and not (len(table) > 1 and columns_by_name(table).time is not None):
-                own |= {_joined(word, column): values for column, values in table.items()}
+            if found == inner and not (len(table) > 1 and columns_by_name(table).time is not None):
+                columns = {_joined(word, column): values for column, values in table.items()}
+                of_length.setdefault(max(map(len, table.values())), {}).update(columns)
             else:
                 apart[found] = table
-    return {**({name: own} if own else {}), **apart}
+    named = (name, *(f"{name}_{length}" for length in of_length))
+    largest_first = sorted(of_length.values(), key=len, reverse=True)
+    return {**dict(zip(named, largest_first, strict=False)), **apart}
 
 
 def _joined(word: str, column: str) -> str:
     return f"{word}_{column}" if column else word
-
-
-def _longest(table: _Table) -> Sequence[str]:
-    return max(table.values(), key=len, default=())
 
 
 def _tables_of_list(content: Sequence[Any]) -> dict[str, _Table]:

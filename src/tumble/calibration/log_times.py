@@ -22,7 +22,8 @@ RATES_OF_LOGS = 2.0, 20_000.0
 """Hz."""
 _SLOWEST = 0.5  # Hz, of a log that may be one
 _SHORTEST_LOG = 2.0  # s
-_CENTURY = 9.5e8, 4.1e9  # s since 1970: 2000 to 2099
+_CENTURY = 1.1e9, 2.2e9  # s since 1970: 2004 to 2039
+_SLOW = 5.0  # Hz: at less, dates may be what a phone has been running for, in a thousandth of their unit
 _BY_DATES = "by its dates"
 _SHARE, _FREE = 2e-2, 3
 _PAUSES, _PAUSE = 2e-3, 10.0
@@ -141,18 +142,12 @@ def overflow_of(values: Array) -> float | None:
 def recordings_of(values: Array) -> list[tuple[int, int]] | None:
     """First and last + 1 row of recordings that follow each other in a log, each with a clock that was started anew;
     None for one, and where stamps fall by little, or a stretch between falls is no recording."""
-    stamps = np.where(np.isfinite(values), values, np.interp(np.arange(len(values)), *_known(values)))
-    steps = np.diff(stamps)
+    steps = np.diff(values)
     falls = np.flatnonzero(steps < 0.0)
     if not 0 < len(falls) <= _MOST_RECORDINGS or (steps[falls] > -_LATE * np.median(steps)).any():
         return None
     edges = list(pairwise([0, *(falls + 1).tolist(), len(values)]))
     return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
-
-
-def _known(values: Array) -> tuple[Array, Array]:
-    rows = np.flatnonzero(np.isfinite(values))
-    return rows.astype(float), values[rows]
 
 
 def unwound(values: Array, overflow: float, last: float | None) -> Array:
@@ -184,18 +179,23 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
         return "s", "of a clock", ()
     if stamps.unit is not None:
         return stamps.unit, "by its name", ()
-    likely = [name for name, size in TIME_UNITS.items() if _SLOWEST <= 1.0 / (step * size) <= RATES_OF_LOGS[1]]
-    dated = next((name for name in likely if _are_dates(stamps.values, TIME_UNITS[name])), None)
-    if dated is not None:
-        return dated, _BY_DATES, ()
     steps = np.diff(stamps.values)
     counts = step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE
     whole = math.inf if counts else float(np.nanmax(stamps.values) - np.nanmin(stamps.values))
+    rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
+    likely = [name for name, rate in rates.items() if _SLOWEST <= rate <= RATES_OF_LOGS[1]]
+    dated = next((name for name in likely if _are_dates(stamps.values, TIME_UNITS[name])), None)
     likely = [name for name in likely if whole * TIME_UNITS[name] >= _SHORTEST_LOG] or likely
-    usual = [name for name in likely if 10.0 <= 1.0 / (step * TIME_UNITS[name]) <= 2000.0] or likely
+    usual = [name for name in likely if 10.0 <= rates[name] <= 2000.0]
+    if dated is not None and (rates[dated] > _SLOW or not set(usual) - {dated}):
+        return dated, _BY_DATES, ()
+    usual = usual or likely
     taken = usual[0] if usual else "s"
-    rates = {name: 1.0 / (step * TIME_UNITS[name]) for name in likely if name != taken}
-    others = [f"{name}: {rate:.4g} Hz" for name, rate in rates.items() if rate >= RATES_OF_LOGS[0]]
+    others = [
+        f"{name}: {rates[name]:.4g} Hz"
+        for name in likely
+        if name != taken and (name == dated or rates[name] >= RATES_OF_LOGS[0])
+    ]
     sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
     if counts:
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
@@ -204,7 +204,7 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
 
 
 def _are_dates(values: Array, unit: float) -> bool:
-    """Whether time stamps in a unit, s, since 1970 are of days of this century."""
+    """Whether time stamps in a unit, s, since 1970 are of days from 2004 to 2039."""
     return bool(_CENTURY[0] < np.nanmin(values) * unit and np.nanmax(values) * unit < _CENTURY[1])
 
 

@@ -113,7 +113,8 @@ def _with_time(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending
 def _with_positions(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending:
     as_they_are = replace(mending, unsigned=(), said=()) == _Mending()
     stamps = log.stamps() if as_they_are and rate is None and len(log.files) == 1 else None
-    recordings = None if stamps is None or stamps.clock else recordings_of(stamps.values)
+    whole = stamps is not None and not stamps.clock and len(stamps.values) < LONGEST
+    recordings = recordings_of(stamps.values[np.isfinite(stamps.values)]) if stamps is not None and whole else None
     if recordings is not None:
         said = f"time: the clock starts anew, so that there are {len(recordings)} recordings: a file each"
         return replace(mending, positions=recordings, said=(*mending.said, said))
