@@ -13,6 +13,7 @@ from tumble.calibration.log_times import Stamps, overflow_of, recordings_of, tim
 from tumble.calibration.new_session import Given, new_session
 from tumble.calibration.raw_scale import accel_scale, plain_unit
 from tumble.calibration.respelled import respelled
+from tumble.errors import InputError
 from tumble.recording.clock import seconds_of
 from tumble.recording.dialect import is_clock
 from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name
@@ -254,3 +255,10 @@ def test_magnetometers_without_readings_are_left_out(read: Array, tmp_path: Path
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
     assert draft.magnetometer is None
     assert "magnetometers: mag_x, mag_y, mag_z are left out; they have no readings" in draft.said
+
+
+@pytest.mark.filterwarnings("error")
+def test_times_that_are_no_numbers_are_none(read: Array, tmp_path: Path) -> None:
+    np.savez(tmp_path / "imu.npz", t=np.full(600, np.nan), acc=read[:, :3], gyro=read[:, 3:])
+    with pytest.raises(InputError, match="expected readings, found none"):
+        new_session(tmp_path / "session", tmp_path / "imu.npz")

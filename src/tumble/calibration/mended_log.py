@@ -201,6 +201,8 @@ def _tick(log: FoundLog) -> float | None:
     if column is None or log.columns.time_unit is not None or log.is_clock(column):
         return None
     stamps = log.read([column], rows=10_000)[:, 0]
+    if not np.isfinite(np.diff(stamps)).any():
+        return None
     step, middle = float(np.nanmedian(np.diff(stamps))), float(np.nanmedian(stamps))
     if "sampletimefine" in re.sub(r"\W|_", "", column.lower()):
         return _TICK if step < 2000.0 else None
