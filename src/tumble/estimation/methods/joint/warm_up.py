@@ -152,7 +152,8 @@ def _time_constant(fitted: Fitted, problem: Problem) -> float | None:
     rests, total = problem.observations.rests, fitted.fits[TOTAL]
     explained = special.chdtrc(max(total.degrees, 1.0), total.chi_square) > UNEXPLAINED
     unknown = "accel.bias.warmup" not in problem.observations.usual
-    if explained or unknown or rests.temperatures is not None or rests.file[0] != rests.file[-1]:
+    one = len(rests.start) < 2
+    if explained or unknown or one or rests.temperatures is not None or rests.file[0] != rests.file[-1]:
         return None
     tried = (WARM_UPS * np.ptp(rests.start)).tolist()
     of_all, warm = _time_constants(fitted, problem), settling_with(problem, tried[0], WARMING[:1])
