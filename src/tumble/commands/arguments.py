@@ -152,14 +152,32 @@ def cluster_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+SHOWN = 20
+"""Of many tasks that went wrong, so many are named on standard error."""
+
 Tell = Callable[[int, int], None]
 """What is told the number of tasks that are done and of all."""
 
 
 @contextmanager
-def task_progress(what: str) -> Iterator[Tell]:
-    """A function that is told how many tasks are done; on a terminal it shows a progress bar with the remaining
-    time."""
+def task_progress(what: str, out: Path) -> Iterator[Tell]:
+    """A function that is told how many of the tasks of a folder are done; on a terminal it shows a progress bar with
+    the remaining time. Where it is told nothing, all were done before: that is said."""
+    news = []
+
+    def tell(done: int, every: int) -> None:
+        news.append(done)
+        show(done, every)
+
+    with _task_bar(what) as show:
+        yield tell
+    if not news:
+        say(f"{out} was complete: no {what} were computed; to compute them anew give another folder")
+
+
+@contextmanager
+def _task_bar(what: str) -> Iterator[Tell]:
+    """On a terminal, a bar with the number of tasks and the remaining time."""
     if not _watched():
         yield _untold
         return

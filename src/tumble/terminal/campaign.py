@@ -17,7 +17,7 @@ from tumble.terminal.table import plain_table
 
 
 def summary_report(lines: Sequence[SummaryLine]) -> RenderableType:
-    """The lines as tables: first how the trials ended, then the errors."""
+    """The lines as tables: first how the trials ended, then the errors, where there are any."""
     axes = varying(lines)
     ended, errors = plain_table(), plain_table()
     for table, headings in (
@@ -40,7 +40,7 @@ def summary_report(lines: Sequence[SummaryLine]) -> RenderableType:
         if line.rms is not None:
             errors.add_row(*(where if where != before else [""] * len(where)), line.group, *_figures(line))
         before = where
-    return Group(ended, Text(""), errors)
+    return Group(ended, Text(""), errors) if errors.row_count else ended
 
 
 def _figures(line: SummaryLine) -> list[str]:
