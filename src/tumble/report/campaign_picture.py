@@ -66,7 +66,8 @@ def _draw(panel: Axes, lines: Sequence[SummaryLine], axes: Sequence[str], along:
         if all(line.to_bound for line in members):
             bound = rms / np.array([line.to_bound for line in members])
             panel.plot(x, bound, "_:" if along is None else ":", color=f"C{i}", linewidth=1.0)
-    panel.set(title=lines[0].group, ylabel=f"rms error, {unit}", xlabel="method" if along is None else along)
+    shown = "arcsec" if unit == '"' else unit
+    panel.set(title=lines[0].group, ylabel=f"rms error, {shown}", xlabel="method" if along is None else along)
     drawn = [(line.rms or 0.0) / below for line in lines for below in (1.0, line.to_bound or 1.0)]
     largest, least = max(drawn), min(drawn)
     if largest > WIDE * least:
