@@ -263,7 +263,7 @@ def _style() -> Any:
     """The style of a report, with letters as text."""
     from tumble.report.figures import STYLE
 
-    return STYLE | {"svg.fonttype": "none", "font.family": "sans-serif", "date.converter": "concise"}
+    return STYLE | {"svg.fonttype": "none", "font.family": "sans-serif"}
 
 
 def _picture(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -> str:
