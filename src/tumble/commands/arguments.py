@@ -82,10 +82,42 @@ def warn(line: str) -> None:
     click.echo(plain(line), err=True)
 
 
+def programmes_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
+    """The built-in programmes that begin with what was typed, for the tab key."""
+    from tumble.programme.positions import BUILT_IN
+
+    return [name for name in BUILT_IN if name.startswith(typed)]
+
+
+def grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
+    """The grades that begin with what was typed, for the tab key."""
+    from tumble.sensors.grades import GRADES
+
+    return [name for name in GRADES if name.startswith(typed)]
+
+
+_Option = Callable[[_Command], _Command]
+
+
+def programme_option(says: str, default: str | None = None) -> _Option:
+    """The option for a built-in programme."""
+    return click.option(
+        "--programme", default=default, show_default=default is not None, shell_complete=programmes_like, help=says
+    )
+
+
+GRADE = click.option(
+    "--grade",
+    default=usual_setup.GRADE,
+    show_default=True,
+    shell_complete=grades_like,
+    help="navigation, tactical, mems or consumer.",
+)
+
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, in SI, instead of tables.")
 
 
-def number(name: str, default: float, says: str) -> Callable[[_Command], _Command]:
+def number(name: str, default: float, says: str) -> _Option:
     """An option for a number that has a usual value."""
     return click.option(name, type=float, default=default, show_default=True, help=says)
 
@@ -101,9 +133,9 @@ TERMS = click.option(
 
 def setup_options(command: _Command) -> _Command:
     """The options that describe a set-up before anything is measured."""
-    options: list[Callable[[_Command], _Command]] = [
-        click.option("--programme", default=usual_setup.PROGRAMME, show_default=True, help="Built-in programme."),
-        click.option("--grade", default=usual_setup.GRADE, show_default=True, help="Class of the instrument."),
+    options: list[_Option] = [
+        programme_option("Built-in programme.", usual_setup.PROGRAMME),
+        GRADE,
         number("--table-error", usual_setup.TABLE_ERROR_DEG, "Of a position, ±°."),
         number("--mounting-error", usual_setup.MOUNTING_ERROR_DEG, "Of the launch, ±°."),
         number("--rest", usual_setup.ON_TABLE.rest, "Duration of a rest, s."),
