@@ -51,6 +51,7 @@ RUN = (
     "docs/psins.md",
     "docs/recordings.md",
     "docs/registry.md",
+    "docs/field-check.md",
     "docs/campaigns.md",
     "docs/plan.md",
     "docs/api.md",
