@@ -64,14 +64,16 @@ def residuals(axes: Axes, calibration: tumble.Calibration) -> None:
 
 def parameters(axes: Axes, session: Path, calibration: tumble.Calibration) -> None:
     """The scale factors by two methods, with their expanded uncertainty, about those of the first"""
-    names = [p.name for p in calibration.parameters if ".scale." in p.name]
+    names = [f"{kind}.scale.{axis}" for kind in ("accel", "gyro") for axis in "xyz"]
     for shift, method in ((-0.1, "joint"), (0.1, "staged")):
-        found = [tumble.calibrate(session, method=method)[name] for name in names]
-        ppm = np.array([[p.value - calibration[p.name].value, 2.0 * (p.u or 0.0)] for p in found]) / 1e-6
-        axes.errorbar(np.arange(len(names)) + shift, ppm[:, 0], ppm[:, 1], fmt="o", capsize=3, label=method)
+        found = tumble.calibrate(session, method=method)
+        differences = [found[name].value - calibration[name].value for name in names]
+        expanded = [(found[name].k or 0.0) * (found[name].u or 0.0) for name in names]
+        ppm = np.array([differences, expanded]) / 1e-6
+        axes.errorbar(np.arange(len(names)) + shift, *ppm, fmt="o", capsize=3, label=method)
     axes.set_xticks(range(len(names)), names, rotation=30)
     axes.set(ylabel="ppm")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
 def check(axes: Axes, second: Path, calibration: tumble.Calibration) -> None:
@@ -90,7 +92,7 @@ def corrected(axes: Axes, second: Path, calibration: tumble.Calibration) -> None
     axes.plot(number, [1e3 * rest.before for rest in rests], "o", label="as recorded")
     axes.plot(number, [1e3 * rest.after for rest in rests], "o", label="corrected")
     axes.set(xlabel="rest of the second launch", ylabel="|f| − g, mm/s²")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
 def noise(axes: Axes, session: Path) -> None:
