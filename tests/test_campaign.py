@@ -296,9 +296,8 @@ def test_moments_of_blocks_of_triads_are_put_together(tmp_path: Path) -> None:
 
 
 def test_a_plot_without_matplotlib_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    line = SummaryLine(
-        point={}, method="staged", group="accel.bias", unit="m/s^2", **dict.fromkeys(COUNTS, 1), **FIGURES
-    )
+    counts: dict[str, Any] = dict.fromkeys(COUNTS, 1)
+    line = SummaryLine(point={}, method="staged", group="accel.bias", unit="m/s^2", **counts, **FIGURES)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'tumble\[report\]'"):
         plot([line], tmp_path / "rms.svg")

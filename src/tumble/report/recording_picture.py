@@ -139,14 +139,17 @@ def _numbers(axes: Axes, rests: Spans) -> None:
     """The number of every rest above it, where there is room beside the one before."""
     if not rests:
         return
-    point = (rests[-1][1] - rests[0][0]) / (72.0 * _DRAWN * axes.get_figure(root=True).get_figwidth())
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    point = (rests[-1][1] - rests[0][0]) / (72.0 * _DRAWN * figure.get_figwidth())
     taken = -math.inf
     for number, (start, stop) in enumerate(rests, 1):
         middle, half = 0.5 * (start + stop), 0.325 * _NUMBER * len(str(number)) * point
         if middle - half < taken:
             continue
-        place = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
-        axes.annotate(str(number), (middle, 1.0), fontsize=_NUMBER, **place)
+        axes.annotate(
+            str(number), (middle, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=_NUMBER
+        )
         taken = middle + half + 0.4 * _NUMBER * point
 
 
