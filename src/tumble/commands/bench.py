@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, programme_option, say
+from tumble.commands.arguments import EXISTING_FOLDER, programme_option, warn
 
 GRADES = ["navigation", "tactical", "mems", "consumer"]
 
@@ -85,4 +85,4 @@ def bench(
         grade=grade,
         registry=registry,
     )
-    serve(stations, folders=sessions, host=host, port=port, browser=browser, say=lambda text: say(text))
+    serve(stations, folders=sessions, host=host, port=port, browser=browser, say=warn)
