@@ -66,12 +66,14 @@ def parameters(axes: Axes, session: Path, calibration: tumble.Calibration) -> No
     """The scale factors by two methods, with their expanded uncertainty, about those of the first"""
     names = [f"{kind}.scale.{axis}" for kind in ("accel", "gyro") for axis in "xyz"]
     for shift, method in ((-0.1, "joint"), (0.1, "staged")):
-        found = [tumble.calibrate(session, method=method)[name] for name in names]
-        ppm = np.array([[p.value - calibration[p.name].value, p.k * p.u] for p in found]) / 1e-6
-        axes.errorbar(np.arange(len(names)) + shift, ppm[:, 0], ppm[:, 1], fmt="o", capsize=3, label=method)
+        found = tumble.calibrate(session, method=method)
+        differences = [found[name].value - calibration[name].value for name in names]
+        expanded = [(found[name].k or 0.0) * (found[name].u or 0.0) for name in names]
+        ppm = np.array([differences, expanded]) / 1e-6
+        axes.errorbar(np.arange(len(names)) + shift, *ppm, fmt="o", capsize=3, label=method)
     axes.set_xticks(range(len(names)), names, rotation=30)
     axes.set(ylabel="ppm")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
 def check(axes: Axes, second: Path, calibration: tumble.Calibration) -> None:
@@ -90,7 +92,7 @@ def corrected(axes: Axes, second: Path, calibration: tumble.Calibration) -> None
     axes.plot(number, [1e3 * rest.before for rest in rests], "o", label="as recorded")
     axes.plot(number, [1e3 * rest.after for rest in rests], "o", label="corrected")
     axes.set(xlabel="rest of the second launch", ylabel="|f| − g, mm/s²")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
 def noise(axes: Axes, session: Path) -> None:

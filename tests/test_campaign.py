@@ -279,6 +279,7 @@ def test_without_uncertainties_and_bounds_there_is_no_coverage_and_no_ratio(tmp_
 def test_a_point_without_an_accepted_trial_has_counts_and_no_errors(tmp_path: Path) -> None:
     lines = summary(table(tmp_path, method=["staged"], error=["ValueError: no"]))
     assert {line.group for line in lines} == {line.group for line in lines if line.rms is None and line.failed == 1}
+    assert {line.why for line in lines} == {"ValueError: no"}
     with pytest.raises(InputError, match="expected an accepted trial to draw"):
         plot(lines, tmp_path / "rms.svg")
 
@@ -295,9 +296,8 @@ def test_moments_of_blocks_of_triads_are_put_together(tmp_path: Path) -> None:
 
 
 def test_a_plot_without_matplotlib_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    line = SummaryLine(
-        point={}, method="staged", group="accel.bias", unit="m/s^2", **dict.fromkeys(COUNTS, 1), **FIGURES
-    )
+    counts: dict[str, Any] = dict.fromkeys(COUNTS, 1)
+    line = SummaryLine(point={}, method="staged", group="accel.bias", unit="m/s^2", **counts, **FIGURES)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'tumble\[report\]'"):
         plot([line], tmp_path / "rms.svg")
@@ -322,5 +322,6 @@ def test_the_command_writes_rows_summary_and_picture_and_resumes(tmp_path: Path)
     file.write_text("trials = 3\n[grid]\ntable_error_deg = [1, 3]\n")
     refused = cli(file, "--in-process", "-o", out)
     assert refused.exit_code == 2
-    assert "was begun by another job" in refused.stderr
+    assert "out was complete: no trials were computed" in again.stderr
+    assert "was begun by another job: campaign.trials is 2 there and 3 here" in refused.stderr
     assert refused.stderr.strip().count("\n") == 0

@@ -22,6 +22,7 @@ import numpy as np
 import polars as pl
 import pytest
 import tomli_w
+from click.shell_completion import ShellComplete
 from click.testing import CliRunner, Result
 from rich.console import Console
 
@@ -131,6 +132,19 @@ def test_help_needs_nothing_heavy(words: tuple[str, ...]) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("typed", "begun", "offered"),
+    [
+        (["plan", "--grade"], "m", ["mems"]),
+        (["simulate", "--programme"], "cube-1", ["cube-14", "cube-12"]),
+        (["programme"], "ni", ["nine"]),
+    ],
+)
+def test_the_tab_key_completes_names(typed: list[str], begun: str, offered: list[str]) -> None:
+    found = ShellComplete(main, {}, "tumble", "_TUMBLE_COMPLETE").get_completions(typed, begun)
+    assert [each.value for each in found] == offered
 
 
 def test_no_argument_at_all_shows_the_commands() -> None:

@@ -51,6 +51,7 @@ RUN = (
     "docs/psins.md",
     "docs/recordings.md",
     "docs/registry.md",
+    "docs/field-check.md",
     "docs/campaigns.md",
     "docs/plan.md",
     "docs/api.md",
@@ -241,9 +242,11 @@ def anchors(path: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_the_gallery_shows_the_lines_that_draw_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_gallery_shows_the_lines_that_draw_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "studies"))
     gallery = import_module("gallery")
+    gallery.draw_all(tmp_path)
+    assert len(list(tmp_path.glob("*.svg"))) == len(gallery.PICTURES)
     assert (ROOT / "docs/gallery.md").read_text(encoding="utf-8") == gallery.page(), "run python studies/gallery.py"
 
 

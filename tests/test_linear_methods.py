@@ -68,6 +68,7 @@ def test_the_paper_s_methods_do_not_accept_in_silence_what_is_not_linear(tmp_pat
         found = calibrate(folder, method=method)
         assert found.outcome.verdict != "accepted"
         assert all(said.startswith("by the method joint, ") for said in found.outcome.remarks)
+        assert not any("u contains it" in said for said in found.outcome.remarks)
         assert any(note.startswith("not in the model: quadratic") for note in found.notes)
     alone = calibrate(folder, method="ellipsoid")
     assert any("they move biases by" in note for note in alone.notes)

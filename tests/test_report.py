@@ -141,10 +141,17 @@ class Page(HTMLParser):
 
     def table(self, *columns: str) -> list[dict[str, str]]:
         """The first table that has these columns, as rows by column."""
-        for header, *rows in (table for table in self.tables if table):
-            if set(columns) <= set(header):
-                return [dict(zip(header, row, strict=True)) for row in rows]
-        raise AssertionError(f"no table with the columns {columns}")
+        return self.all_tables(*columns)[0]
+
+    def all_tables(self, *columns: str) -> list[list[dict[str, str]]]:
+        """The tables that have these columns, as rows by column."""
+        found = [
+            [dict(zip(header, row, strict=True)) for row in rows]
+            for header, *rows in (table for table in self.tables if table)
+            if set(columns) <= set(header)
+        ]
+        assert found, f"no table with the columns {columns}"
+        return found
 
     def matrices(self) -> list[list[list[float]]]:
         """The matrices of the page in their order."""
@@ -691,7 +698,8 @@ def test_launches_stand_beside_each_other(session: Path, tmp_path: Path) -> None
     assert made.exit_code == 0, made.output
     assert command(tmp_path / "both.json", "-o", tmp_path / "both.html").exit_code == 0
     page, content = Page.of(tmp_path / "both.html"), json.loads((tmp_path / "both.json").read_text())
-    rows = page.table("parameter", "one", "two", "run to run")
+    rows = [row for table in page.all_tables("parameter", "one", "two", "run to run") for row in table]
+    assert len(page.table("parameter", "one", "two", "run to run")) == 21
     for row, p, q in zip(rows, content["launches"][0]["parameters"], content["launches"][1]["parameters"], strict=True):
         size = SIZES[row["unit"]]
         for text, own in ((row["one"], p), (row["two"], q)):  # to the second digit of U

@@ -16,7 +16,7 @@ from tumble.planning.budget import GROUPS, budget, indirect_coefficients
 from tumble.planning.error_propagation import BUDGETED_METHODS, BudgetedMethod
 from tumble.planning.requirements import require
 from tumble.programme.positions import programme
-from tumble.units import ARCSEC, DEGREE
+from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 
 NINE_ONLY = replace(SILENT, programme=programme("nine"), table_error=DEGREE, mounting_error=0.0)
 GYRO_BIAS = SETUP.gyro.bias
@@ -66,8 +66,9 @@ def test_one_per_cent_along_the_earths_axis_is_infeasible_with_any_table() -> No
     assert (row.table_error, row.mounting_error, row.rest) == (0.0, 0.0, math.inf)
     assert {"TRIAD", "(18)"} <= set(row.reason.replace(",", "").split())
     assert "\n" not in row.reason
-    found = float(row.reason.split("at least ")[1].split(" ")[0])
-    assert 100.0 * found / GYRO_BIAS == pytest.approx(1.73, abs=0.01)
+    found, unit = row.reason.split("at least ")[1].split(",")[0].split(" ")
+    assert unit == "°/h"
+    assert 100.0 * float(found) * DEGREE_PER_HOUR / GYRO_BIAS == pytest.approx(1.73, abs=0.01)
     assert require({"gyro.bias": 0.03 * GYRO_BIAS}, NINE_ONLY, gyro_bias="polar").feasible
 
 

@@ -202,15 +202,29 @@ def _check_same(job: Job, manifest: Path) -> None:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
     if not same:
-        ours = job._identity()
-        key = next((key for key in ours if content.get(key) != ours[key]), "sha256")
+        where, there, here = _difference("", content, job._identity())
         raise InputError(
-            f"{manifest.parent}: was begun by another job: {key} is {_short(content.get(key))} there and "
-            f"{_short(ours.get(key))} here; give another folder"
+            f"{manifest.parent}: was begun by another job: {where} is {_short(there)} there and {_short(here)} here; "
+            "give another folder"
         )
 
 
+def _difference(where: str, there: Any, here: Any) -> tuple[str, Any, Any]:
+    """The first place where two trees of JSON values differ, as far down as both go, and what each has there."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        key = next((key for key in here if there.get(key) != here[key]), None)
+        if key is not None:
+            return _difference(f"{where}.{key}" if where else key, there.get(key), here[key])
+    if isinstance(there, list) and isinstance(here, list):
+        at = next((i for i, (a, b) in enumerate(zip(there, here, strict=False)) if a != b), min(len(there), len(here)))
+        one, other = (of[at] if at < len(of) else None for of in (there, here))
+        return _difference(f"{where}[{at}]", one, other)
+    return where, there, here
+
+
 def _short(value: Any) -> str:
+    if value is None:
+        return "none"
     text = json.dumps(value, ensure_ascii=False)
     return text if len(text) <= 60 else f"{text[:59]}…"
 

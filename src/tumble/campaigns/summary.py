@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -27,9 +27,6 @@ from tumble.files import whole_file
 from tumble.sensors.parameters import group_of, positions_by_group
 from tumble.units import Array
 
-if TYPE_CHECKING:
-    pass
-
 COVERED_WITHIN = 1.96
 """Uncertainties in a 95 % interval."""
 
@@ -38,7 +35,8 @@ COVERED_WITHIN = 1.96
 class SummaryLine:
     """One method at one point of the grid, in one group of parameters: how many trials (or triads), of them accepted
     and failed, and over the accepted ones bias, scatter and rms error in `unit` (SI), rms over bound and coverage; None
-    where there is nothing to tell it from."""
+    where there is nothing to tell it from. `why` is the first reason why a trial was not accepted or failed, empty
+    where all were accepted."""
 
     point: Mapping[str, Any]
     method: str
@@ -52,6 +50,7 @@ class SummaryLine:
     rms: float | None
     to_bound: float | None
     coverage: float | None
+    why: str = ""
 
 
 def summary(rows: Path) -> tuple[SummaryLine, ...]:
@@ -66,7 +65,7 @@ def summary(rows: Path) -> tuple[SummaryLine, ...]:
 
 
 def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterator[SummaryLine]:
-    statics = "triads" in part.columns
+    statics, why = "triads" in part.columns, _first_reason(part)
     if statics:
         trials, failed = int(part["triads"].sum()), int(part["failed"].sum() or 0)
         accepted = trials - failed
@@ -87,8 +86,15 @@ def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterato
                 trials=trials,
                 accepted=accepted,
                 failed=failed,
+                why=why,
                 **_of_group(members),
             )
+
+
+def _first_reason(part: pl.DataFrame) -> str:
+    """Why the first trial that was not accepted was not, or the first that failed did."""
+    refused = part.filter(pl.col("accepted").not_())["reasons"].to_list() if "reasons" in part.columns else []
+    return next(iter(refused + part["error"].drop_nulls().to_list()), "")
 
 
 def _names(part: pl.DataFrame) -> tuple[str, ...]:
@@ -184,7 +190,8 @@ def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
         pl.DataFrame(rows, infer_schema_length=None).write_csv(temporary)
 
 
-def _plain(value: Any) -> str:
+def said(value: Any) -> str:
+    """The value of an axis in words, nothing for none."""
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -83,10 +83,42 @@ def warn(line: str) -> None:
     click.echo(plain(line), err=True)
 
 
+def programmes_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
+    """The built-in programmes that begin with what was typed, for the tab key."""
+    from tumble.programme.positions import BUILT_IN
+
+    return [name for name in BUILT_IN if name.startswith(typed)]
+
+
+def grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
+    """The grades that begin with what was typed, for the tab key."""
+    from tumble.sensors.grades import GRADES
+
+    return [name for name in GRADES if name.startswith(typed)]
+
+
+_Option = Callable[[_Command], _Command]
+
+
+def programme_option(says: str, default: str | None = None) -> _Option:
+    """The option for a built-in programme."""
+    return click.option(
+        "--programme", default=default, show_default=default is not None, shell_complete=programmes_like, help=says
+    )
+
+
+GRADE = click.option(
+    "--grade",
+    default=usual_setup.GRADE,
+    show_default=True,
+    shell_complete=grades_like,
+    help="navigation, tactical, mems or consumer.",
+)
+
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, in SI, instead of tables.")
 
 
-def number(name: str, default: float, says: str) -> Callable[[_Command], _Command]:
+def number(name: str, default: float, says: str) -> _Option:
     """An option for a number that has a usual value."""
     return click.option(name, type=float, default=default, show_default=True, help=says)
 
@@ -102,9 +134,9 @@ TERMS = click.option(
 
 def setup_options(command: _Command) -> _Command:
     """The options that describe a set-up before anything is measured."""
-    options: list[Callable[[_Command], _Command]] = [
-        click.option("--programme", default=usual_setup.PROGRAMME, show_default=True, help="Built-in programme."),
-        click.option("--grade", default=usual_setup.GRADE, show_default=True, help="Class of the instrument."),
+    options: list[_Option] = [
+        programme_option("Built-in programme.", usual_setup.PROGRAMME),
+        GRADE,
         number("--table-error", usual_setup.TABLE_ERROR_DEG, "Of a position, ±°."),
         number("--mounting-error", usual_setup.MOUNTING_ERROR_DEG, "Of the launch, ±°."),
         number("--rest", usual_setup.ON_TABLE.rest, "Duration of a rest, s."),
@@ -153,14 +185,32 @@ def cluster_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+SHOWN = 20
+"""Of many tasks that went wrong, so many are named on standard error."""
+
 Tell = Callable[[int, int], None]
 """What is told the number of tasks that are done and of all."""
 
 
 @contextmanager
-def task_progress(what: str) -> Iterator[Tell]:
-    """A function that is told how many tasks are done; on a terminal it shows a progress bar with the remaining
-    time."""
+def task_progress(what: str, out: Path) -> Iterator[Tell]:
+    """A function that is told how many of the tasks of a folder are done; on a terminal it shows a progress bar with
+    the remaining time. Where it is told nothing, all were done before: that is said."""
+    news = []
+
+    def tell(done: int, every: int) -> None:
+        news.append(done)
+        show(done, every)
+
+    with _task_bar(what) as show:
+        yield tell
+    if not news:
+        say(f"{out} was complete: no {what} were computed; to compute them anew give another folder")
+
+
+@contextmanager
+def _task_bar(what: str) -> Iterator[Tell]:
+    """On a terminal, a bar with the number of tasks and the remaining time."""
     if not _watched():
         yield _untold
         return

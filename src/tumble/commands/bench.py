@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, say
+from tumble.commands.arguments import EXISTING_FOLDER, programme_option, warn
 
 GRADES = ["navigation", "tactical", "mems", "consumer"]
 
@@ -29,7 +29,7 @@ GRADES = ["navigation", "tactical", "mems", "consumer"]
 )
 @click.option("--latitude", type=float, metavar="DEGREES", help="Of the place, ° north, of a new session.")
 @click.option("--gravity", type=float, help="Measured gravity, m/s², of a new session.")
-@click.option("--programme", help="Of a new session; default: free positions.")
+@programme_option("Of a new session; default: free positions.")
 @click.option(
     "--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. gyro.scale=2ppm; repeat. Default: the grade's."
 )
@@ -85,4 +85,4 @@ def bench(
         grade=grade,
         registry=registry,
     )
-    serve(stations, folders=sessions, host=host, port=port, browser=browser, say=lambda text: say(text))
+    serve(stations, folders=sessions, host=host, port=port, browser=browser, say=warn)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, cluster_options, say, task_progress
+from tumble.commands.arguments import FILE, SHOWN, cluster_options, say, task_progress, warn
 from tumble.errors import TumbleError
 
 
@@ -20,13 +20,18 @@ def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None,
     was interrupted goes on where it was when the same command is given again.
     """
     from tumble.campaigns.run import campaign
+    from tumble.campaigns.summary import varying
     from tumble.report.campaign_picture import plot
     from tumble.terminal.campaign import summary_report
     from tumble.terminal.text import print_report
 
-    with task_progress("trials") as progress:
+    with task_progress("trials", out) as progress:
         result = campaign(file, out, serial=serial, cluster=cluster, workers=workers, progress=progress)
     print_report(summary_report(result.lines))
+    short = {(*line.point.values(), line.method): line for line in result.lines if line.why}
+    for line in list(short.values())[:SHOWN]:
+        where = ", ".join([*(f"{axis} {line.point[axis]}" for axis in varying(result.lines)), line.method])
+        warn(f"{where}: {line.trials - line.accepted} of {line.trials} not accepted or failed, the first: {line.why}")
     written = [result.rows.name, result.summary.name]
     try:
         plot(result.lines, out / "rms.svg")

@@ -7,9 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import JSON, METHOD_NAMES, cluster_options, say, task_progress, warn
-
-SHOWN = 20
+from tumble.commands.arguments import JSON, METHOD_NAMES, SHOWN, cluster_options, say, task_progress, warn
 
 
 @click.command()
@@ -31,7 +29,7 @@ def fleet(
     from tumble.terminal.data import print_data
     from tumble.terminal.planning_data import fleet_data
 
-    with task_progress("sessions") as progress:
+    with task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, serial=serial, cluster=cluster, workers=workers, progress=progress)
     ended = result.tally
     refused, failed = len(ended.refused), len(ended.failed)
@@ -41,8 +39,11 @@ def fleet(
         click.echo(
             f"{len(result.sessions)} sessions: {ended.accepted} accepted, {refused} not accepted, {failed} failed"
         )
-    said = [f"not accepted: {session}: {why}" for session, why in ended.refused.items()]
-    said += [f"failed: {session}: {why}" for session, why in ended.failed.items()]
+    said = [
+        f"{how}: {session}: {why.replace(f'{session}/', '')}"
+        for how, sessions_why in (("not accepted", ended.refused), ("failed", ended.failed))
+        for session, why in sessions_why.items()
+    ]
     for line in said[:SHOWN]:
         warn(line)
     if len(said) > SHOWN:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import EXISTING_FOLDER, say, warn, with_progress
+from tumble.commands.arguments import EXISTING_FOLDER, programme_option, say, warn, with_progress
 
 
 @click.command()
@@ -16,7 +16,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, say, warn, with_progress
 @click.option("--serial", metavar="NUMBER", help="Serial number of the device; default: the name of FOLDER.")
 @click.option("--latitude", type=float, metavar="DEGREES", help="Of the place, ° north.")
 @click.option("--rate", type=float, metavar="HZ", help="Samples per second, instead of the times in the log.")
-@click.option("--programme", help="Built-in programme that was gone through.")
+@programme_option("Built-in programme that was gone through.")
 @click.option("--message", metavar="NAME", help="Topic or message of a recording, where there are several.")
 def new(
     folder: Path,

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, number, say
+from tumble.commands.arguments import FILE, number, programmes_like, say
 from tumble.errors import InputError
 from tumble.usual_setup import ON_TABLE
 
 
 @click.command()
-@click.argument("name", metavar="[NAME]", required=False)
+@click.argument("name", metavar="[NAME]", required=False, shell_complete=programmes_like)
 @click.option("--attitude", "attitudes", multiple=True, help="Instead of NAME: a position's attitude code; repeat.")
 @number("--rest", ON_TABLE.rest, "Duration of a rest, s.")
 @number("--turn-rate", ON_TABLE.rate_deg_s, "Rate of the turns, °/s.")

@@ -8,15 +8,15 @@ from typing import Literal
 import click
 
 from tumble import usual_setup
-from tumble.commands.arguments import EXISTING_FOLDER, TERMS, say
+from tumble.commands.arguments import EXISTING_FOLDER, GRADE, TERMS, programme_option, say
 from tumble.usual_setup import BY_HAND, ON_TABLE
 
 
 @click.command()
 @click.argument("folder", type=EXISTING_FOLDER)
-@click.option("--programme", default=usual_setup.PROGRAMME, show_default=True, help="Built-in programme to go through.")
+@programme_option("Built-in programme to go through.", usual_setup.PROGRAMME)
 @click.option("--positions", type=int, help="Hand-held instead: this many positions in any attitude.")
-@click.option("--grade", default=usual_setup.GRADE, show_default=True, help="navigation, tactical, mems or consumer.")
+@GRADE
 @click.option("--rest", type=float, help=f"Duration of a rest, s; default {ON_TABLE.rest:g}, by hand {BY_HAND.rest:g}.")
 @click.option(
     "--turn-rate",

@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from tumble.documents import text_of_document, toml_of
-from tumble.errors import InputError
+from tumble.errors import InputError, did_you_mean
 from tumble.recording.circumstances import Circumstances
 
 RELATES = (
@@ -134,9 +135,36 @@ def read_certificate(path: Path) -> Certificate:
     try:
         return Certificate.model_validate({key: value for key, value in content.items() if value is not None})
     except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        key = ".".join(map(str, fault["loc"])) or "certificate"
-        raise InputError(f"{path}: {key}: {fault['msg']}; see docs/certificate.md") from None
+        faults = sorted(error.errors(include_url=False), key=lambda fault: fault["type"] != "extra_forbidden")
+        raise InputError(f"{path}: {_said(faults[0])}; see docs/certificate.md") from None
+
+
+_PATTERNS: Mapping[str, str] = {
+    "country": "two capital letters of ISO 3166-1, such as 'DE'",
+    "email": "an address without spaces",
+    "logo": "the name of a picture, .svg or .png",
+}
+
+
+def _said(fault: ErrorDetails) -> str:
+    """What is wrong with a key of the file, as "key: expected …, found …"."""
+    *table, key = fault["loc"] or ("certificate",)
+    where, found = ".".join(map(str, (*table, key))), fault["input"]
+    match fault["type"]:
+        case "extra_forbidden":
+            return f"unknown key '{where}'{did_you_mean(str(key), {**Certificate.model_fields, **Party.model_fields})}"
+        case "missing":
+            return f"{where}: expected this key, found none"
+        case "value_error":
+            return str(fault["ctx"]["error"])
+        case "literal_error":
+            return f"{where}: expected {fault['ctx']['expected']}, found {found!r}"
+        case "string_pattern_mismatch":
+            return f"{where}: expected {_PATTERNS.get(str(key), 'a text, without spaces at its ends')}, found {found!r}"
+        case "date_type":
+            return f"{where}: expected a day without quotes, such as 2026-05-04, found {found!r}"
+        case _:
+            return f"{where}: {fault['msg']}, found {found!r}"
 
 
 def _parsed(path: Path) -> dict[str, Any]:

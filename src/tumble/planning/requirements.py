@@ -27,7 +27,7 @@ from tumble.planning.budget import (
 from tumble.planning.error_propagation import BudgetedMethod
 from tumble.planning.setup import Setup, check_setup, expect
 from tumble.sensors.grades import spread_of
-from tumble.units import Array, quantity
+from tumble.units import Array, engineering, quantity
 
 REST_SHARE = 0.25
 """Part of the permitted variance that `require` gives to the noise of rests; table and mounting get the others."""
@@ -121,6 +121,8 @@ def require(
 def wanted_of(texts: Sequence[str], relative_percent: float | None, setup: Setup) -> dict[str, float]:
     """Wanted rms errors by group, SI, from texts such as "accel.scale=3.5ppm" and, for the groups these do not name,
     from a percentage of the spreads. Raises InputError for a text it cannot read, and where nothing is wanted."""
+    if relative_percent is not None and not relative_percent > 0.0:
+        raise InputError(f"--relative: expected more than 0 %, found {relative_percent:g}")
     spreads = {group: spread_of(setup, group) for group in GROUPS}
     wanted = {} if relative_percent is None else {g: 1e-2 * relative_percent * s for g, s in spreads.items()}
     for text in texts:
@@ -206,9 +208,11 @@ def _requirement(unit: Setup, group: str, wanted: float, demand: _Demand) -> Req
     if free <= 0.0:
         cause = max(demand.fixed, key=lambda name: demand.fixed[name])
         floor = math.sqrt(sum(demand.fixed.values()))
+        size, name = engineering(gives, floor)
         reason = (
-            f"{group}: expected an accuracy of at least {floor:.3g} {gives}, which an exact table and endless rests "
-            f"leave (mostly {cause}), found {wanted:.3g}; {_REMEDY.get(cause, 'take another pass or method')}"
+            f"{group}: expected an accuracy of at least {floor / size:.3g} {name}, which an exact table and endless "
+            f"rests leave (mostly {cause}), found {wanted / size:.3g} {name}; "
+            f"{_REMEDY.get(cause, 'take another pass or method')}"
         )
         return Requirement(
             group=group, estimator=estimator, wanted=wanted, unit=gives, feasible=False, limited=True,

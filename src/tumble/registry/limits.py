@@ -28,10 +28,10 @@ from typing import Any, Literal
 
 from tumble.calibration.coverage import expanded_of
 from tumble.documents import text_of_document, toml_of
-from tumble.errors import InputError
+from tumble.errors import InputError, did_you_mean
 from tumble.registry.records import OCCASIONS, Occasion, ParameterRow
 from tumble.sensors.frames import FRAMES
-from tumble.sensors.parameters import ParameterGroup, group_of, meant_by
+from tumble.sensors.parameters import ParameterGroup, group_of, groups, meant_by
 from tumble.sensors.typed_quantities import quantity_of
 
 FORMAT = 1
@@ -308,8 +308,8 @@ def _limit(key: str, value: Any, where: str) -> Limit:
     try:
         kind = group_of(key)
     except KeyError:
-        said = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found another'
-        raise InputError(f"{where}: {said}") from None
+        said = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found'
+        raise InputError(f"{where}: {said} {key!r}{did_you_mean(key, (group.name for group in groups()))}") from None
     if isinstance(value, str):
         size = _size(value, kind, where)
         return Limit(low=-size, high=size, relative=False)

@@ -16,7 +16,7 @@ from tumble.sensors.parameters import shown_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-from tumble.campaigns.summary import SummaryLine, _plain, varying
+from tumble.campaigns.summary import SummaryLine, said, varying
 
 WIDE = 5.0
 """Ratio of the errors in a panel from which its scale is logarithmic."""
@@ -31,6 +31,7 @@ def plot(lines: Sequence[SummaryLine], path: Path) -> None:
     with needs_extra("a plot of a campaign", "report", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
+        from matplotlib.lines import Line2D
     lines = [line for line in lines if line.rms is not None]
     if not lines:
         raise InputError(f"{path}: expected an accepted trial to draw, found none")
@@ -43,6 +44,8 @@ def plot(lines: Sequence[SummaryLine], path: Path) -> None:
         for panel, group in zip(panels, groups, strict=True):
             _draw(panel, [line for line in lines if line.group == group], axes, along)
         handles, names = panels[0].get_legend_handles_labels()
+        if any(line.to_bound for line in lines):
+            handles, names = [*handles, Line2D([], [], color="0.3", linestyle=":")], [*names, "bound"]
         figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8.0)
         undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
         with whole_file(path) as temporary:
@@ -54,7 +57,7 @@ def _draw(panel: Axes, lines: Sequence[SummaryLine], axes: Sequence[str], along:
     size, unit = shown_in(lines[0].group, lines[0].unit, max(line.rms or 0.0 for line in lines))
     series: dict[str, list[SummaryLine]] = {}
     for line in lines:
-        others = [f"{axis} {_plain(line.point[axis])}" for axis in axes if axis != along]
+        others = [f"{axis} {said(line.point[axis])}" for axis in axes if axis != along]
         series.setdefault(", ".join([line.method, *others]), []).append(line)
     for i, (name, members) in enumerate(series.items()):
         x = [i if along is None else line.point[along] for line in members]
@@ -63,8 +66,10 @@ def _draw(panel: Axes, lines: Sequence[SummaryLine], axes: Sequence[str], along:
         if all(line.to_bound for line in members):
             bound = rms / np.array([line.to_bound for line in members])
             panel.plot(x, bound, "_:" if along is None else ":", color=f"C{i}", linewidth=1.0)
-    panel.set(title=lines[0].group, ylabel=f"rms error, {unit}", xlabel="method" if along is None else along)
-    largest, least = (of(line.rms or 0.0 for line in lines) for of in (max, min))
+    shown = "arcsec" if unit == '"' else unit
+    panel.set(title=lines[0].group, ylabel=f"rms error, {shown}", xlabel="method" if along is None else along)
+    drawn = [(line.rms or 0.0) / below for line in lines for below in (1.0, line.to_bound or 1.0)]
+    largest, least = max(drawn), min(drawn)
     if largest > WIDE * least:
         panel.set(yscale="log")
     else:

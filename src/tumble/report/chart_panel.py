@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,8 @@ TONES = {"pass": "#22693d", "undecided": "#8a5a00", "fail": "#a32222"}
 _LIMIT = TONES["fail"]
 _NEAR = 0.4
 """A limit is drawn where it is no further from the data than this part of their height."""
+_MOST_DATES = 5
+"""More would touch in a picture of this size."""
 _LONGEST_BAR = 2.0
 """U decides the height of the picture up to so many times the spread of the values, or the usual U."""
 
@@ -37,6 +39,9 @@ def draw_panel(
     axes: Axes, trend: Trend, limits: tuple[float, float] | None, verdicts: Mapping[int, str], unit: tuple[float, str]
 ) -> None:
     """Draw one parameter; `verdicts` are those on its records by number, `unit` the size and name of what is shown."""
+    import matplotlib.dates
+
+    made: Any = matplotlib.dates  # its classes have no types
     size, name = unit
     points = trend.series.points
     values = np.array([p.value for p in points]) / size
@@ -49,6 +54,8 @@ def draw_panel(
     if limits is not None:
         _draw_limits(axes, limits, float(bars[-1]), size)
     axes.set_ylabel(drawable(name))
+    dates = made.AutoDateLocator(minticks=2, maxticks=_MOST_DATES)
+    axes.xaxis.set(major_locator=dates, major_formatter=made.ConciseDateFormatter(dates))
     axes.margins(x=0.08)
     axes.grid(axis="y", color=FAINT, linewidth=0.5)
     axes.set_axisbelow(True)

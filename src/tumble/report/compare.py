@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.further import further_parameters, linear_parameters
+from tumble.calibration.results import Parameter
 from tumble.errors import CalibrationError
 from tumble.report import figures
 from tumble.report.blocks import Block, Figure, ReportTable, Section, Text
@@ -26,12 +28,14 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: s
         return Section(title=title, blocks=(Text(text="The first calibration has no parameters to compare."),))
     blocks: list[Block] = [
         Text(text=_said(calibrations)),
-        _side_by_side(titles, alike),
+        _side_by_side(titles, alike, linear_parameters(alike[0].parameters), dense=len(titles) > 2),
         Figure(
             svg=figures.comparison(name, titles, alike),
             caption="Difference of every parameter from the mean of the calibrations, with U.",
         ),
     ]
+    if further := further_parameters(alike[0].parameters):
+        blocks += [Text(text="Beyond the linear model:"), _side_by_side(titles, alike, further, dense=True)]
     return Section(title=title, blocks=tuple(blocks))
 
 
@@ -50,12 +54,14 @@ def _said(calibrations: Sequence[Calibration]) -> str:
     return f"{frame} The spread is the standard deviation of the values."
 
 
-def _side_by_side(titles: Sequence[str], calibrations: Sequence[Calibration]) -> ReportTable:
+def _side_by_side(
+    titles: Sequence[str], calibrations: Sequence[Calibration], parameters: Sequence[Parameter], *, dense: bool
+) -> ReportTable:
     units = shown_units(calibrations[0].parameters)
     found = [{p.name: p for p in calibration.parameters} for calibration in calibrations]
     spread = not _one_log(calibrations)
     rows = []
-    for p in calibrations[0].parameters:
+    for p in parameters:
         size, unit = units[p.name]
         cells = [" ± ".join(with_expanded(own[p.name], size)) if p.name in own else NONE for own in found]
         values = [own[p.name].value for own in found if p.name in own]
@@ -68,5 +74,5 @@ def _side_by_side(titles: Sequence[str], calibrations: Sequence[Calibration]) ->
         rows=tuple(rows),
         text=(0, len(columns) - 1),
         caption="Value ± U.",
-        dense=len(titles) > 2,
+        dense=dense,
     )

@@ -161,14 +161,11 @@ def _check_one_device(sources: Sequence[Source]) -> None:
 
 
 def _titles(sources: Sequence[Source]) -> list[str]:
-    """What each calibration is called: its method where these differ, else a number and its date."""
+    """What each calibration is called: its method where these differ, else a number and the date of its recording."""
     methods = [source.calibration.method for source in sources]
     if len(set(methods)) == len(sources):
         return methods
-    dates = [
-        (source.calibration.circumstances.date or source.calibration.provenance.get("created", ""))[:10]
-        for source in sources
-    ]
+    dates = [(source.calibration.circumstances.date or "")[:10] for source in sources]
     return [f"{i}: {method} {date}".rstrip() for i, (method, date) in enumerate(zip(methods, dates, strict=True), 1)]
 
 
@@ -185,7 +182,7 @@ def _front(sources: Sequence[Source], titles: Sequence[str]) -> tuple[tuple[str,
         ("programme", first.programme or "none"),
         ("launches", str(len(recordings))),
         *(recording.site_facts(recordings[0].site) if first.site is not None else ()),
-        ("temperature", f"{recording.temperature(recordings)} (sensors)"),
+        ("temperature", recording.temperature(recordings)),
         *certified.circumstances(first.circumstances),
     ]
     return tuple(rows)

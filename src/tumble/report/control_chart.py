@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from tumble.terminal.registry import (
     drift_cells,
     expanded_of,
     forecast_lines,
+    further_of,
     limit_cell,
     significant,
     units_of,
@@ -72,9 +73,12 @@ class _Panel:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Group:
+class _Part:
+    """A section: the numbers of parameters in rows, or their pictures."""
+
     title: str
-    panels: tuple[_Panel, ...]
+    rows: tuple[list[_Cell], ...] = ()
+    panels: tuple[_Panel, ...] = ()
 
 
 def write_chart(path: Path, found: Monitored) -> None:
@@ -116,8 +120,7 @@ def _page(found: Monitored) -> str:
         "findings": _findings(found),
         "columns": _COLUMNS,
         "words": (0, 7, 8),
-        "rows": [_row(found, trend, *units[trend.series.name]) for trend in found.trends],
-        "groups": _groups(found, units),
+        "parts": _parts(found, units),
         "notes": (*_NOTES, f"{RULE[0].upper()}{RULE[1:]}."),
         "closing": "End of the control chart",
     }
@@ -201,13 +204,28 @@ def _between(limits: tuple[float, float], size: float) -> str:
     return f"{low or '−∞'} … {high or '∞'}"
 
 
-def _groups(found: Monitored, units: Mapping[str, tuple[float, str]]) -> list[_Group]:
+def _parts(found: Monitored, units: Mapping[str, tuple[float, str]]) -> list[_Part]:
+    """Numbers and pictures of bias, scale and axes and of what has limits or has changed; then those of all else."""
+    kept = {*found.limits, *found.changed()}
+    further = further_of((trend.series.name for trend in found.trends), kept)
+    last = [trend for trend in found.trends if trend.series.name in further]
+    first = [trend for trend in found.trends if trend.series.name not in further]
+    parts = []
+    for title, trends in (("The latest calibration", first), ("All other parameters", last)):
+        if trends:
+            rows = tuple(_row(found, trend, *units[trend.series.name]) for trend in trends)
+            parts += [_Part(title=title, rows=rows), *_pictures(found, trends, units)]
+    return parts
+
+
+def _pictures(found: Monitored, trends: Sequence[Trend], units: Mapping[str, tuple[float, str]]) -> list[_Part]:
     """The pictures by group of parameters."""
-    names = dict.fromkeys(group_name(trend.series.name) for trend in found.trends)
+    names = dict.fromkeys(group_name(trend.series.name) for trend in trends)
     panels = {name: list[_Panel]() for name in names}
-    for i, trend in enumerate(found.trends):
-        panels[group_name(trend.series.name)].append(_panel(f"t{i}", found, trend, units[trend.series.name]))
-    return [_Group(title=_title(name), panels=tuple(own)) for name, own in panels.items()]
+    for trend in trends:
+        name = trend.series.name
+        panels[group_name(name)].append(_panel(f"t{found.trends.index(trend)}", found, trend, units[name]))
+    return [_Part(title=_title(name), panels=tuple(own)) for name, own in panels.items()]
 
 
 def _title(group: str) -> str:
@@ -245,7 +263,7 @@ def _style() -> Any:
     """The style of a report, with letters as text."""
     from tumble.report.figures import STYLE
 
-    return STYLE | {"svg.fonttype": "none", "font.family": "sans-serif", "date.converter": "concise"}
+    return STYLE | {"svg.fonttype": "none", "font.family": "sans-serif"}
 
 
 def _picture(name: str, found: Monitored, trend: Trend, unit: tuple[float, str]) -> str:

@@ -205,7 +205,7 @@ def noise_and_drift(name: str, rests: Sequence[RestResult], sensors: Mapping[str
             seen: list[SensorsAtRest] = [getattr(rest, kind) for rest in rests]
             _per_rest(noise, np.array([s.noise for s in seen]), unit, "/√Hz", sensors[kind])
             _per_rest(drift, np.array([s.drift for s in seen]), unit, "", sensors[kind])
-            noise.set(ylim=(0.0, None), title=f"{title}: noise density")
+            noise.set(ylim=(0.0, 1.1 * noise.get_ylim()[1]), title=f"{title}: noise density")
             drift.set(title=f"{title}: drift over a rest")
             noise.legend(loc="lower left", ncols=3, handlelength=1.0, columnspacing=1.0)
         if warm:

@@ -18,7 +18,7 @@ from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
 from tumble.report import drawings, figures
 from tumble.report.blocks import Block, Facts, Figure, ReportTable, Section, Text
-from tumble.report.numbers import NONE, fixed, minus, significant
+from tumble.report.numbers import NONE, fixed, significant
 from tumble.report.recording_picture import overview
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
@@ -311,10 +311,15 @@ def _warmth(rests: Sequence[RestResult]) -> str:
     seen = [rest.temperature for rest in rests if rest.temperature is not None]
     if not seen:
         return "; the recording has no temperature"
-    return f", and the temperature: {fixed(min(seen), 1)} to {fixed(max(seen), 1)} °C"
+    return f", and the temperature: {_span(seen)}"
 
 
 def temperature(all_of_them: Sequence[RecordedSession]) -> str:
     """The range of temperatures of the rests."""
     seen = [rest.temperature for r in all_of_them for rest in r.rests if rest.temperature is not None]
-    return minus(f"{min(seen):.1f} to {max(seen):.1f} °C") if seen else "not recorded"
+    return f"{_span(seen)} (sensors)" if seen else "not recorded"
+
+
+def _span(celsius: Sequence[float]) -> str:
+    """The lowest to the highest temperature, one where they are shown alike."""
+    return " to ".join(dict.fromkeys((fixed(min(celsius), 1), fixed(max(celsius), 1)))) + " °C"

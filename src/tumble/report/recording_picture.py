@@ -6,6 +6,7 @@ after the other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -27,8 +28,11 @@ if TYPE_CHECKING:
 _RESTS, _TURNS = "#e3e8ee", "#f6e3d6"
 """Colours of the spans of rests and turns."""
 
-_MOST_NUMBERS = 40
-"""Of more rests than these, not all are numbered."""
+_NUMBER = 7.0
+"""Height of the number of a rest, points; a digit is 0.65 of it wide."""
+
+_DRAWN = 0.8
+"""The part of a figure's width that readings take, about; the rest is for scale and legend."""
 
 Spans = Sequence[tuple[float, float]]
 """Start and stop, s."""
@@ -132,13 +136,21 @@ def _spans(axes: Axes, rests: Spans, turns: Spans) -> None:
 
 
 def _numbers(axes: Axes, rests: Spans) -> None:
-    """The number of every rest, above it."""
-    step = -(-len(rests) // _MOST_NUMBERS) or 1
-    for i in range(0, len(rests), step):
-        middle = 0.5 * (rests[i][0] + rests[i][1])
+    """The number of every rest above it, where there is room beside the one before."""
+    if not rests:
+        return
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    point = (rests[-1][1] - rests[0][0]) / (72.0 * _DRAWN * figure.get_figwidth())
+    taken = -math.inf
+    for number, (start, stop) in enumerate(rests, 1):
+        middle, half = 0.5 * (start + stop), 0.325 * _NUMBER * len(str(number)) * point
+        if middle - half < taken:
+            continue
         axes.annotate(
-            str(i + 1), (middle, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=7.0
+            str(number), (middle, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=_NUMBER
         )
+        taken = middle + half + 0.4 * _NUMBER * point
 
 
 def _steps(axes: Axes, spans: Spans, values: Array, colour: str, label: str) -> None:

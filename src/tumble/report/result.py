@@ -157,36 +157,42 @@ def _further_table(parameters: Sequence[Parameter]) -> ReportTable:
         columns=("parameter", "value", "u", "k", "unit", "prior", "learned"),
         rows=tuple(rows),
         text=(0, 4),
-        caption="u is the standard uncertainty, k u the half width of the interval of 95 %, prior a standard "
+        caption="u is the standard uncertainty, k u the half width of the interval of 95.45 %, prior a standard "
         "deviation, as widened.",
         dense=True,
     )
 
 
 def launches(calibration: Calibration) -> Section:
-    """Every launch beside the others."""
-    units = shown_units(calibration.parameters)
-    rows = []
-    for p in calibration.parameters:
-        size, unit = units[p.name]
-        own = [next((q for q in launch.parameters if q.name == p.name), None) for launch in calibration.launches]
-        values = [NONE if q is None else with_expanded(q, size)[0] for q in own]
-        rows.append((p.name, *values, as_value(p.run_to_run, p, size), unit))
-    titles = [launch.session for launch in calibration.launches]
+    """Every launch beside the others: bias, scale and axes, then what is beyond the linear model in a table of its
+    own."""
     blocks: list[Block] = [
         Text(
             text="The result is the mean of these launches (power-ons). Run to run is the standard deviation from one "
             "launch to another; it is in the uncertainty of the mean."
         ),
-        ReportTable(
-            columns=("parameter", *titles, "run to run", "unit"),
-            rows=tuple(rows),
-            text=(0, len(titles) + 2),
-            dense=len(titles) > 4,
-        ),
-        Facts(rows=tuple((f"log of {launch.session}", _digest(launch)) for launch in calibration.launches)),
+        _launch_table(calibration, linear_parameters(calibration.parameters), dense=len(calibration.launches) > 4),
     ]
+    if further := further_parameters(calibration.parameters):
+        blocks += [Text(text="Beyond the linear model:"), _launch_table(calibration, further, dense=True)]
+    blocks.append(Facts(rows=tuple((f"log of {launch.session}", _digest(launch)) for launch in calibration.launches)))
     return Section(title="Launches", blocks=tuple(blocks))
+
+
+def _launch_table(calibration: Calibration, parameters: Sequence[Parameter], *, dense: bool) -> ReportTable:
+    units = shown_units(calibration.parameters)
+    found = [{p.name: p for p in launch.parameters} for launch in calibration.launches]
+    rows = []
+    for p in parameters:
+        size, unit = units[p.name]
+        values = [with_expanded(own[p.name], size)[0] if p.name in own else NONE for own in found]
+        rows.append((p.name, *values, as_value(p.run_to_run, p, size), unit))
+    return ReportTable(
+        columns=("parameter", *(launch.session for launch in calibration.launches), "run to run", "unit"),
+        rows=tuple(rows),
+        text=(0, len(found) + 2),
+        dense=dense,
+    )
 
 
 def _digest(launch: Launch) -> str:

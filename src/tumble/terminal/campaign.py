@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from tumble.campaigns.summary import SummaryLine, said, varying
 from tumble.sensors.parameters import shown_in
-
-if TYPE_CHECKING:
-    pass
-from tumble.campaigns.summary import SummaryLine, _plain, varying
 from tumble.terminal.table import plain_table
 
 
 def summary_report(lines: Sequence[SummaryLine]) -> RenderableType:
-    """The lines as tables: first how the trials ended, then the errors."""
+    """The lines as tables: first how the trials ended, then the errors, where there are any."""
     axes = varying(lines)
     ended, errors = plain_table(), plain_table()
     for table, headings in (
@@ -33,14 +29,14 @@ def summary_report(lines: Sequence[SummaryLine]) -> RenderableType:
             table.add_column(heading, justify="left" if heading == "unit" else "right")
     before: list[str] = []
     for line in lines:
-        where = [_plain(line.point[axis]) for axis in axes] + [line.method]
+        where = [said(line.point[axis]) for axis in axes] + [line.method]
         if where != before:
             refused = line.trials - line.accepted - line.failed
             ended.add_row(*where, str(line.trials), str(line.accepted), str(refused), str(line.failed))
         if line.rms is not None:
             errors.add_row(*(where if where != before else [""] * len(where)), line.group, *_figures(line))
         before = where
-    return Group(ended, Text(""), errors)
+    return Group(ended, Text(""), errors) if errors.row_count else ended
 
 
 def _figures(line: SummaryLine) -> list[str]:

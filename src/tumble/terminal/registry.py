@@ -82,12 +82,12 @@ def record_report(
         lines.append(f"superseded by record {record.superseded_by}")
     judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
     results = [row for row in rows if row.launch == 0]
-    further = () if every else _further((row.name for row in results), judged)
+    further = () if every else further_of((row.name for row in results), judged)
     shown = _verdict_table([row for row in results if row.name not in further], judged)
     return Group(Text("\n".join(lines)), Text(""), shown, *_counted(further), Text(""), Text(_verdict_line(verdict)))
 
 
-def _further(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
+def further_of(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
     """The parameters beyond the linear model of which nothing is `judged`."""
     return frozenset(name for name in names if name not in judged and beyond_linear(name))
 
@@ -190,7 +190,7 @@ def trend_report(found: Monitored, *, every: bool) -> RenderableType:
         table.add_column(heading)
     units = units_of(found)
     kept = {*limits, *found.changed()}
-    further = () if every else _further((trend.series.name for trend in trends), kept)
+    further = () if every else further_of((trend.series.name for trend in trends), kept)
     for trend in trends:
         name = trend.series.name
         if name in further:

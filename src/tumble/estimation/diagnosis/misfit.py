@@ -53,7 +53,8 @@ LOST_PROBABILITY = 0.05
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
 
-CONTAINED = "; u contains it as far as it is random"
+CONTAINED = "; u contains it"
+AT_RANDOM = f"{CONTAINED} as far as it is random"
 
 DAMAGE = 3.0
 """Times u: a parameter that errs by more because a cause was left out."""
@@ -111,7 +112,7 @@ def misfit(estimate: Estimate, observations: Observations) -> Misfit | None:
 
 def _about_joint(found: Misfit) -> Misfit:
     """What residuals about the joint estimate say of one by another method, whose u has a scatter of its own."""
-    said = ((concerns, remark.removesuffix(CONTAINED)) for concerns, remark in found.remarks)
+    said = ((concerns, remark.replace(AT_RANDOM, "").replace(CONTAINED, "")) for concerns, remark in found.remarks)
     return replace(
         found,
         reasons=tuple((concerns, f"by the method joint, {reason}") for concerns, reason in found.reasons),
@@ -158,7 +159,7 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     reasons += [(c.concerns, _damaging(c)) for c in named if c.damage > DAMAGE and c.probability < limit]
     remarks = list(_settled(linearised))
     remarks += [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
-    remarks += [(concerns, f"{said}; u contains it") for concerns, said, many in wandering if not many]
+    remarks += [(concerns, f"{said}{CONTAINED}") for concerns, said, many in wandering if not many]
     remarks += list(_alike(alike))
     remarks += [(cause.concerns, f"probable cause: {cause.sentence}") for cause in named]
     warm = ("warm-up",) if observations.warm_up is not None else ()
@@ -280,7 +281,7 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
         return _aliased(linearised)
     if _scatter(group, linearised) == 0.0:
         return f"the {group.words} are further from the fit than their noise explains"
-    return f"the {group.words} scatter by {_said(group, ratio, linearised)}{CONTAINED}"
+    return f"the {group.words} scatter by {_said(group, ratio, linearised)}{AT_RANDOM}"
 
 
 def _aliased(linearised: Linearised) -> str:
@@ -289,7 +290,7 @@ def _aliased(linearised: Linearised) -> str:
     largest = linearised.scatter.aliased * float(np.sqrt(turns.aliased.max())) / DEGREE
     return (
         f"the rotations of the turns err by up to about {largest:.2g}° where rates jump from sample to sample, as "
-        "instantaneous samples of jerky turns do; u contains it; turn smoothly, or sample faster"
+        f"instantaneous samples of jerky turns do{CONTAINED}; turn smoothly, or sample faster"
         + jittering(linearised.problem.observations)
     )
 
