@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import polars as pl
@@ -22,14 +23,13 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame]) -> None:
     ending = path.suffix.lower()
     if ending not in FORMATS:
         raise InputError(f"{path}: expected a file name that ends in {' or '.join(FORMATS)}, found another")
-    failed: list[Exception] = []
+    failed: list[BaseException] = []
     first = next(tables)
 
     def source(*_: object) -> Iterator[pl.DataFrame]:
-        yield first
         try:
-            yield from tables
-        except Exception as error:  # polars would make it one of its own
+            yield from chain([first], tables)  # a chain has no end of its own: polars may drop the source in any thread
+        except (Exception, KeyboardInterrupt) as error:  # polars would make it one of its own, or drop it there
             failed.append(error)
             raise
 
