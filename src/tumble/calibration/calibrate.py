@@ -41,6 +41,8 @@ DEFAULT_METHOD = "joint"
 Terms = Literal["full", "linear"]
 """Which parameters: all groups of the table, or bias, scale factor and axis angles alone."""
 METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
+WITH_ALL_TERMS = ("joint", "ellipsoid")
+"""Those that know of groups of parameters beyond bias, scale factor and axis angles."""
 ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequential": sequential, "scalar": scalar}
 """The pipelines of the paper, which take a number of iterations."""
 
@@ -116,7 +118,7 @@ def calibrate(
         if isinstance(observations, Outcome):
             found = observations
         else:
-            found = estimated(session, observations, estimator, systematic, terms if method == "joint" else "linear")
+            found = estimated(session, observations, estimator, systematic, terms if method in WITH_ALL_TERMS else "linear")
     provenance, bridged = provenance_of(observed.sha256), bridged_in(observed.gaps)
     if isinstance(found, Outcome):
         made = without_result(session, method, found, provenance, bridged)
@@ -203,7 +205,7 @@ def estimated(
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = _with_time_base(method(observations), observations)
         if terms == "full":
-            return estimate, observations
+            return (estimate if estimate.linearised else judged(estimate, observations, observations)), observations
         whole = replace(observations, usual=_usual(session, observations, "full")[0])
         estimate = judged(estimate, observations, whole)
         return estimate, replace(observations, notes=notes + left_out(estimate, observations, whole))

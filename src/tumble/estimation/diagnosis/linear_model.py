@@ -19,18 +19,14 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.estimation.diagnosis.misfit import lost_by_velocities
+from tumble.estimation.diagnosis.undetermined import linear_names
 from tumble.estimation.estimate import Estimate
+from tumble.estimation.left_out import left_out_of
 from tumble.estimation.likelihood import Linearised
 from tumble.estimation.methods.joint.method import joint
 from tumble.reduction.observations import Observations
-from tumble.rotation import tangent_basis, unit_vector
-from tumble.sensors.instrument import Instrument, functions
-from tumble.sensors.parameters import FORCE, positions_by_group, shown_in
+from tumble.sensors.parameters import positions_by_group, shown_in
 from tumble.units import Array
-
-_NOTHING = 1e-9
-"""Of the largest singular value: what rests do not determine is moved by nothing that they show."""
-
 
 def judged(estimate: Estimate, observations: Observations, whole: Observations) -> Estimate:
     """An estimate of the linear model with a likelihood by which its residuals are judged, and with what the velocities
@@ -52,7 +48,7 @@ def _likelihood(estimate: Estimate, observations: Observations) -> Linearised | 
         beside = joint(seen)
     except np.linalg.LinAlgError:
         return None
-    return beside.linearised if beside.converged and not beside.unobservable else None
+    return beside.linearised if beside.converged and not linear_names(beside.unobservable) else None
 
 
 def left_out(estimate: Estimate, observations: Observations, whole: Observations) -> tuple[str, ...]:
@@ -89,17 +85,4 @@ _WORDS = {"accel.bias": "biases", "accel.scale": "scale factors", "accel.axis": 
 def moved_by(names: set[str], observations: Observations) -> Array:
     """Standard deviations (m,) by which groups of their usual sizes move bias, scale factors and axis angles of the
     accelerometers in a fit to the rests that does not have them."""
-    block, g = observations.accel_block, observations.site.gravity
-    instrument = Instrument.of(block, None, names)
-    values = np.zeros(len(instrument.names))
-    force = g * unit_vector(block.nominal().apply(observations.rests.accel))
-    seen, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
-    changes = np.einsum("ipb,pbm->ipm", seen, D)
-    turning = np.einsum("pk,ijk->ipj", instrument.coefficients(block, values)[:, FORCE], tangent_basis(force / g))
-    basis, _ = np.linalg.qr(turning, mode="complete")
-    rows = np.einsum("ipr,ipm->irm", basis[:, :, 2:], changes).reshape(-1, len(values))
-    linear = instrument.linear_count
-    usual = np.array([observations.usual[group.name] for group in instrument.further for _ in group.names(block)])
-    return np.asarray(
-        np.linalg.norm(np.linalg.pinv(rows[:, :linear], rcond=_NOTHING) @ rows[:, linear:] * usual, axis=1)
-    )
+    return np.asarray(np.linalg.norm(left_out_of(observations, names=names).by_usual, axis=1))
