@@ -46,9 +46,7 @@ class LeftOut:
         return self.moves * self.usual
 
 
-def left_out_of(
-    observations: Observations, sigma: Array | None = None, names: Container[str] | None = None
-) -> LeftOut:
+def left_out_of(observations: Observations, sigma: Array | None = None, names: Container[str] | None = None) -> LeftOut:
     """The groups of the accelerometers of which the observations know a usual size, those of `names` alone where there
     are any, and what they do in a fit to rests with standard deviations `sigma` (N,), equal ones where None."""
     seen = observations.of_accelerometers()

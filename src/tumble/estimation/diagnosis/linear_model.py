@@ -4,12 +4,8 @@ The methods beside `joint` have bias, scale factor and axis angles alone, and ta
 a quadratic term of the accelerometers for a bias and scale factors. Two things are asked of such an estimate.
 
 Its residuals are judged about the estimate that `joint` makes of the same model (`judged`), for the turns show most of
-what rests alone can be fitted to. And what they do not show is counted: groups of the accelerometers, of usual size σ,
-add Σ_c B_c θ_c to the rests, B along what no turn of the vertical reaches, of which a fit of the linear columns A makes
-
-    ΔX = A⁺ B θ,   u²(ΔX) = Σ_c (A⁺ B)_c² σ_c²
-
-Source: dynamics method, A4; the columns are those of Eq. (12) of the turntable method, for any number of sensors.
+what rests alone can be fitted to. And what they do not show is counted (`tumble.estimation.left_out`): in u by the
+method ellipsoid, which has no turns, in a note by the others.
 """
 
 from __future__ import annotations
@@ -27,6 +23,7 @@ from tumble.estimation.methods.joint.method import joint
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import positions_by_group, shown_in
 from tumble.units import Array
+
 
 def judged(estimate: Estimate, observations: Observations, whole: Observations) -> Estimate:
     """An estimate of the linear model with a likelihood by which its residuals are judged, and with what the velocities
@@ -70,6 +67,16 @@ def left_out(estimate: Estimate, observations: Observations, whole: Observations
         f"not in the model: {', '.join(_AT_REST[name] for name in _AT_REST if name in names)} of the accelerometers; "
         f"where they are of the size usual in instruments of the grade, they move {', '.join(said)} (rms), which u "
         "does not contain; the method joint with all its terms does",
+    )
+
+
+def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
+    """That groups are nothing by the method and in its u by their size, where an estimate has such, as a note."""
+    if not estimate.groups:
+        return ()
+    return (
+        f"the method {estimate.method} takes all of it as nothing and has its usual size in u; the method joint finds "
+        "what the session shows of it, and --terms linear leaves it out",
     )
 
 
