@@ -5,11 +5,11 @@ warms quickly another one in every rest. Then
 
     level = b + G f + d t
 
-with the specific force f and time t, −1 … 1 over the log. A stretch in which the accelerometers are quiet and the gyros steady is a rest, or a turn
-about the vertical so slow that it is not seen to be one: a turn about any other axis moves the vertical, and the
-accelerometers see it. Which it is only the other stretches say. G is fitted to all of them with the sum of the
-distances as the measure, which a minority cannot bend, and a stretch off the level is accepted if the fit to the
-others predicts its level.
+with the specific force f and time t, −1 … 1 over the log. A stretch in which the accelerometers are quiet and the
+gyros steady is a rest, or a turn about the vertical so slow that it is not seen to be one: a turn about any other axis
+moves the vertical, and the accelerometers see it. Which it is only the other stretches say. G, and where it takes it d,
+are fitted to all of them with the sum of the distances as the measure, which a minority cannot bend, and a stretch off
+the level is accepted if the fit to the others predicts its level.
 """
 
 from __future__ import annotations

@@ -13,11 +13,10 @@
 3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
    shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two
    rests of a file is a turn.
-4. Gyros that feel specific force have a level of their own in every attitude, those that warm quickly in every rest, and
-   the one level of steps 1 and 2 passes over rests. Stretches that are quiet and steady but off the level are therefore
-   looked at again (`gyro_levels`): where a linear function of the specific force and of time explains the levels, it is
-   taken off the rates, and steps 1 and 2 are repeated. No stretch is accepted but one whose level the others predict, so that a slow turn about the vertical
-   stays a turn.
+4. Gyros that feel specific force have a level of their own in every attitude, those that warm in every rest. What
+   is quiet and steady but off the level is therefore looked at again (`gyro_levels`): where a linear function of the
+   specific force and of time explains the levels, it is taken off the rates, and steps 1 and 2 are repeated. Nothing is
+   accepted but a stretch whose level the others predict: a slow turn about the vertical stays a turn.
 5. A recording whose stretches are nearly all too short was made so: it is searched again with windows of half a second
    and margins of a tenth, and a rest is then what has SHORT_REST_SECONDS between them.
 6. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
