@@ -342,6 +342,16 @@ def test_every_rest_is_found_where_the_level_of_the_gyros_depends_on_the_attitud
         assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
 
 
+def test_every_rest_is_found_where_gyros_that_feel_force_also_warm() -> None:
+    """Sensitivities of 0.1 °/s/g, and levels that move by 0.8 °/s while a unit warms: a MEMS unit by 20 K."""
+    for seed in (31, 32, 33):
+        recording = recorded(Setup.of(grade="mems", positions=26, sample_rate=50.0), seed)
+        recording = with_g_sensitivity(recording, seed)
+        passed = np.linspace(-1.0, 1.0, len(recording.time))[:, None]
+        warmed = recording.gyro + 0.4 * DEGREE * np.array([1.0, -0.7, 0.4]) * passed
+        assert_all_found(recording, found(recording.time, recording.accel, warmed))
+
+
 def test_no_rest_is_lost_to_g_sensitivities_up_to_half_a_degree() -> None:
     """Of eight sessions of 12 to 30 rests, with matrices of 0.1 to 0.5 °/s/g; nor is any turn taken for one."""
     for seed in (2, 5, 8, 45, 53, 57, 61, 72):
