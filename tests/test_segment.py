@@ -19,6 +19,7 @@ from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, Scenario, Vibration, scenario_of
+from tumble.simulation.temperature_profile import TemperatureProfile, draw_thermal
 from tumble.units import DEGREE, G_STANDARD, Array
 
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
@@ -342,14 +343,16 @@ def test_every_rest_is_found_where_the_level_of_the_gyros_depends_on_the_attitud
         assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
 
 
-def test_every_rest_is_found_where_gyros_that_feel_force_also_warm() -> None:
-    """Sensitivities of 0.1 °/s/g, and levels that move by 0.8 °/s while a unit warms: a MEMS unit by 20 K."""
-    for seed in (31, 32, 33):
-        recording = recorded(Setup.of(grade="mems", positions=26, sample_rate=50.0), seed)
-        recording = with_g_sensitivity(recording, seed)
-        passed = np.linspace(-1.0, 1.0, len(recording.time))[:, None]
-        warmed = recording.gyro + 0.4 * DEGREE * np.array([1.0, -0.7, 0.4]) * passed
-        assert_all_found(recording, found(recording.time, recording.accel, warmed))
+@pytest.mark.parametrize("seed", [207, 208])
+def test_every_rest_is_found_where_gyros_that_feel_force_also_warm(seed: int) -> None:
+    """MEMS units with all terms of usual size that warm by 20 K in some four minutes."""
+    setup, rng = Setup.of(grade="mems", positions=26, sample_rate=25.0, terms="full"), np.random.default_rng(seed)
+    unit = scenario_of(setup, rng)
+    thermal = draw_thermal(setup.further, "mems", {"accel": unit.accel, "gyro": unit.gyro}, rng)
+    climate = TemperatureProfile(celsius=(15.0, 35.0)).climate(240.0)
+    unit = replace(unit, truth=dict(unit.truth) | thermal, climate=climate)
+    recording = record(unit, np.random.default_rng([seed, 1]))
+    assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
 
 
 def test_no_rest_is_lost_to_g_sensitivities_up_to_half_a_degree() -> None:

@@ -30,7 +30,8 @@ USUAL_DRIFT = 1.0 * DEGREE
 LEAST_STRETCHES = 8
 LEAST_SHARE = 2.0 / 3.0
 LEAST_GAIN = 0.2
-"""So many stretches, and this share of them, must follow the function; this share more than follow one level."""
+"""So many stretches, and this share of them, must follow the function; this share more than follow one level, and with a
+drift than without."""
 
 MOST_UNCERTAIN = 2.0
 """Times what a level is: how uncertain a prediction from the other stretches may be."""
@@ -83,12 +84,12 @@ def level_function(
     cores = [(k, *core(i, j, least)) for k, i, j in stretches]
     level = np.array([rates[k][i:j].mean(axis=0) for k, i, j in cores])
     rows = np.array([[1.0, *(usual * [*force[k][i:j].mean(axis=0), time[k][i:j].mean()])] for k, i, j in cores])
-    constant = int(_near(rows[:, :1], level, limit).sum())
-    for some in (rows[:, :4], rows):  # a drift where there is no other way
-        near = _near(some, level, limit)
-        if near.sum() >= max(LEAST_STRETCHES, LEAST_SHARE * len(near), constant + LEAST_GAIN * len(near)):
-            break
-    else:
+    some, near = rows[:, :1], _near(rows[:, :1], level, limit)
+    for more in (rows[:, :4], rows):  # each where it explains more
+        follow = _near(more, level, limit)
+        if follow.sum() >= max(LEAST_STRETCHES, LEAST_SHARE * len(near), near.sum() + LEAST_GAIN * len(near)):
+            some, near = more, follow
+    if some.shape[1] == 1:
         return None
     fitted = np.zeros((4, 3))
     fitted[: some.shape[1] - 1] = _least_squares(some[near], level[near], np.ones(int(near.sum())))[1:]
