@@ -414,7 +414,9 @@ def test_a_ramp_one_way_is_not_taken_for_a_lag_nor_hysteresis_for_a_bias() -> No
     scenario = device("mems", Setup.of(grade="mems", positions=20, terms="full"), 10)
     scenario = replace(scenario, climate=replace(ramp(15.0, 35.0), time=np.array([0.0, 200.0])))
     seen = simulate_observations(scenario, np.random.default_rng([7, 10]))
-    found, warmer = joint(seen), float(np.mean(seen.rests.temperatures)) - REFERENCE
+    kelvin, found = seen.rests.temperature, joint(seen)
+    assert kelvin is not None
+    warmer = float(kelvin.mean()) - REFERENCE
     change = {name: sum(scenario.truth.get(f"{name}.t{d}", 0.0) * warmer**d for d in (1, 2)) for name in found.names}
     true = np.array([scenario.truth[name] + change[name] for name in found.names[:21]])
     assert np.abs((found.values[:21] - true) / found.u[:21]).max() < 5.0

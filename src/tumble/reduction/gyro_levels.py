@@ -30,8 +30,8 @@ USUAL_DRIFT = 1.0 * DEGREE
 LEAST_STRETCHES = 8
 LEAST_SHARE = 2.0 / 3.0
 LEAST_GAIN = 0.2
-"""So many stretches, and this share of them, must follow the function; this share more than follow one level, and with a
-drift than without."""
+"""So many stretches, and this share of them, must follow the function; this share more than follow one level, and
+with a drift than without."""
 
 MOST_UNCERTAIN = 2.0
 """Times what a level is: how uncertain a prediction from the other stretches may be."""
