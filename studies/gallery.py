@@ -64,10 +64,10 @@ def residuals(axes: Axes, calibration: tumble.Calibration) -> None:
 
 def parameters(axes: Axes, session: Path, calibration: tumble.Calibration) -> None:
     """The scale factors by two methods, with their expanded uncertainty, about those of the first"""
-    names = [p.name for p in calibration.parameters if ".scale." in p.name]
+    names = [f"{kind}.scale.{axis}" for kind in ("accel", "gyro") for axis in "xyz"]
     for shift, method in ((-0.1, "joint"), (0.1, "staged")):
         found = [tumble.calibrate(session, method=method)[name] for name in names]
-        ppm = np.array([[p.value - calibration[p.name].value, 2.0 * (p.u or 0.0)] for p in found]) / 1e-6
+        ppm = np.array([[p.value - calibration[p.name].value, p.k * p.u] for p in found]) / 1e-6
         axes.errorbar(np.arange(len(names)) + shift, ppm[:, 0], ppm[:, 1], fmt="o", capsize=3, label=method)
     axes.set_xticks(range(len(names)), names, rotation=30)
     axes.set(ylabel="ppm")

@@ -19,7 +19,8 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from tumble.calibration.calibrate import calibrate
-from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.further import linear_parameters
+from tumble.calibration.results import Parameter
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
@@ -91,11 +92,11 @@ def draw_record(axes: Axes, time: Array, accel: Array, rests: list[tuple[float, 
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, handlelength=1.0)
 
 
-def draw_improvement(axes: Axes, calibration: Calibration, truth: dict[str, float]) -> None:
+def draw_improvement(axes: Axes, found: tuple[Parameter, ...], truth: dict[str, float]) -> None:
     """What each parameter is, and what is left of it after the calibration, each kind in its own unit."""
-    sizes = np.array([UNITS[group_of(p.name)][0] for p in calibration.parameters])
-    before = np.abs([truth[p.name] for p in calibration.parameters]) / sizes
-    after = np.abs([p.value - truth[p.name] for p in calibration.parameters]) / sizes
+    sizes = np.array([UNITS[group_of(p.name)][0] for p in found])
+    before = np.abs([truth[p.name] for p in found]) / sizes
+    after = np.abs([p.value - truth[p.name] for p in found]) / sizes
     at = np.arange(len(sizes))
     axes.vlines(at, after, before, color="#c8c8c8", lw=1.0)
     axes.plot(at, before, "o", mfc="white", mec="#444444", ms=5, label="error of the instrument")
@@ -105,25 +106,25 @@ def draw_improvement(axes: Axes, calibration: Calibration, truth: dict[str, floa
     axes.set_yticks([0.01, 0.1, 1.0, 10.0, 100.0, 1000.0], ["0.01", "0.1", "1", "10", "100", "1000"])
     axes.legend(loc="upper right", ncols=2, frameon=False, handletextpad=0.2, columnspacing=1.0)
     for group, (_, unit) in UNITS.items():
-        members = [i for i, p in enumerate(calibration.parameters) if group_of(p.name) == group]
+        members = [i for i, p in enumerate(found) if group_of(p.name) == group]
         axes.text(float(np.mean(members)), 0.003, unit, ha="center", fontsize=8, color="#555555")
-    name_parameters(axes, calibration)
+    name_parameters(axes, found)
 
 
-def draw_pulls(axes: Axes, calibration: Calibration, truth: dict[str, float]) -> None:
+def draw_pulls(axes: Axes, found: tuple[Parameter, ...], truth: dict[str, float]) -> None:
     """(value − truth)/u with the band of two standard uncertainties."""
-    pulls = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u]
+    pulls = [(p.value - truth[p.name]) / p.u for p in found if p.u]
     axes.axhspan(-2.0, 2.0, color="#e8e8e8", lw=0)
     axes.axhline(0.0, color="#888888", lw=0.8)
     axes.plot(pulls, "o", color="#444444", ms=4)
     axes.set_ylim(-4.0, 4.0)
     axes.set_ylabel("(value − truth)/u")
-    name_parameters(axes, calibration)
+    name_parameters(axes, found)
 
 
-def name_parameters(axes: Axes, calibration: Calibration) -> None:
+def name_parameters(axes: Axes, found: tuple[Parameter, ...]) -> None:
     """Ticks with the parameters, and lines between their kinds."""
-    names = [p.name for p in calibration.parameters]
+    names = [p.name for p in found]
     axes.set_xticks(range(len(names)), [name.split(".")[2] for name in names], fontsize=8)
     axes.set_xlim(-0.7, len(names) - 0.3)
     for group in UNITS:
@@ -154,6 +155,7 @@ def draw(target: Path) -> float:
         time, accel = accelerometer_record(session)
         calibration = calibrate(session)
     mpl.rcParams |= {"font.size": 9, "svg.hashsalt": "tumble", "axes.spines.top": False, "axes.spines.right": False}
+    found = linear_parameters(calibration.parameters)
     rests = [(rest.start / 60.0, rest.stop / 60.0) for rest in calibration.rests]
     figure = plt.figure(figsize=(10.0, 5.6))
     grid = figure.add_gridspec(
@@ -164,12 +166,12 @@ def draw(target: Path) -> float:
     draw_record(record, time, accel, rests)
     record.set_xlim(0.0, float(time[-1]))
     draw_positions(strip, rests, (0.0, float(time[-1])))
-    draw_improvement(figure.add_subplot(lower[1, 0]), calibration, truth)
-    draw_pulls(figure.add_subplot(lower[1, 1]), calibration, truth)
+    draw_improvement(figure.add_subplot(lower[1, 0]), found, truth)
+    draw_pulls(figure.add_subplot(lower[1, 1]), found, truth)
     target.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(target, metadata={"Date": None} if target.suffix == ".svg" else None, dpi=150)
     plt.close(figure)
-    pulls = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u]
+    pulls = [(p.value - truth[p.name]) / p.u for p in found if p.u]
     return float(np.sqrt(np.mean(np.square(pulls))))
 
 

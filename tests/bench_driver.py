@@ -30,7 +30,7 @@ class Bench:
         self, folder: Path, programme: str | None = "nine", *, temperature: bool = False, gyros: bool = True
     ) -> None:
         self.table = VirtualTable(f"{programme or 'nine'}@1000x", temperature=temperature)
-        log = in_si(temperature=temperature)
+        log = in_si() | ({"temperature": {"columns": ["T"], "unit": "degC"}} if temperature else {})
         columns = [log["time"], *log["accel"]["columns"], *log["gyro"]["columns"], *(["T"] if temperature else [])]
         log["gyro"] = log["gyro"] | {"range": FULL_SCALE}
         if not gyros:

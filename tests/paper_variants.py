@@ -10,18 +10,37 @@ import numpy as np
 
 from tumble.estimation.methods.paper.indirect import (
     _LEVEL,
-    GYRO_ENTRIES,
     Series,
-    accelerometer_errors,
     carried_attitudes,
-    gyro_errors,
 )
 from tumble.estimation.methods.paper.levelling import vertical
 from tumble.reduction.turns import Turns
 from tumble.rotation import rotation_matrix
 from tumble.units import Array
 
+_GYRO_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+_ACCEL_ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
+"""Where the columns are in the error matrices E and M."""
 _TILT = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+
+
+def gyro_errors(rate: Array) -> Array:
+    """Columns E ω (..., 3, 9) of the error of a rate ω (..., 3) in the body."""
+    return _entries(rate, _GYRO_ENTRIES)
+
+
+def accelerometer_errors(u: Array) -> Array:
+    """Columns b + M u (..., 3, 9) of the error of the specific force, in g, with the vertical u (..., 3) in the
+    body."""
+    bias = np.broadcast_to(np.eye(3), (*u.shape[:-1], 3, 3))
+    return np.concatenate([bias, _entries(u, _ACCEL_ENTRIES)], axis=-1)
+
+
+def _entries(vector: Array, entries: Sequence[tuple[int, int]]) -> Array:
+    columns = np.zeros((*vector.shape[:-1], 3, len(entries)))
+    for j, (p, q) in enumerate(entries):
+        columns[..., p, j] = vector[..., q]
+    return columns
 
 
 def logged_jacobian(
@@ -66,7 +85,7 @@ def _turn_errors(turns: Turns, k: int) -> Array:
     """∫ C (E ω + δω) dt (..., 3, 21) in the body at the start of turn k: none from the accelerometers, then B for the
     bias, then columns of M."""
     B, M = turns.B[..., k, :, :], turns.M[..., k, :, :, :]
-    by_matrix = np.stack([M[..., :, p, q] for p, q in GYRO_ENTRIES], axis=-1)
+    by_matrix = np.stack([M[..., :, p, q] for p, q in _GYRO_ENTRIES], axis=-1)
     return np.concatenate([np.zeros_like(by_matrix), B, by_matrix], axis=-1)
 
 

@@ -284,6 +284,8 @@ def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> N
     lines = {line.split()[0]: line.split() for line in full.table().splitlines()[1:]}
     assert lines["parameter"][-4:] == ["k", "dof", "prior", "learned"]
     assert lines["accel.delay"][-5:] == [f"{full['accel.delay'].k:.2f}", "6", "5", "100", "%"]
+    u, expanded = (float(lines["accel.delay"][column]) for column in (2, 3))
+    assert expanded == pytest.approx((full["accel.delay"].k or 0.0) * u, rel=0.05)
     assert "<th>learned</th>" in full._repr_html_()
     frame = full.to_polars()
     assert frame["learned"].to_list()[-4:] == [0.99, 0.04, 0.9999, 0.5]

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from paper_variants import logged_jacobian
+from paper_variants import accelerometer_errors, gyro_errors, logged_jacobian
 from rough_launches import COURSE, EARTH, GRAVITY, PROGRAMME, SIZES, TURN_SECONDS, Launches, launches, rough_attitudes
 
 from tumble.errors import ProgrammeError
 from tumble.estimation.methods.paper.accuracy_formulas import accelerometer_leakage
 from tumble.estimation.methods.paper.compensation import perfect
 from tumble.estimation.methods.paper.indirect import (
-    accelerometer_errors,
     check_directions,
-    gyro_errors,
     horizontal_differences,
     known_turns,
     programme_matrix,

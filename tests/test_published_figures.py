@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from paper_variants import logged_jacobian
+from paper_variants import accelerometer_errors, gyro_errors, logged_jacobian
 from rough_launches import (
     COURSE,
     EARTH,
@@ -34,8 +34,6 @@ from tumble.estimation.methods.paper.compensation import compensated, composed, 
 from tumble.estimation.methods.paper.four_stages import PaperMethod
 from tumble.estimation.methods.paper.gyro_bias import invariant_bias
 from tumble.estimation.methods.paper.indirect import (
-    accelerometer_errors,
-    gyro_errors,
     horizontal_differences,
     programme_matrix,
 )

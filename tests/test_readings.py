@@ -13,7 +13,7 @@ from test_ellipsoid import FOURTEEN, THETA, B, K, cube, placed, readings
 
 from tumble.calibration.calibration_file import read_calibration
 from tumble.calibration.from_readings import calibrate_table, paper_form
-from tumble.calibration.readings_table import nominal, read_table
+from tumble.calibration.readings_table import read_table
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.estimation.ellipsoid import TRIAD
@@ -57,7 +57,7 @@ def test_the_form_of_the_paper_has_the_scatter_of_its_uncertainties(tmp_path: Pa
     z = []
     for seed in range(40):
         table = read_table(written(tmp_path, volts(seed, 3e-5)))
-        form = paper_form(calibrate_table(table, nominal(table, scale=[-2.4])))
+        form = paper_form(calibrate_table(table, scale=[-2.4]))
         assert form.covariance is not None
         error = np.concatenate([form.k - K, form.theta - THETA, form.b - B])
         z.append(error / np.sqrt(np.diag(form.covariance)))

@@ -73,3 +73,13 @@ def test_study_ends_with_its_answer(path: Path, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert ANSWERS[path.name] in done.stdout.rstrip().splitlines()[-1]
+
+
+def test_the_picture_of_the_readme_shows_what_it_says(tmp_path: Path) -> None:
+    """Drawn anew, it has the errors over u that the example beside it has."""
+    study = next(path for path in STUDIES if path.name == "readme_picture.py")
+    command = [sys.executable, str(study), str(tmp_path / "picture.svg")]
+    environment = os.environ | {"PYTHONIOENCODING": "utf-8"}
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().rpartition(": ")[2] in (study.parents[1] / "README.md").read_text(encoding="utf-8")

@@ -70,7 +70,7 @@ def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path])
 def _server(uvicorn: Any, app: Any) -> Any:
     """A server that ends the streams of its pages when it ends; no request is logged, for one of them has the token."""
 
-    class Server(uvicorn.Server):  # type: ignore[misc]
+    class Server(uvicorn.Server):  # type: ignore[misc]  # of an extra, so Any here
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
             app.state.stopping = True
             await super().shutdown(sockets)

@@ -51,15 +51,14 @@ class LineSource(Protocol):
         """Listen no more."""
 
 
-def in_si(*, temperature: bool = False) -> dict[str, Any]:
-    """The table [log] of a source that sends t, ax, ay, az, gx, gy, gz in SI, and T in °C."""
-    log: dict[str, Any] = {
+def in_si() -> dict[str, Any]:
+    """The table [log] of a source that sends t, ax, ay, az, gx, gy, gz in SI."""
+    return {
         "file": "log.csv",
         "time": "t",
         "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"},
         "gyro": {"columns": ["gx", "gy", "gz"], "unit": "rad/s"},
     }
-    return log | ({"temperature": {"columns": ["T"], "unit": "degC"}} if temperature else {})
 
 
 MOTIONCAL_LOG: Mapping[str, Any] = {

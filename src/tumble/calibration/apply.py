@@ -296,7 +296,7 @@ def _alone(pieces: Iterable[tuple[pl.DataFrame, _Piece]]) -> Iterator[_Window]:
 def _with_neighbours(pieces: Iterable[tuple[pl.DataFrame, _Piece]]) -> Iterator[_Window]:
     """Tables, and their rows with the one before and the one after them, where there is one."""
     before: list[_Piece] = []
-    for (table, piece), following in pairwise(chain((p for p in pieces if p[0].height), [None])):  # type: ignore[misc]
+    for (table, piece), following in pairwise(chain((p for p in pieces if p[0].height), [None])):  # type: ignore[misc]  # None comes last
         after = [] if following is None else [following[1].part(slice(0, 1))]
         own = slice(len(before), len(before) + table.height)
         yield table, _Piece.joined([*before, piece, *after]), own

@@ -62,7 +62,6 @@ class ReadingsCalibration:
 
 def calibrate_table(
     readings: ReadingsTable | FilePath,
-    nominal: Nominal | None = None,
     *,
     sensor: Sensor = "accel",
     unit: str = "V",
@@ -78,8 +77,8 @@ def calibrate_table(
     serial: str | None = None,
 ) -> ReadingsCalibration:
     """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions, a table or its CSV file. Each
-    position is `rows_per_position` rows; equal ones count once. What the readings are worth is `nominal`, or comes from
-    the options as `readings_table.nominal` takes them. What cannot be calibrated comes back with the reasons in its
+    position is `rows_per_position` rows; equal ones count once. What the readings are worth is said as
+    `readings_table.nominal` takes it. What cannot be calibrated comes back with the reasons in its
     outcome. Without a `serial` number of the device it is the name of the table. Raises InputError for a table that
     cannot be read and for options that do not go together.
 
@@ -98,19 +97,18 @@ def calibrate_table(
     whole = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings))
     positions = positions_of(whole, rows_per_position)
     table = positions.table
-    if nominal is None:
-        nominal = nominal_of(
-            table,
-            sensor=sensor,
-            unit=unit,
-            scale=scale,
-            scale_per=scale_per,
-            gravity=gravity,
-            gravity_u=gravity_u,
-            modulus=modulus,
-            modulus_u=modulus_u,
-            known=known,
-        )
+    nominal = nominal_of(
+        table,
+        sensor=sensor,
+        unit=unit,
+        scale=scale,
+        scale_per=scale_per,
+        gravity=gravity,
+        gravity_u=gravity_u,
+        modulus=modulus,
+        modulus_u=modulus_u,
+        known=known,
+    )
     serial = table.path.stem if serial is None else serial
     found = _fitted(positions, nominal)
     if isinstance(found, Refusal):

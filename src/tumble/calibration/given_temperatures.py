@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import numpy.typing as npt
 
 from tumble.errors import InputError
 from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
@@ -33,8 +34,8 @@ def given_temperatures(
     return dict.fromkeys(sizes, every)
 
 
-def _by_sample(what: str, given: object, shape: tuple[int, ...], sensors: int) -> Array:
-    numbers = numbers_of(what, given)  # type: ignore[arg-type]
+def _by_sample(what: str, given: npt.ArrayLike, shape: tuple[int, ...], sensors: int) -> Array:
+    numbers = numbers_of(what, given)
     if numbers.shape in ((), shape):
         numbers = np.broadcast_to(numbers, shape)[..., None]
     elif numbers.shape != (*shape, sensors):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -35,43 +35,35 @@ def headline(calibration: Calibration) -> str:
 
 def headings(calibration: Calibration) -> tuple[str, ...]:
     """What the columns of the rows are."""
-    return _HEADINGS + tuple(heading for heading, _ in _more(calibration))
+    parameters = calibration.parameters
+    factors = ("k", "dof") if other_factors(parameters) else ()
+    priors = ("prior", "learned") if any(p.prior is not None for p in parameters) else ()
+    return _HEADINGS + factors + priors
 
 
 def rows(calibration: Calibration) -> list[tuple[str, ...]]:
-    """Name, value, u, U = 2u and unit of every parameter, in the field's units, to the digits of the uncertainty; with
+    """Name, value, u, U = k u and unit of every parameter, in the field's units, to the digits of the uncertainty; with
     coverage factor, degrees of freedom, prior and learned fraction where there are any."""
-    sizes, more = _sizes(calibration), _more(calibration)
-    return [
-        (*_row(p, *sizes[p.name]), *(cell(p, sizes[p.name][0]) for _, cell in more)) for p in calibration.parameters
-    ]
+    sizes, wanted = _sizes(calibration), headings(calibration)
+    cells = (_cells(p, *sizes[p.name]) for p in calibration.parameters)
+    return [tuple(row[heading] for heading in wanted) for row in cells]
 
 
-def _more(calibration: Calibration) -> list[tuple[str, Callable[[Parameter, float], str]]]:
-    """Heading and cell of the columns that only some calibrations have."""
-    parameters = calibration.parameters
-    factors: list[tuple[str, Callable[[Parameter, float], str]]] = [("k", _factor), ("dof", _degrees)]
-    priors: list[tuple[str, Callable[[Parameter, float], str]]] = [("prior", _prior), ("learned", _learned)]
-    return [
-        *(factors if other_factors(parameters) else ()),
-        *(priors if any(p.prior is not None for p in parameters) else ()),
-    ]
-
-
-def _factor(parameter: Parameter, size: float) -> str:  # noqa: ARG001
-    return "" if parameter.k is None else f"{parameter.k:.2f}"
-
-
-def _degrees(parameter: Parameter, size: float) -> str:  # noqa: ARG001
-    return "" if parameter.dof is None else f"{parameter.dof:.0f}" if parameter.k else f"{parameter.dof:.1g}"
-
-
-def _prior(parameter: Parameter, size: float) -> str:
-    return "" if parameter.prior is None else f"{parameter.prior / size:.2g}"
-
-
-def _learned(parameter: Parameter, size: float) -> str:  # noqa: ARG001
-    return "" if parameter.learned is None else f"{100.0 * parameter.learned:.0f} %"
+def _cells(parameter: Parameter, size: float, unit: str) -> dict[str, str]:
+    """The cells of a parameter by their headings, in the unit of this size; empty where there is nothing to say."""
+    u, k, dof, prior, learned = parameter.u, parameter.k, parameter.dof, parameter.prior, parameter.learned
+    value, shown = (f"{parameter.value / size:.6g}", "") if u is None else rounded(parameter.value / size, u / size)
+    return {
+        "parameter": parameter.name,
+        "value": value,
+        "u": shown,
+        "U (95 %)": "" if u is None or k is None else rounded(0.0, k * u / size)[1],
+        "unit": unit,
+        "k": "" if k is None else f"{k:.2f}",
+        "dof": "" if dof is None else f"{dof:.0f}" if k else f"{dof:.1g}",
+        "prior": "" if prior is None else f"{prior / size:.2g}",
+        "learned": "" if learned is None else f"{100.0 * learned:.0f} %",
+    }
 
 
 def _sizes(calibration: Calibration) -> dict[str, tuple[float, str]]:
@@ -81,13 +73,6 @@ def _sizes(calibration: Calibration) -> dict[str, tuple[float, str]]:
         group = group_name(p.name)
         largest[group] = max(largest.get(group, 0.0), abs(p.value), p.u or 0.0)
     return {p.name: shown_in(p.name, p.unit, largest[group_name(p.name)]) for p in calibration.parameters}
-
-
-def _row(parameter: Parameter, size: float, unit: str) -> tuple[str, ...]:
-    if parameter.u is None:
-        return parameter.name, f"{parameter.value / size:.6g}", "", "", unit
-    value, u = rounded(parameter.value / size, parameter.u / size)
-    return parameter.name, value, u, rounded(0.0, 2.0 * parameter.u / size)[1], unit
 
 
 def text_table(calibration: Calibration) -> str:

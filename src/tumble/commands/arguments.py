@@ -17,6 +17,7 @@ from tumble.documents import plain
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn
 
+    from tumble.planning.error_propagation import BudgetedMethod
     from tumble.planning.setup import Setup
     from tumble.recording.log import Chunk, Log
 
@@ -37,7 +38,7 @@ EXISTING_FOLDER = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
 METHOD_NAMES = ["joint", "staged", "sequential", "scalar", "ellipsoid"]
-BUDGETED_METHODS = ["staged", "sequential", "scalar"]
+BUDGETED_METHODS: list[BudgetedMethod] = ["staged", "sequential", "scalar"]
 """Methods whose errors are known before anything is measured."""
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]
 

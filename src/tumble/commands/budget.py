@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tumble.commands.arguments import BUDGETED_METHODS, JSON, say, setup_of, setup_options, working
+
+if TYPE_CHECKING:
+    from tumble.planning.error_propagation import BudgetedMethod
 
 
 @click.command()
@@ -14,7 +17,7 @@ from tumble.commands.arguments import BUDGETED_METHODS, JSON, say, setup_of, set
 @click.option("--method", "methods", type=click.Choice(BUDGETED_METHODS), multiple=True, help="Default: all; repeat.")
 @click.option("--iterations", type=click.IntRange(1, 5), default=2, show_default=True, help="Passes.")
 @JSON
-def budget(methods: tuple[str, ...], iterations: int, as_json: bool, **options: Any) -> None:
+def budget(methods: tuple[BudgetedMethod, ...], iterations: int, as_json: bool, **options: Any) -> None:
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
@@ -25,7 +28,7 @@ def budget(methods: tuple[str, ...], iterations: int, as_json: bool, **options: 
 
     setup = setup_of(options)
     with working("planning"):
-        expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)  # type: ignore[arg-type]
+        expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)
         least = None if options["noiseless"] else bound(setup)
     if as_json:
         print_data(budget_data(expected, least))

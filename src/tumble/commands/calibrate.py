@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,17 +87,12 @@ def calibrate(
     With --latitude, --serial or --rate it is a LOG in any dialect: a session is made of it first, as `tumble new` does,
     in the folder LOG-session beside it.
     """
-    from tumble.calibration.launches import calibrate_launches
     from tumble.recording.session_file import read_session
 
     if len(sessions) > 1 and out is None:
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
-    if together and (list(methods) != METHOD_NAMES[:1] or iterations is not None or terms != "full"):
-        raise InputError(
-            f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
-        )
     if place is not None and (len(sessions) < 2 or together):
         raise InputError(
             "--registry: expected several launches, whose instability it is about, found another kind of calibration"
@@ -106,28 +101,67 @@ def calibrate(
         raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
     left_out = () if without is None else _numbers(without)
     true = _truth(truth) if truth else None
+    request = CalibrationRequest(methods=methods, iterations=iterations, frame=frame, terms=terms, together=together)
     given = {"latitude": latitude, "serial": serial, "rate": rate}
     with _session_of(sessions, given) if set(given.values()) != {None} else nullcontext(sessions) as folders:
         described = [read_session(folder).without(left_out) for folder in folders]
         alike = None if place is None else _of_type(place, described[0].device.model, frame)
-        result, *others = (
-            [_together(described, frame)]
-            if together
-            else [
-                calibrate_launches(
-                    described,
-                    method=method,
-                    iterations=iterations,
-                    frame=frame,
-                    terms=terms,
-                    alike=alike,
-                    progress=with_progress,
-                )
-                for method in dict.fromkeys(methods)
-            ]
-        )
+        result, *others = request.calibrations(described, alike)
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
+    _show(result, others, true, as_json=as_json, every=every)
+    say(f"written to {target}")
+    for other in others:
+        for reason in other.outcome.reasons:
+            warn(f"{other.method}: not accepted: {reason}")
+    for reason in result.outcome.reasons:
+        warn(f"not accepted: {reason}")
+    sys.exit(0 if result.outcome.accepted else 1)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CalibrationRequest:
+    """What is asked of the calibration of some sessions. Raises InputError for --together with what it has not."""
+
+    methods: tuple[str, ...]
+    iterations: int | None
+    frame: Frame
+    terms: Terms
+    together: bool
+
+    def __post_init__(self) -> None:
+        other = list(self.methods) != METHOD_NAMES[:1] or self.iterations is not None or self.terms != "full"
+        if self.together and other:
+            raise InputError(
+                f"--together: expected the method {METHOD_NAMES[0]!r} with all terms and no iterations, found others"
+            )
+
+    def calibrations(self, sessions: list[Session], alike: TypeSpread | None) -> list[Calibration]:
+        """The calibration by each method, as launches, their instability with that of devices `alike`; or all
+        sessions as one estimate."""
+        from tumble.calibration.launches import calibrate_launches
+        from tumble.calibration.together import calibrate_together
+
+        if self.together:
+            return [calibrate_together(sessions, frame=self.frame, progress=with_progress)]
+        return [
+            calibrate_launches(
+                sessions,
+                method=method,
+                iterations=self.iterations,
+                frame=self.frame,
+                terms=self.terms,
+                alike=alike,
+                progress=with_progress,
+            )
+            for method in dict.fromkeys(self.methods)
+        ]
+
+
+def _show(
+    result: Calibration, others: list[Calibration], true: dict[str, float] | None, *, as_json: bool, every: bool
+) -> None:
+    """Print a calibration, beside those of other methods and the truth: as JSON, or in tables of `every` parameter."""
     if as_json:
         from tumble.terminal.data import calibration_data, print_data
 
@@ -138,13 +172,6 @@ def calibrate(
 
         known = None if true is None else _true_at(result, true)
         print_report(calibration_report(result, known, others, every=every))
-    say(f"written to {target}")
-    for other in others:
-        for reason in other.outcome.reasons:
-            warn(f"{other.method}: not accepted: {reason}")
-    for reason in result.outcome.reasons:
-        warn(f"not accepted: {reason}")
-    sys.exit(0 if result.outcome.accepted else 1)
 
 
 def _truth(path: Path) -> dict[str, float]:
@@ -159,13 +186,6 @@ def _true_at(result: Calibration, true: dict[str, float]) -> dict[str, float]:
     from tumble.simulation.temperature_profile import truth_at
 
     return truth_at(true, result.reference_temperature, result.reference_of)
-
-
-def _together(sessions: list[Session], frame: Frame) -> Calibration:
-    """Several sessions as one estimate."""
-    from tumble.calibration.together import calibrate_together
-
-    return calibrate_together(sessions, frame=frame, progress=with_progress)
 
 
 def _numbers(text: str) -> tuple[int, ...]:

@@ -11,6 +11,7 @@ import click
 from tumble.commands.arguments import JSON, say, setup_of, setup_options, warn, working
 
 if TYPE_CHECKING:
+    from tumble.planning.best_positions import Letter
     from tumble.planning.setup import Setup
 
 
@@ -31,7 +32,7 @@ def plan(
     attitudes: tuple[str, ...],
     accel_only: bool,
     positions: int | None,
-    criterion: str,
+    criterion: Letter,
     wanted: tuple[str, ...],
     axes: str | None,
     step: float,
@@ -62,7 +63,7 @@ def plan(
         chamber = chamber_rate, time_constant
         _over_temperature(setup, temperature, chamber, wanted, gyros=not accel_only, as_json=as_json)
     wishes = wanted_of(wanted, None, setup) if wanted else {}
-    aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)  # type: ignore[arg-type]
+    aim = Aim(letter=criterion, wanted=wishes, gyros=not accel_only)
     table = TurnTable.of(axes, step)
     with working("planning") as progress:
         found = best(setup, positions=positions, aim=aim, table=table, progress=progress)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_options, working
+
+if TYPE_CHECKING:
+    from tumble.planning.error_propagation import BudgetedMethod
+    from tumble.planning.requirements import BiasEstimator
 
 
 @click.command()
@@ -27,9 +31,9 @@ from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_op
 def require(
     wanted: tuple[str, ...],
     relative: float | None,
-    method: str,
+    method: BudgetedMethod,
     iterations: int,
-    gyro_bias: str,
+    gyro_bias: BiasEstimator,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -43,7 +47,7 @@ def require(
     setup = setup_of(options)
     asked = wanted_of(wanted, relative, setup)
     with working("planning"):
-        needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)  # type: ignore[arg-type]
+        needs = require(asked, setup, method=method, iteration=iterations, gyro_bias=gyro_bias)
     if as_json:
         print_data(requirements_data(needs))
     else:

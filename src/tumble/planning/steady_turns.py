@@ -55,7 +55,7 @@ def steady_moments(
     `tumble.reduction.moments.growing_moments` has them."""
     K = len(T)
     lasts = T[:, None] if still is None else np.stack([still, T, still], axis=1)
-    nodes, weights, to_end = _gauss()
+    nodes, weights, _ = _gauss()
     moves = np.ones((K, 1)) if still is None else np.broadcast_to([0.0, 1.0, 0.0], (K, 3))
     turned = (np.cumsum(moves, axis=1) - moves)[:, :, None] + moves[:, :, None] * nodes
     passed = (np.cumsum(lasts, axis=1) - lasts)[:, :, None] + lasts[:, :, None] * nodes
@@ -69,12 +69,7 @@ def steady_moments(
     beta = np.concatenate([np.ones((*dt.shape, 1)), rate, force, force[..., _FIRST] * force[..., _SECOND]], axis=2)
     own_gyro, own_accel = _own(rate @ own.gyro.T), _own(force @ own.accel.T)
     squares = rate[..., _FIRST] * rate[..., _SECOND]
-    by_piece = felt.reshape(K, lasts.shape[1], NODES, 3)
-    within = lasts[:, :, None, None] * np.einsum("nm,kpmi->kpni", to_end, by_piece)
-    pieces = lasts[:, :, None] * np.einsum("n,kpni->kpi", weights, by_piece)
-    after = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1] - pieces
-    to_go = (within + after[:, :, None]).reshape(felt.shape)  # V(T) − V(t)
-    crossed = -skew(to_go) @ C
+    crossed = -skew(_to_come(felt, lasts)) @ C
     V = np.einsum("kn,kni->ki", dt, felt)
     n, m = len(own.gyro), len(own.accel)
     time = passed.reshape(K, -1) - 0.5 * lasts.sum(axis=1)[:, None]
@@ -96,6 +91,17 @@ def steady_moments(
         jumps=np.zeros(K),
     )
     return whole, growing
+
+
+def _to_come(felt: Array, lasts: Array) -> Array:
+    """Velocities V(T) − V(t) (K, n, 3) at the nodes, m/s, of specific forces (K, n, 3) there in the body at the start;
+    the pieces of each turn last `lasts` (K, p) s."""
+    _, weights, to_end = _gauss()
+    by_piece = felt.reshape(*lasts.shape, NODES, 3)
+    within = lasts[:, :, None, None] * np.einsum("nm,kpmi->kpni", to_end, by_piece)
+    pieces = lasts[:, :, None] * np.einsum("n,kpni->kpi", weights, by_piece)
+    after = np.cumsum(pieces[:, ::-1], axis=1)[:, ::-1] - pieces
+    return np.asarray((within + after[:, :, None]).reshape(felt.shape))
 
 
 def _own(along: Array) -> Array:

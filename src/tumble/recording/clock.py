@@ -28,7 +28,8 @@ def date_of(text: str) -> str | None:
     seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
     if not day or seconds is None:
         return None
-    zone = UTC if re.search(_TIME, text)[6] else None  # type: ignore[index]
+    found = re.search(_TIME, text)
+    zone = UTC if found and found[6] else None
     start = datetime(1970, 1, 1, tzinfo=zone) + timedelta(days=day)
     return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 

@@ -94,7 +94,7 @@ class Recoded(io.BufferedIOBase):
     """A stream of another encoding as one of UTF-8."""
 
     def __init__(self, stream: io.BufferedIOBase, encoding: str) -> None:
-        self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]
+        self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]  # reads, as it must
 
     def read(self, size: int | None = -1, /) -> bytes:
         return self._text.read(size).encode("utf-8", errors="replace")

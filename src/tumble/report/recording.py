@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.results import Readings, RestResult, SensorsAtRest, TurnResult
+from tumble.calibration.results import Launch, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import ProgrammeError
 from tumble.estimation.diagnosis.site_gravity import MILLIGAL, gravity_difference
 from tumble.estimation.estimate import Fit
@@ -42,28 +42,19 @@ class RecordedSession:
 
 def recordings(calibration: Calibration) -> list[RecordedSession]:
     """The sessions of a calibration: itself, or its launches."""
-    common = {"accel": calibration.accel, "programme": calibration.programme, "readings": calibration.readings}
-    if not calibration.launches:
-        return [
-            RecordedSession(
-                title="",
-                site=calibration.site,
-                rests=calibration.rests,
-                turns=calibration.turns,
-                fits=calibration.fits,
-                **common,  # type: ignore[arg-type]
-            )
-        ]
+    each: list[tuple[str, Calibration | Launch]] = [(launch.session, launch) for launch in calibration.launches]
     return [
         RecordedSession(
-            title=launch.session,
-            site=launch.site,
-            rests=launch.rests,
-            turns=launch.turns,
-            fits=launch.fits,
-            **common,  # type: ignore[arg-type]
+            title=title,
+            accel=calibration.accel,
+            site=found.site,
+            rests=found.rests,
+            turns=found.turns,
+            fits=found.fits,
+            programme=calibration.programme,
+            readings=calibration.readings,
         )
-        for launch in calibration.launches
+        for title, found in each or [("", calibration)]
     ]
 
 

@@ -183,32 +183,18 @@ def _turns(
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
     """The turns after the rests `first` (K,), not yet integrated, and their samples: for each turn AHEAD more are
     kept ahead of it, which its first step wants, as if it turned already."""
-    block = scenario.gyro
-    K, n, to_body = len(first), block.size, onto_body(block.axes)
+    K, n, to_body, to_force = len(first), gyro.block.size, onto_body(gyro.block.axes), np.linalg.pinv(accel.block.axes)
     T = way.rests[first + 1, 0] - way.rests[first, 1]
-    before, after = way.attitudes[first], way.attitudes[first + 1]
-    vector = inertial_turns(before, after, way.moves[first], T, scenario.latitude)
+    vector = inertial_turns(way.attitudes[first], way.attitudes[first + 1], way.moves[first], T, scenario.latitude)
     dt = T / SAMPLES
-    sample = np.arange(SAMPLES + AHEAD) - AHEAD + 0.5
-    when = (way.rests[first, 1] - way.middle)[:, None] + sample * dt[:, None]
-    rate = np.repeat((vector / T[:, None])[:, None], SAMPLES + AHEAD, axis=1)
-    force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
-    sampled = gyro.sampled(force, rate, when, first)
-    sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
-    if np.any(late := scenario.instrument.delays(scenario.values)):
-        times, which = np.unique(late, return_inverse=True)
-        each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
-        force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
-    felt = accel.sampled(_with_levers(scenario, way, first, force, vector, T), rate, when, first)
-    felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
+    sampled, felt = _samples(scenario, way, first, (vector, T), accel, gyro, rng)
     stored = MotionSamples()
     stored.append(
         (sampled @ to_body.T).reshape(-1, 3),
-        (felt @ np.linalg.pinv(scenario.accel.axes).T).reshape(-1, 3),
+        (felt @ to_force.T).reshape(-1, 3),
         np.repeat(dt, SAMPLES + AHEAD),
     )
     start = AHEAD + (SAMPLES + AHEAD) * np.arange(K)
-    to_force = np.linalg.pinv(scenario.accel.axes)
     spread = np.trace(to_force @ to_force.T) / 3.0
     step = np.linalg.norm(vector, axis=1) / SAMPLES
     floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.site.gravity * T * step**3
@@ -230,6 +216,34 @@ def _turns(
         integral=sampled[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
     )
     return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
+
+
+def _samples(
+    scenario: Scenario,
+    way: Itinerary,
+    first: IntArray,
+    turns: tuple[Array, Array],
+    accel: _NoisyBlock,
+    gyro: _NoisyBlock,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Readings of the gyros and of the accelerometers (K, AHEAD + SAMPLES, n) in turns by inertial rotation vectors
+    (K, 3) in so many seconds (K,), with white noise but for the gyros ahead of the turns."""
+    (vector, T), before, S = turns, way.attitudes[first], SAMPLES + AHEAD
+    dt = T / SAMPLES
+    when = (way.rests[first, 1] - way.middle)[:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
+    rate = np.repeat((vector / T[:, None])[:, None], S, axis=1)
+    force = scenario.site.gravity * _mean_verticals(scenario, before, vector, T)
+    sampled = gyro.sampled(force, rate, when, first)
+    noise = rng.standard_normal((len(first), SAMPLES, gyro.block.size))
+    sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * noise
+    if np.any(late := scenario.instrument.delays(scenario.values)):
+        times, which = np.unique(late, return_inverse=True)
+        each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
+        force = scenario.site.gravity * np.stack(each, axis=2)[:, :, which]
+    felt = accel.sampled(_with_levers(scenario, way, first, force, vector, T), rate, when, first)
+    felt += accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
+    return sampled, felt
 
 
 def _with_levers(scenario: Scenario, way: Itinerary, first: IntArray, force: Array, vector: Array, T: Array) -> Array:

@@ -35,13 +35,7 @@ _REMARK = (
 _TEMPERATURE = "temperature"
 _ACCEL = {f"accel_{a}": f"Acc{a.upper()}" for a in AXES}
 _GYRO = {f"gyro_{a}": f"Gyr{a.upper()}" for a in AXES}
-_FIELDS = {
-    "IMU": {
-        f"{kind}_{a}": f"{letters}{a.upper()}" for kind, letters in (("accel", "Acc"), ("gyro", "Gyr")) for a in "xyz"
-    },
-    "ACC": {f"accel_{a}": f"Acc{a.upper()}" for a in "xyz"},
-    "GYR": {f"gyro_{a}": f"Gyr{a.upper()}" for a in "xyz"},
-}
+_FIELDS = {"IMU": _ACCEL | _GYRO, "ACC": _ACCEL, "GYR": _GYRO}
 
 
 def messages(path: Path) -> list[Message]:

@@ -11,6 +11,9 @@ from pydantic import BaseModel, ConfigDict
 
 from tumble.errors import did_you_mean
 
+_WIDTH = 60
+"""Of a value in a message, characters."""
+
 
 class SessionTable(BaseModel):
     """A table of the file: no other keys, no other types."""
@@ -36,9 +39,9 @@ def repeated(values: Iterable[str]) -> list[str]:
     return [value for value, count in Counter(values).items() if count > 1]
 
 
-def as_written(value: Any, width: int = 60) -> str:
+def as_written(value: Any) -> str:
     """A value as TOML has it, on one line, shortened."""
     if isinstance(value, Mapping):
         return "a table"
     text = json.dumps(value, default=str, ensure_ascii=False)
-    return text if len(text) <= width else f"{text[: width - 1]}…"
+    return text if len(text) <= _WIDTH else f"{text[: _WIDTH - 1]}…"

@@ -148,10 +148,11 @@ def _whitened(
     growing = (turn[:, :, 7 + own] - left[:, None] * turn[:, :, 7 + base]) / (settling * grows[:, None])
     along = _over_time(weights.merged[:, :, :r] @ at.rows.rest[first][:, :, 4 + base], by_rest[:, first])
     along += _over_time(W @ turn[:, :, 7 + base], by_turn) + _over_time(W @ growing, by_growth)
-    return tuple(  # type: ignore[return-value]
+    rest, merged = (
         np.concatenate([rows[:, :, : -1 - len(own)], columns, rows[:, :, -1:]], axis=2)
         for rows, columns in ((rest, alone), (merged, along))
     )
+    return rest, merged
 
 
 def _over_time(columns: Array, functions: Array) -> Array:

@@ -36,10 +36,6 @@ from tumble.estimation.methods.paper.levelling import carried, vertical
 from tumble.programme.positions import Programme
 from tumble.units import DEGREE, Array
 
-GYRO_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
-ACCEL_ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
-"""Where the columns are in the error matrices E and M."""
-
 LEAK = 1e-6
 """Biases that enter scale factors with less than this coefficient cancel."""
 
@@ -70,25 +66,6 @@ def programme_matrix(programme: Programme) -> tuple[Array, Array]:
     if not known_turns(programme):
         return np.empty((0, 9)), np.empty((0, 9))
     return indirect_matrix(programme), indirect_accelerometer_matrix(programme)
-
-
-def gyro_errors(rate: Array) -> Array:
-    """Columns E ω (..., 3, 9) of the error of a rate ω (..., 3) in the body."""
-    return _entries(rate, GYRO_ENTRIES)
-
-
-def accelerometer_errors(u: Array) -> Array:
-    """Columns b + M u (..., 3, 9) of the error of the specific force, in g, with the vertical u (..., 3) in the
-    body."""
-    bias = np.broadcast_to(np.eye(3), (*u.shape[:-1], 3, 3))
-    return np.concatenate([bias, _entries(u, ACCEL_ENTRIES)], axis=-1)
-
-
-def _entries(vector: Array, entries: Sequence[tuple[int, int]]) -> Array:
-    columns = np.zeros((*vector.shape[:-1], 3, len(entries)))
-    for j, (p, q) in enumerate(entries):
-        columns[..., p, j] = vector[..., q]
-    return columns
 
 
 # Directions of the turns
