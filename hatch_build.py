@@ -49,7 +49,7 @@ FLAGS = ("-O3", "-fPIC", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=
 GCC_FLAGS = ("--param=vect-max-version-for-alias-checks=1000",)
 FUSED = {"reduction/moment_kernels", "campaigns/triads"}
 """Modules whose products and sums may be rounded once; the others give the same bits on all processors."""
-PLAIN = {"reduction/kernels"}
+PLAIN = {"reduction/kernels", "sensors/triad_axes"}
 """Modules that newer processors do not run faster."""
 INDEPENDENT = {"reduction/moment_kernels", "sensors/fixed_point"}
 """Modules in which the steps of a loop over `i` do not depend on one another. GCC does not see it, and would ask in

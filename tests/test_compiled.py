@@ -17,10 +17,10 @@ from tumble.campaigns import triads
 from tumble.estimation import elimination, residual_loops, row_loops
 from tumble.reduction import kernels, moment_kernels, moments
 from tumble.reduction.moments import BlockCompensation, Compensation, OwnAxes, Pieces, moments_of
-from tumble.sensors import fixed_point
+from tumble.sensors import fixed_point, triad_axes
 from tumble.units import Array
 
-LOOPS = kernels, moment_kernels, elimination, row_loops, residual_loops, triads, fixed_point
+LOOPS = kernels, moment_kernels, elimination, row_loops, residual_loops, triads, fixed_point, triad_axes
 MODULES = dict(zip(compiled.LOOPS, LOOPS, strict=True))
 pytestmark = pytest.mark.skipif(not compiled.record(), reason="the loops are not compiled here")
 
@@ -183,6 +183,18 @@ def test_samples_are_solved_as_by_python_to_the_bit(of_force: bool) -> None:
     )
     np.testing.assert_array_equal(found, expected)
     assert np.flatnonzero(np.isnan(found).any(axis=1)).tolist() == [5]
+
+
+def test_triads_are_those_of_python() -> None:
+    """Two sensors exchanged, one the other way round, and an angle that is none."""
+    axes, values = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 0.1 * np.sin(np.arange(1.0, 12.0))
+    angles, found = np.array([[6, 7], [-1, 8], [9, 10]]), []
+    for module in (triad_axes, as_python("sensors/triad_axes")):
+        model, jacobian = np.zeros((3, 4)), np.zeros((3, 4, 11))
+        module.linearise(axes, np.array([1, 0, 2]), angles, values, model, jacobian)
+        found.append((model, jacobian))
+    for compiled_one, plain in zip(*found, strict=True):
+        np.testing.assert_allclose(compiled_one, plain, rtol=1e-15, atol=1e-17)
 
 
 @pytest.mark.parametrize("loops", compiled.LOOPS)

@@ -19,6 +19,7 @@ LOOPS = (
     "estimation/residual_loops",
     "campaigns/triads",
     "sensors/fixed_point",
+    "sensors/triad_axes",
 )
 RECORD = FOLDER / "compiled.json"
 """What was compiled: `compiler`, and under `sources` the hash of the source of each of LOOPS."""

@@ -106,21 +106,6 @@ def axes_matrix(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float
     )
 
 
-def axes_derivatives(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float) -> Array:
-    """Derivatives (6, 3) of the rows of `axes_matrix` by the angles, two of each row."""
-    cos, sin = math.cos, math.sin
-    return np.array(
-        [
-            [-sin(xy) * cos(xz), cos(xy), -sin(xy) * sin(xz)],
-            [-cos(xy) * sin(xz), 0.0, cos(xy) * cos(xz)],
-            [cos(yz) * cos(yx), -cos(yz) * sin(yx), 0.0],
-            [-sin(yz) * sin(yx), -sin(yz) * cos(yx), cos(yz)],
-            [cos(zx), -sin(zx) * sin(zy), -sin(zx) * cos(zy)],
-            [0.0, cos(zx) * cos(zy), -cos(zx) * sin(zy)],
-        ]
-    )
-
-
 def axes_angles(axes: Array) -> Array:
     """The six angles (xy, xz, yx, yz, zx, zy), rad, of three sensing axes given as unit rows: Eq. (1) inverted."""
     a = axes

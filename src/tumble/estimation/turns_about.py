@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -250,6 +250,7 @@ def warms(instrument: Instrument) -> bool:
     return any(group.variable == "temperature" for group in instrument.further)
 
 
+@lru_cache(maxsize=8)
 def own_axes(instrument: Instrument) -> OwnAxes:
     """The axes whose own sums an instrument needs."""
     used, gyro = instrument.used, instrument.gyro
@@ -277,6 +278,7 @@ def _square(block: Block, K: Array) -> Array:
     return np.asarray((K[:, PRODUCTS] * _products(block)).sum(axis=1))
 
 
+@lru_cache(maxsize=16)
 def _products(block: Block) -> Array:
     """The products (n, 6) of the components of the axes, in the order of PAIRS."""
     return np.asarray(block.axes[:, _FIRST] * block.axes[:, _SECOND])

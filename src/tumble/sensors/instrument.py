@@ -169,58 +169,60 @@ class Instrument:
 
     def coefficients(self, block: Block, values: Array) -> Array:
         """K (n, 15) of a block; not to be written to."""
-        K = self.all_coefficients(values)
-        return K[: block.size] if block.kind == "accel" else K[self.accel.size :]
+        return self.all_coefficients(values)[self.rows(block)]
 
     def all_coefficients(self, values: Array) -> Array:
         """K (n, 15) of accelerometers and gyros; not to be written to."""
-        return _coefficients(self, np.asarray(values, dtype=float).tobytes())
-
-    def _all_coefficients(self, values: Array) -> Array:
-        out = np.concatenate([self._constant[block.kind] @ values for block in self.blocks])
-        for block, rows in zip(self.blocks, (slice(self.accel.size), slice(self.accel.size, None)), strict=False):
-            model = self.model(block, values)
-            out[rows, CONSTANT], out[rows, measured_by(block)] = model.bias, model.matrix
-        return out
+        return self.linearised(values)[0]
 
     def derivative(self, block: Block, values: Array) -> Array:
-        """∂K/∂θ (n, 15, m) of a block with respect to all parameters."""
-        out = self._constant[block.kind].copy()
-        own, jacobian = self.own(block), block.jacobian(values[self.own(block)])
-        out[:, measured_by(block), own], out[:, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
-        return out
+        """∂K/∂θ (n, 15, m) of a block with respect to all parameters; not to be written to."""
+        return self.linearised(values)[1][self.rows(block)]
 
     def linearised(self, values: Array) -> tuple[Array, Array]:
-        """K (n, 15) and ∂K/∂θ (n, 15, m) of accelerometers and gyros."""
-        return self.all_coefficients(values), np.concatenate([self.derivative(block, values) for block in self.blocks])
+        """K (n, 15) and ∂K/∂θ (n, 15, m) of accelerometers and gyros; not to be written to."""
+        return _linearised(self, np.asarray(values, dtype=float).tobytes())
+
+    def _linearised(self, values: Array) -> tuple[Array, Array]:
+        K, D = self._constant @ values, self._constant.copy()
+        for block in self.blocks:
+            rows, own, measured = self.rows(block), self.own(block), measured_by(block)
+            model, jacobian = block.linearised(values[own])
+            K[rows, measured], K[rows, CONSTANT] = model[:, :3], model[:, 3]
+            D[rows, measured, own], D[rows, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
+        return K, D
+
+    def rows(self, block: Block) -> slice:
+        """Where the sensors of a block stand among all, accelerometers before gyros."""
+        return slice(self.accel.size) if block.kind == "accel" else slice(self.accel.size, None)
 
     @cached_property
-    def _constant(self) -> dict[str, Array]:
-        """∂K/∂θ of each block for the parameters that K is linear in, others 0."""
-        out: dict[str, Array] = {b.kind: np.zeros((b.size, FUNCTIONS, len(self.names))) for b in self.blocks}
+    def _constant(self) -> Array:
+        """∂K/∂θ for the parameters that K is linear in, others 0."""
+        out = np.zeros((sum(block.size for block in self.blocks), FUNCTIONS, len(self.names)))
         for group in self.further:
             if group.regressors is not None:
-                out[group.kind][:, :, self.members[group.name]] = group.regressors(self.block(group))
+                block = self.block(group)
+                out[self.rows(block), :, self.members[group.name]] = group.regressors(block)
         return out
 
     @cached_property
     def used(self) -> dict[str, IntArray]:
         """Which functions the readings of each block may contain."""
         out: dict[str, IntArray] = {}
-        for block in (self.accel, self.gyro):
-            if block is None:
-                continue
-            nonzero = np.any(self._constant[block.kind] != 0.0, axis=(0, 2))
+        for block in self.blocks:
+            nonzero = np.any(self._constant[self.rows(block)] != 0.0, axis=(0, 2))
             nonzero[CONSTANT], nonzero[measured_by(block)] = True, True
             out[block.kind] = np.flatnonzero(nonzero)
         return out
 
 
-@lru_cache(maxsize=8)
-def _coefficients(instrument: Instrument, values: bytes) -> Array:
-    """`Instrument.all_coefficients`: an estimate asks for those of one point again and again."""
-    out = instrument._all_coefficients(np.frombuffer(values))
-    out.flags.writeable = False
+@lru_cache(maxsize=4)
+def _linearised(instrument: Instrument, values: bytes) -> tuple[Array, Array]:
+    """`Instrument.linearised`: an estimate asks for that of one point again and again."""
+    out = instrument._linearised(np.frombuffer(values))
+    for each in out:
+        each.flags.writeable = False
     return out
 
 

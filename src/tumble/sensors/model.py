@@ -21,14 +21,20 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.rotation import axes_angles, axes_derivatives, axes_matrix, left_inverse
+from tumble.rotation import axes_angles, left_inverse
+from tumble.sensors import triad_axes
 from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
 
 _ANGLE_PAIRS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "gyro": _ANGLE_PAIRS}
-_FREE_PLACES = {kind: np.array([_ANGLE_PAIRS.index(pair) for pair in pairs]) for kind, pairs in _FREE_PAIRS.items()}
+_LEANING = (("xy", "xz"), ("yz", "yx"), ("zx", "zy"))
+"""The angles of each sensor of a triad towards the next axis and the one before."""
+_FREE_PLACES = {
+    kind: np.array([[6 + pairs.index(pair) if pair in pairs else -1 for pair in both] for both in _LEANING])
+    for kind, pairs in _FREE_PAIRS.items()
+}
 _BIAS_UNIT: dict[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 
@@ -119,13 +125,12 @@ class Block:
 
     def model(self, values: Array) -> SensorModel:
         """The sensor model of parameter values given in the order of `names`."""
-        n = self.size
-        bias, scale, angles = values[:n], values[n : 2 * n], values[2 * n :]
         if self.triad:
-            rows = (1.0 + scale)[:, None] * axes_matrix(*self._six(angles))
-            return SensorModel(matrix=self.axes @ rows, bias=bias[self._axis_of_channel])
-        rotated = self._rotated(angles)
-        return SensorModel(matrix=(1.0 + scale)[:, None] * rotated, bias=np.array(bias))
+            found = self.linearised(values)[0]
+            return SensorModel(matrix=found[:, :3].copy(), bias=found[:, 3].copy())
+        n = self.size
+        rotated = self._rotated(values[2 * n :])
+        return SensorModel(matrix=(1.0 + values[n : 2 * n])[:, None] * rotated, bias=np.array(values[:n]))
 
     def parameters(self, model: SensorModel) -> Array:
         """Parameter values of a sensor model given in this block's frame: `model` inverted."""
@@ -142,23 +147,25 @@ class Block:
     def jacobian(self, values: Array) -> Array:
         """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the
         parameters: shape (n, 4, m), so that d(reading) = jacobian · dθ applied to (true, 1); not to be written to."""
-        return _jacobian(self, np.asarray(values, dtype=float).tobytes())
+        return self.linearised(values)[1]
 
-    def _jacobian(self, values: Array) -> Array:
+    def linearised(self, values: Array) -> tuple[Array, Array]:
+        """[matrix | bias] (n, 4) of parameter values, and its `jacobian`; not to be written to."""
+        return _linearised(self, np.asarray(values, dtype=float).tobytes())
+
+    def _linearised(self, values: Array) -> tuple[Array, Array]:
         n, m = self.size, len(values)
-        out = np.zeros((n, 4, m))
-        scale, angles = values[n : 2 * n], values[2 * n :]
+        model, out = np.empty((n, 4)), np.zeros((n, 4, m))
         if self.triad:
-            six, places = self._six(angles), _FREE_PLACES[self.kind]
-            out[self.channels, 3, np.arange(3)] = 1.0
-            out[:, :3, 3:6] = self.axes[:, None, :] * axes_matrix(*six).T
-            by_row = (self.axes * (1.0 + scale))[:, places // 2]
-            out[:, :3, 6:] = by_row[:, None, :] * axes_derivatives(*six)[places].T
-            return out
+            triad_axes.linearise(
+                np.asarray(self.axes, dtype=float), self.channels, _FREE_PLACES[self.kind], values, model, out
+            )
+            return model, out
+        each, scale, angles = np.arange(n), values[n : 2 * n], values[2 * n :]
+        model[:, 3], out[each, 3, each] = values[:n], 1.0
         rotated = self._rotated(angles)
-        for p in range(n):
-            out[p, 3, p] = 1.0
-            out[p, :3, n + p] = rotated[p]
+        model[:, :3] = (1.0 + scale)[:, None] * rotated
+        out[each, :3, n + each] = rotated
         free = self._free_angles()
         for which in (0, 1):  # a complex step, exact to rounding: an angle of one sensor moves no other
             own = [i for i, (_, j) in enumerate(free) if j == which]
@@ -167,19 +174,7 @@ class Block:
             change = (1.0 + scale)[:, None] * self._rotated(stepped).imag / 1e-20
             for i in own:
                 out[free[i][0], :3, 2 * n + i] = change[free[i][0]]
-        return out
-
-    def _six(self, angles: Array) -> list[float]:
-        """The six angles of Eq. (1) of a triad, of which `angles` are free."""
-        six = [0.0] * 6
-        for place, angle in zip(_FREE_PLACES[self.kind], angles.tolist(), strict=True):
-            six[place] = angle
-        return six
-
-    @cached_property
-    def _axis_of_channel(self) -> IntArray:
-        """The place (n,) of each channel in the order of `sensors`."""
-        return np.argsort(self.channels)
+        return model, out
 
     def _free_angles(self) -> list[tuple[int, int]]:
         """(sensor, 0 or 1) of every axis angle that is a parameter."""
@@ -225,10 +220,11 @@ def _along_body_axes(axes: bytes) -> bool:
 
 
 @lru_cache(maxsize=64)
-def _jacobian(block: Block, values: bytes) -> Array:
-    """`Block.jacobian` of parameters, float64: an estimate asks for that of one point again and again."""
-    out = block._jacobian(np.frombuffer(values))
-    out.flags.writeable = False
+def _linearised(block: Block, values: bytes) -> tuple[Array, Array]:
+    """`Block.linearised` of parameters, float64: an estimate asks for that of one point again and again."""
+    out = block._linearised(np.frombuffer(values))
+    for each in out:
+        each.flags.writeable = False
     return out
 
 

@@ -78,7 +78,6 @@ def _estimate(fitted: Fitted, increments: tuple[Array, ...], sigmas: tuple[Array
     values, last = fitted.solved.point.values, fitted.solved.last
     covariance = fitted.solved.step.covariance[1:, 1:] + common_covariance(observations, instrument)
     spread = problem.spread[:linear]
-    variance, combinations = np.linalg.eigh(covariance[:linear, :linear] / np.outer(spread, spread))
     observable = np.ones(len(values), dtype=bool)
     observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
     findings = tuple(_findings(fitted, covariance))
@@ -92,7 +91,7 @@ def _estimate(fitted: Fitted, increments: tuple[Array, ...], sigmas: tuple[Array
         values=values,
         covariance=covariance,
         observable=observable,
-        null=combinations[:, variance > DETERMINED**-2].T,
+        null=_undetermined(covariance[:linear, :linear] / np.outer(spread, spread)),
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
         rest_residual=np.linalg.norm(_force(fitted), axis=1) - observations.site.gravity,
@@ -115,6 +114,15 @@ def _estimate(fitted: Fitted, increments: tuple[Array, ...], sigmas: tuple[Array
         linearised=_linearised(fitted),
         own=_own(fitted),
     )
+
+
+def _undetermined(covariance: Array) -> Array:
+    """The combinations (q, n) of parameters whose variance is too large, of their covariance in units of the spreads.
+    None has one larger than the sum of all."""
+    if np.trace(covariance) <= DETERMINED**-2:
+        return np.zeros((0, len(covariance)))
+    variance, combinations = np.linalg.eigh(covariance)
+    return np.asarray(combinations[:, variance > DETERMINED**-2].T)
 
 
 def _linearised(fitted: Fitted) -> Linearised:
