@@ -9,10 +9,11 @@ import polars as pl
 import pytest
 
 from tumble.calibration.found_log import samples_in
-from tumble.calibration.log_times import Stamps, times_of_column
-from tumble.calibration.new_session import new_session
+from tumble.calibration.log_times import Stamps, overflow_of, recordings_of, times_of_column
+from tumble.calibration.new_session import Given, new_session
 from tumble.calibration.raw_scale import accel_scale, plain_unit
 from tumble.calibration.respelled import respelled
+from tumble.errors import InputError
 from tumble.recording.clock import seconds_of
 from tumble.recording.dialect import is_clock
 from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name
@@ -134,3 +135,130 @@ def test_rows_come_out_of_what_is_about_them(lines: list[str], copied: str, tmp_
     found = respelled(log, log.read_bytes(), tmp_path / "session")
     assert found is not None
     assert found[0].read_text() == copied
+
+
+def test_dates_tell_the_unit_of_a_time() -> None:
+    for size, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")):
+        times = times_of_column(Stamps(column="t", values=(1.586e9 + 0.6 * np.arange(100.0)) * size, unit=None))
+        assert times is not None
+        assert times.rate == pytest.approx(1 / 0.6, rel=1e-3)
+        assert times.keys.get("time_unit", "s") == unit
+        assert not times.unit_guessed
+    for start, step, unit in ((1.2e9, 1e4, "us"), (1.3e15, 2e6, "ns")):  # that a processor has been running for
+        running = times_of_column(Stamps(column="t", values=start + step * np.arange(2000.0), unit=None))
+        assert running is not None
+        assert running.keys["time_unit"] == unit
+
+
+def test_no_log_is_shorter_than_two_seconds() -> None:
+    times = times_of_column(Stamps(column="t", values=0.37 + 0.5 * np.arange(400.0), unit=None))
+    assert times is not None
+    assert times.rate == pytest.approx(2.0)
+
+
+def test_a_counter_starts_anew_only_where_it_can() -> None:
+    stamps: Array = np.asarray(1e7 + 8500.0 * np.arange(400))
+    stamps[160] -= 14_000.0
+    assert overflow_of(stamps) is None
+    counter: Array = np.asarray(np.arange(1000.0) * 100.0 % 65536.0)
+    assert overflow_of(counter) == 65536.0
+
+
+def test_clocks_that_are_started_anew_part_a_log() -> None:
+    stamps = np.concatenate([68.0 + 0.1 * np.arange(300), 4.5 + 0.1 * np.arange(200)])
+    assert recordings_of(stamps) == [(0, 300), (300, 500)]
+    assert recordings_of(np.sort(stamps)) is None
+    assert recordings_of(np.concatenate([stamps, 1.0 + 0.1 * np.arange(20)])) is None
+    late = np.sort(stamps)
+    late[100] -= 0.15
+    assert recordings_of(late) is None
+
+
+def test_a_log_whose_clock_starts_anew_becomes_files(read: Array, tmp_path: Path) -> None:
+    stamps = np.concatenate([60.0 + 0.02 * np.arange(350), 3.0 + 0.02 * np.arange(250)])
+    names = ["t_s", *(f"a{a}" for a in "xyz"), *(f"g{a}" for a in "xyz")]
+    pl.DataFrame(np.column_stack([stamps, read]), schema=names).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
+    assert len(draft.content["log"]["file"]) == 2
+    assert any("there are 2 recordings" in said for said in draft.said)
+
+
+def test_what_is_in_no_unit_is_no_accelerometer_beside_what_is(read: Array) -> None:
+    still = np.tile([-17.0, -53.0, 981.0], (600, 1)) + np.round(300.0 * read[:, 3:])
+    field = np.repeat([[-823.0, -18.0, -337.0], [-799.0, -24.0, -327.0]], 300, axis=0)
+    gyro = np.array([-20.0, 5.0, 4.0]) + np.round(3000.0 * read[::-1, 3:])
+    assert triads_of(np.column_stack([still, field, gyro])) == {ACCEL: ("1", "2", "3"), GYRO: ("7", "8", "9")}
+
+
+def test_rates_have_the_names_of_the_mechanics_of_flight() -> None:
+    found = columns_by_name(["Ax", "Ay", "Az", "p", "q", "r", "mx", "my", "mz"])
+    assert found.triads[GYRO].columns == ("p", "q", "r")
+    assert GYRO not in columns_by_name(["Ax", "Ay", "Az", "p", "q"]).triads
+
+
+@pytest.mark.parametrize(
+    ("names", "time"),
+    [
+        (["server_time", "device_timestamp_ms"], "device_timestamp_ms"),
+        (["%time", "seq", "stamp"], "stamp"),
+        (["elapsed-time-system", "elapsed-time-sensor"], "elapsed-time-system"),
+    ],
+)
+def test_the_time_of_a_sample_is_that_of_the_device(names: list[str], time: str) -> None:
+    assert columns_by_name([*names, "ax", "ay", "az"]).time == time
+
+
+@pytest.mark.parametrize(
+    ("bias", "noise", "shaken", "unit"),
+    [
+        (0.64, 0.001, 0.002, "deg/s"),
+        (0.01, 0.1, 0.002, "deg/s"),
+        (0.01, 0.1, 0.3, "rad/s"),
+        (0.02, 0.001, 0.002, "rad/s"),
+    ],
+    ids=["bias", "noise", "noise in a hand", "neither"],
+)
+def test_gyros_that_nothing_turns_are_told_by_what_they_read_at_rest(
+    bias: float, noise: float, shaken: float, unit: str, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(8)
+    accel = np.array([0.0, 0.0, G_STANDARD]) + shaken * rng.normal(size=(800, 3))
+    gyro = np.array([bias, 0.0, 0.0]) + noise * rng.normal(size=(800, 3))
+    names = ["t_s", *(f"a{a}" for a in "xyz"), *(f"g{a}" for a in "xyz")]
+    pl.DataFrame(np.column_stack([0.01 * np.arange(800), accel, gyro]), schema=names).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
+    assert draft.content["log"]["gyro"]["unit"] == unit
+
+
+def test_where_one_axis_reads_all_of_gravity_columns_are_counted_in_threes() -> None:
+    rng = np.random.default_rng(6)
+    noise = 1e-3 * rng.normal(size=(400, 6))
+    still = np.array([-0.008, -0.007, 0.009, -0.98, 0.121, 0.009]) + noise
+    assert triads_of(still) == {ACCEL: ("4", "5", "6"), GYRO: ("1", "2", "3")}
+
+
+def test_rests_in_one_attitude_draw_no_sphere() -> None:
+    means = np.array([20.0, 470.0, 16250.0]) + 60.0 * np.random.default_rng(2).normal(size=(6, 3))
+    assert accel_scale(means) is None
+    assert accel_scale(means + 16384.0 * np.vstack([FACES]) - [0.0, 0.0, 16250.0]) is not None
+
+
+def test_axes_alone_are_taken_in_their_order(read: Array) -> None:
+    found = columns_by_data(["time", "z", "y", "x"], np.column_stack([np.arange(600.0), read[:, :3]]))
+    assert found.triads[ACCEL].columns == ("x", "y", "z")
+
+
+def test_magnetometers_without_readings_are_left_out(read: Array, tmp_path: Path) -> None:
+    names = [f"{kind}_{a}" for kind in ("acc", "gyr", "mag") for a in "xyz"]
+    table = pl.DataFrame(np.column_stack([read[:300], np.ones((300, 3))]), schema=names)
+    table.with_columns(pl.lit("").alias("mag_y")).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    assert draft.magnetometer is None
+    assert "magnetometers: mag_x, mag_y, mag_z are left out; they have no readings" in draft.said
+
+
+@pytest.mark.filterwarnings("error")
+def test_times_that_are_no_numbers_are_none(read: Array, tmp_path: Path) -> None:
+    np.savez(tmp_path / "imu.npz", t=np.full(600, np.nan), acc=read[:, :3], gyro=read[:, 3:])
+    with pytest.raises(InputError, match="expected readings, found none"):
+        new_session(tmp_path / "session", tmp_path / "imu.npz")

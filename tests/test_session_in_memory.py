@@ -266,3 +266,11 @@ def test_a_corrected_log_is_a_session_of_a_perfect_device(
     for p in again.parameters:
         assert p.u is not None
         assert abs(p.value) < 0.01 * p.u, p.name
+
+
+def test_one_rest_with_gyros_far_off_has_an_outcome() -> None:
+    rng = np.random.default_rng(3)
+    accel = np.array([-0.5, 9.8, -5.0]) + 0.01 * rng.normal(size=(900, 3))
+    gyro = np.array([-20.0, -5.0, 4.0]) + rng.normal(size=(900, 3))
+    session = session_of_arrays(accel=accel, gyro=gyro, rate=100.0, latitude=0.9)
+    assert any("the device lay in one attitude" in reason for reason in calibrate(session).outcome.reasons)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tumble.calibration.notes import drifted
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
@@ -66,6 +67,17 @@ def test_a_device_that_does_not_warm_has_no_warm_up() -> None:
     assert found.linearised is not None
     assert found.linearised.problem.observations.warm_up is None
     assert not any("warm-up" in remark for remark in said.remarks)
+    assert drifted(found) == ()
+
+
+def test_a_warm_up_that_passes_for_a_drift_is_noted() -> None:
+    """Over a session of about its time constant, the bias of the settled device is not in the data."""
+    found, _, errors = calibrated(3, 0.15, 400.0)
+    assert found.linearised is not None
+    assert found.linearised.problem.observations.warm_up is None
+    assert np.abs(errors).max() > 5.0
+    notes = drifted(found)
+    assert any(note.startswith("biases of the gyros drift: those given are of the middle") for note in notes)
 
 
 def test_a_turn_with_clipped_gyros_is_left_out_and_named(data: Path, tmp_path: Path) -> None:

@@ -57,6 +57,18 @@ def _said(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno else str(error)
 
 
+def not_there(path: Path) -> Path:
+    """A path, with `-copy` behind its name where a file has it already."""
+    while path.exists():
+        path = path.with_stem(f"{path.stem}-copy")
+    return path
+
+
+def plain_name(word: str) -> str:
+    """A word as a part of the name of a file."""
+    return re.sub(r"\W+", "-", word).strip("-")[:40] or "unnamed"
+
+
 @contextmanager
 def nothing_left(folder: Path) -> Iterator[None]:
     """Where the block fails, the folder is as it was: not there, or without the files that were written into it."""

@@ -8,7 +8,7 @@ import zlib
 from pathlib import Path, PurePosixPath
 
 from tumble.errors import InputError
-from tumble.files import whole_file
+from tumble.files import not_there, whole_file
 from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
 
 _MOST_FILES = 200
@@ -50,9 +50,7 @@ def _may_be_log(name: PurePosixPath) -> bool:
 
 def _written(opened: zipfile.ZipFile, member: zipfile.ZipInfo, folder: Path) -> Path:
     """A file of an archive, of which no more than it states comes out, by its name without folders."""
-    target = folder / PurePosixPath(member.filename.replace("\\", "/")).name
-    while target.exists():
-        target = target.with_stem(f"{target.stem}-copy")
+    target = not_there(folder / PurePosixPath(member.filename.replace("\\", "/")).name)
     with opened.open(member) as stream, whole_file(target) as temporary, temporary.open("wb") as out:
         while piece := stream.read(_PIECE_BYTES):
             out.write(piece)

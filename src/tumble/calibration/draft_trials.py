@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from tumble.calibration.draft import Draft
+from tumble.calibration.gyro_unit_at_rest import more_than_gyros_read
 from tumble.calibration.gyro_unit_by_earth import RATES, reads_the_earth
-from tumble.calibration.log_times import ASSUMED_RATE
+from tumble.calibration.log_times import ASSUMED_RATE, RATES_OF_LOGS
 from tumble.calibration.observed import Progress, inspect_session
 from tumble.calibration.raw_scale import (
     PLAIN,
@@ -160,7 +161,7 @@ def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress
         observations = _observed({**draft.content, "log": {**even, "rate_hz": trial}}, progress)
         factor = None if observations is None else gyro_factor(observations)
         found = trial * factor if found is None and factor is not None else found
-    if found is None:
+    if found is None or not RATES_OF_LOGS[0] <= found <= RATES_OF_LOGS[1]:
         return draft, faults
     unit, rate = _unit_and_rate(found, log["gyro"]["unit"], draft)
     if doubted and max(rate.found / draft.rate, draft.rate / rate.found) < _RATE_AGREES:
@@ -178,7 +179,10 @@ def _with_rate(draft: Draft, faults: list[str], turned: bool, progress: Progress
     if unit != log["gyro"]["unit"]:
         said.append(f"gyros: in {unit}, not {log['gyro']['unit']}: in that the rate is a usual one (a guess)")
     content = {**draft.content, "log": {**even, "rate_hz": rate.value, "gyro": {**log["gyro"], "unit": unit}}}
-    return replace(draft, content=content, said=(*draft.said, *said)), _looked_at(content, progress)[1]
+    left = _looked_at(content, progress)[1]
+    if doubted and left:  # what is wrong is not the time alone
+        return draft, faults
+    return replace(draft, content=content, said=(*draft.said, *said)), left
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -220,6 +224,9 @@ def _checked(draft: Draft, progress: Progress) -> tuple[Draft, list[str], bool]:
         still = _by_the_earth(draft, progress)
         if still is not draft:
             return still, _looked_at(still.content, progress)[1], True
+    if draft.gyro_unknown and not (turned and _moves_the_vertical(draft, progress)):
+        draft = _by_rests(draft, progress)
+        unit, faults, turned = _looked_at(draft.content, progress)
     clocked = not (draft.rate_guessed or (draft.time_guessed and not draft.gyro_whole))  # else these may be wrong
     if faults and draft.gyro_unknown and clocked and unit is None and draft.content["log"]["gyro"]["unit"] == "rad/s":
         return *_in_counts(draft, faults, progress), True
@@ -255,6 +262,17 @@ def _by_the_earth(draft: Draft, progress: Progress) -> Draft:
         if said is not None:
             return replace(draft, content=trial, said=(*draft.said, f"gyros: in {unit}: {said}"))
     return draft
+
+
+def _by_rests(draft: Draft, progress: Progress) -> Draft:
+    """A draft with gyros in deg/s, where they read more at rest than gyros do in rad/s."""
+    gyro = draft.content["log"]["gyro"]
+    observations = _observed(draft.content, progress) if gyro["unit"] == "rad/s" and not draft.gyro_whole else None
+    why = None if observations is None else more_than_gyros_read(observations)
+    if why is None:
+        return draft
+    told = f"gyros: in deg/s, not rad/s (a guess): {why}"
+    return replace(draft, content=_with_gyro_unit(draft.content, "deg/s"), said=(*draft.said, told))
 
 
 def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Draft, list[str]]:

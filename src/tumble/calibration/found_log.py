@@ -95,7 +95,8 @@ def check_has_accelerometers(log: FoundLog) -> None:
         if len(columns) == len("xyz") and all(name.isdecimal() for name in columns):
             raise InputError(
                 f"{log.files[0]}: expected a recording, found three columns without names that are none by their "
-                "numbers; a table with a row a position, with a line of names above it, is for `tumble ellipsoid`"
+                "numbers; of a table with a row a position write `x,y,z` above the rows, with commas between the "
+                "values, and give it to `tumble ellipsoid`"
             )
         if any(_FUSED.search(name) for name in columns):
             raise InputError(

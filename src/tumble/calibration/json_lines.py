@@ -6,12 +6,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from tumble.calibration.spelling import Spelling, of_named_values
-from tumble.recording.dialect import is_clock
+from tumble.recording.dialect import Dialect, is_clock
 
 _LONGEST_LINE = 4096
+_LABEL = re.compile(r"sensor|type|kind|topic|name", re.IGNORECASE)
+_WORD = re.compile(r"[^\W\d][\w .()-]{0,40}")
 
 
 def json_lines(lines: Sequence[str]) -> Spelling | None:
@@ -24,22 +27,33 @@ def _cells(line: str) -> dict[str, str]:
     text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
     if not text.startswith("{") or len(text) > _LONGEST_LINE:
         return {}
-    try:
-        read = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return dict(_flat(read)) if isinstance(read, dict) else {}
+    for spelt in (text, text.replace("'", '"')):  # JSON, or as Python prints it
+        with suppress(ValueError, RecursionError):
+            read = json.loads(spelt)
+            return dict(values_of(read)) if isinstance(read, dict) else {}
+    return {}
 
 
-def _flat(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Names and values of an object and those within it: numbers and times of day."""
+def values_of(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of an object and those within it: numbers, also as text, times of day, and the
+    names of sensors."""
     for key, value in read.items():
-        name = before + re.sub('[,"\\s]+', " ", key)
+        name = before + column_name(key)
         if isinstance(value, dict):
-            yield from _flat(value, f"{name}_")
+            yield from values_of(value, f"{name}_")
         elif isinstance(value, list) and len(value) == 3:
-            yield from _flat(dict(zip("xyz", value, strict=True)), f"{name}_")
+            yield from values_of(dict(zip("xyz", value, strict=True)), f"{name}_")
         elif isinstance(value, int | float) and not isinstance(value, bool):
             yield name, repr(value)
-        elif isinstance(value, str) and is_clock(value):
+        elif isinstance(value, str) and _is_cell(name, value):
             yield name, value
+
+
+def column_name(key: str) -> str:
+    """The name of a value as that of a column of a table."""
+    return re.sub('[,"\\s]+', " ", key)
+
+
+def _is_cell(name: str, value: str) -> bool:
+    named = _LABEL.search(name) and _WORD.fullmatch(value)
+    return is_clock(value) or Dialect().is_number(value) or bool(named)

@@ -12,6 +12,8 @@ import numpy as np
 import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
+from tumble.calibration.json_document import tables_of_json
+from tumble.calibration.other_formats import check_is_log
 from tumble.calibration.respelled import respelled
 from tumble.calibration.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
 from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
@@ -71,7 +73,8 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     whole = [log for log in logs if ACCEL in log.columns.triads]
     beside = [log for log in logs if whole and log not in whole and not all(map(str.isdecimal, log.cells))]
     left += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
-    logs = [_by_data(log) if log not in whole else _with_time(log) for log in logs if log not in beside]
+    logs = [log for log in logs if log not in beside]
+    logs = [_with_time(log) if log in whole else _by_data(log) for log in _pooled(logs)]
     first = logs[0]
     for log in logs[1:]:
         if (
@@ -84,8 +87,26 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
                 "sessions of their own"
             )
     check_has_accelerometers(first)
-    said = first.said + ((f"{len(logs)} files, each a recording of its own",) if len(logs) > 1 else ()) + left
-    return replace(first, files=tuple(file for log in logs for file in log.files), said=said)
+    taken = tuple(file for log in logs for file in log.files)
+    said = first.said + ((f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()) + left
+    return replace(first, files=taken, said=said)
+
+
+def _pooled(logs: Sequence[FoundLog]) -> Sequence[FoundLog]:
+    """Files whose columns have no names and are alike as one log: a file of one position does not tell what they are,
+    all of them do."""
+    first = logs[0]
+    nameless = all(log.cells and all(map(str.isdecimal, log.cells)) for log in logs)
+    if (
+        len(logs) < 2
+        or not nameless
+        or any((log.keys, set(log.cells)) != (first.keys, set(first.cells)) for log in logs)
+    ):
+        return logs
+    numeric = _numeric(first)
+    time = time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
+    columns = replace(first.columns, time=time or first.columns.time)
+    return [replace(first, files=tuple(file for log in logs for file in log.files), columns=columns)]
 
 
 class _NoRowsError(InputError):
@@ -117,12 +138,16 @@ def _found(file: Path, folder: Path) -> list[FoundLog]:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
         raise _NoRowsError(f"{file}: expected a log, found an empty file")
+    check_is_log(file, seen)
     kinds = headed_kinds(seen)
     if kinds:
         return [log for part in split_by_header(file, kinds, folder) for log in _found(part, folder)]
     copied = respelled(file, seen, folder)
     if copied is not None:
         return [replace(log, said=(copied[1], *log.said)) for log in _found(copied[0], folder)]
+    document = tables_of_json(file, seen, folder)
+    if document is not None:
+        return [replace(log, said=(document[1], *log.said)) for part in document[0] for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None:
         if max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]:
@@ -214,7 +239,7 @@ def _by_data(log: FoundLog) -> FoundLog:
 def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Columns:
     """What the columns of a log are by their numbers, but for those of sensors that are named."""
     names = list(next(iter(log.sources())).names)
-    taken = {column for sensors in named.values() for column in sensors.columns}
+    taken = {column for sensors in named.values() for column in sensors.columns} | {log.columns.time}
     numeric = [n for n in _numeric(log) if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
     read = log.read(numeric, rows=LONGEST // 10) if len(numeric) >= 3 else np.empty((0, len(numeric)))
     every = np.full((samples_in(read), len(names)), np.nan)

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,20 @@ import numpy as np
 from tumble.units import TIME_UNITS, Array
 
 ASSUMED_RATE = 100.0
-_RATES = 2.0, 20_000.0  # Hz, of a log
+RATES_OF_LOGS = 2.0, 20_000.0
+"""Hz."""
+_SLOWEST = 0.5  # Hz, of a log that may be one
+_SHORTEST_LOG = 2.0  # s
+_CENTURY = 1.1e9, 2.2e9  # s since 1970: 2004 to 2039
+_SLOW = 5.0  # Hz: at less, dates may be what a phone has been running for, in a thousandth of their unit
+_BY_DATES = "by its dates"
 _SHARE, _FREE = 2e-2, 3
 _PAUSES, _PAUSE = 2e-3, 10.0
 _LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
 _JITTER = 0.25
 _UNEVEN = 3.0
-_SHORTEST = 1e-9  # from the first stamp to the last, in any unit
+_SHORTEST = 1e-9  # that stamps grow by in all, in any unit
+_ANEW = 0.01
 _RATE_IN_TEXT = re.compile(
     r"(?:rate|frequency|freq|fs|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
     re.IGNORECASE,
@@ -60,7 +68,7 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
         return Times(keys={"rate_hz": rate}, said=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
     for line in remarks:
         found = _RATE_IN_TEXT.search(line)
-        if found and float(found[1].replace(",", ".")) >= _RATES[0]:
+        if found and float(found[1].replace(",", ".")) >= RATES_OF_LOGS[0]:
             stated = float(found[1].replace(",", "."))
             said = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
             return Times(keys={"rate_hz": stated}, said=(said,), rate=stated)
@@ -75,7 +83,7 @@ def times_of_column(stamps: Stamps) -> Times | None:
     """Unit and rate of a time column; None where it is none."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
-    if len(values) < 3 or not values[-1] - values[0] > _SHORTEST:
+    if len(values) < 3 or not _grow(values):
         return None
     typical = _typical_step(values)
     if not 0.0 < typical < math.inf:
@@ -85,8 +93,8 @@ def times_of_column(stamps: Stamps) -> Times | None:
     keys: dict[str, Any] = {"time": stamps.column}
     if stamps.clock or taken != "s":
         keys["time_unit"] = "iso8601" if stamps.clock else taken
-    guessed = not stamps.clock and stamps.unit is None
-    if not _RATES[0] <= 1.0 / interval <= _RATES[1]:
+    guessed = not stamps.clock and stamps.unit is None and how != _BY_DATES
+    if not RATES_OF_LOGS[0] <= 1.0 / interval <= RATES_OF_LOGS[1]:
         sure = (*sure, f"time: {1.0 / interval:.3g} samples per second is no rate of a log: is the unit right?")
     uneven = _unevenness(values, typical)
     said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
@@ -102,9 +110,16 @@ def times_of_column(stamps: Stamps) -> Times | None:
     return Times(keys={**keys, "regular": True}, said=(said, more, *sure), rate=1.0 / mean, unit_guessed=guessed)
 
 
+def _grow(values: Array) -> bool:
+    """Whether stamps grow, but for a few places at which a clock was started anew."""
+    steps = np.diff(values)
+    return bool(steps[steps > 0.0].sum() > _SHORTEST and np.mean(steps < 0.0) <= _ANEW)
+
+
 _OVERFLOWS = (65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
 _MOST_OVERFLOWS = 10_000
 _LATE = 50  # samples that may be lost where a counter starts anew
+_MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50
 
 
 def overflow_of(values: Array) -> float | None:
@@ -113,14 +128,26 @@ def overflow_of(values: Array) -> float | None:
     values = values[np.isfinite(values)]
     steps = np.diff(values)
     falls = np.flatnonzero(steps < 0.0)
+    span = float(np.ptp(values)) if len(values) else 0.0
     if not len(falls) or len(falls) > _MOST_OVERFLOWS:
         return None
     usual = float(np.median(steps))
     for number in _OVERFLOWS:
         after = steps[falls] + number
-        if ((after > 0.0) & (after < _LATE * usual)).all():
+        if span < number and ((after > 0.0) & (after < _LATE * usual)).all():
             return number
     return None
+
+
+def recordings_of(values: Array) -> list[tuple[int, int]] | None:
+    """First and last + 1 row of recordings that follow each other in a log, each with a clock that was started anew;
+    None for one, and where stamps fall by little, or a stretch between falls is no recording."""
+    steps = np.diff(values)
+    falls = np.flatnonzero(steps < 0.0)
+    if not 0 < len(falls) <= _MOST_RECORDINGS or (steps[falls] > -_LATE * np.median(steps)).any():
+        return None
+    edges = list(pairwise([0, *(falls + 1).tolist(), len(values)]))
+    return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
 
 
 def unwound(values: Array, overflow: float, last: float | None) -> Array:
@@ -152,16 +179,33 @@ def _unit(stamps: Stamps, step: float) -> tuple[str, str, tuple[str, ...]]:
         return "s", "of a clock", ()
     if stamps.unit is not None:
         return stamps.unit, "by its name", ()
-    likely = [name for name, size in TIME_UNITS.items() if _RATES[0] <= 1.0 / (step * size) <= _RATES[1]]
-    usual = [name for name in likely if 10.0 <= 1.0 / (step * TIME_UNITS[name]) <= 2000.0] or likely
-    taken = usual[0] if usual else "s"
-    others = [f"{name}: {1.0 / (step * TIME_UNITS[name]):.4g} Hz" for name in likely if name != taken]
-    sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
     steps = np.diff(stamps.values)
-    if step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE:
+    counts = step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE
+    whole = math.inf if counts else float(np.nanmax(stamps.values) - np.nanmin(stamps.values))
+    rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
+    likely = [name for name, rate in rates.items() if _SLOWEST <= rate <= RATES_OF_LOGS[1]]
+    dated = next((name for name in likely if _are_dates(stamps.values, TIME_UNITS[name])), None)
+    likely = [name for name in likely if whole * TIME_UNITS[name] >= _SHORTEST_LOG] or likely
+    usual = [name for name in likely if 10.0 <= rates[name] <= 2000.0]
+    if dated is not None and (rates[dated] > _SLOW or not set(usual) - {dated}):
+        return dated, _BY_DATES, ()
+    usual = usual or likely
+    taken = usual[0] if usual else "s"
+    others = [
+        f"{name}: {rates[name]:.4g} Hz"
+        for name in likely
+        if name != taken and (name == dated or rates[name] >= RATES_OF_LOGS[0])
+    ]
+    sure = (f"time: the unit is a guess, possible too is {' or '.join(others)}",) if others else ()
+    if counts:
         counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
         sure = (f"{counted}give the rate (--rate)",)
     return taken, "by its steps", sure
+
+
+def _are_dates(values: Array, unit: float) -> bool:
+    """Whether time stamps in a unit, s, since 1970 are of days from 2004 to 2039."""
+    return bool(_CENTURY[0] < np.nanmin(values) * unit and np.nanmax(values) * unit < _CENTURY[1])
 
 
 def _unevenness(values: Array, typical: float) -> str | None:

@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
-from tumble.calibration.log_times import overflow_of, times_without_column, unwound
+from tumble.calibration.log_times import overflow_of, recordings_of, times_without_column, unwound
 from tumble.calibration.positions_apart import positions_apart
 from tumble.calibration.raw_scale import unwrapped, wrapped
 from tumble.errors import InputError
@@ -55,7 +55,7 @@ def mended(log: FoundLog, folder: Path, rate: float | None) -> FoundLog:
     for kind, sensors in log.columns.triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
-    mending = _with_positions(_with_time(_with_signs(_with_samples(log), log), log, rate), log)
+    mending = _with_positions(_with_time(_with_signs(_with_samples(log), log), log, rate), log, rate)
     return _copied(log, folder, mending) if mending.said else log
 
 
@@ -110,7 +110,14 @@ def _with_time(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending
     return replace(mending, time=time, overflow=overflow, said=tuple(said))
 
 
-def _with_positions(mending: _Mending, log: FoundLog) -> _Mending:
+def _with_positions(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending:
+    as_they_are = replace(mending, unsigned=(), said=()) == _Mending()
+    stamps = log.stamps() if as_they_are and rate is None and len(log.files) == 1 else None
+    whole = stamps is not None and not stamps.clock and len(stamps.values) < LONGEST
+    recordings = recordings_of(stamps.values[np.isfinite(stamps.values)]) if stamps is not None and whole else None
+    if recordings is not None:
+        said = f"time: the clock starts anew, so that there are {len(recordings)} recordings: a file each"
+        return replace(mending, positions=recordings, said=(*mending.said, said))
     positions = positions_apart(log, unsigned=ACCEL in mending.unsigned)
     if positions is None:
         return mending
@@ -194,6 +201,8 @@ def _tick(log: FoundLog) -> float | None:
     if column is None or log.columns.time_unit is not None or log.is_clock(column):
         return None
     stamps = log.read([column], rows=10_000)[:, 0]
+    if not np.isfinite(np.diff(stamps)).any():
+        return None
     step, middle = float(np.nanmedian(np.diff(stamps))), float(np.nanmedian(stamps))
     if "sampletimefine" in re.sub(r"\W|_", "", column.lower()):
         return _TICK if step < 2000.0 else None

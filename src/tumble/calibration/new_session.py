@@ -26,6 +26,7 @@ from tumble.calibration.log_times import Times
 from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
 from tumble.calibration.opposite_sign import with_sign
+from tumble.calibration.workbook import is_workbook, sheets_of
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN
@@ -99,6 +100,7 @@ def new_session(
         raise InputError(f"--rate: expected a positive number, found {given.rate:g}")
     with nothing_left(folder):
         files = [found for file in files for found in (unzipped(file, folder) if is_archive(file) else [file])]
+        files = [found for file in files for found in (sheets_of(file, folder) if is_workbook(file) else [file])]
         draft = _of_files(files, folder, given)
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         draft, faults = tried(draft, progress)
@@ -337,6 +339,8 @@ def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any
     """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []
+    if not np.isfinite(log.read(sensors.columns, rows=_HEAD)).all(axis=1).any():
+        return None, [f"magnetometers: {', '.join(sensors.columns)} are left out; they have no readings"]
     field = _magnitude(log, sensors)
     likely = [unit for unit, (low, high) in _FIELDS.items() if low <= field <= high]
     unit = sensors.unit or next(iter(likely), None)

@@ -31,6 +31,7 @@ GYRO_STEPS: tuple[float, ...] = tuple(
 """Counts per °/s: of full scales of 16 bits, of the mdps per count of other makers, and of thousandths."""
 
 _NEAR = 0.06
+_ALIKE = 0.05
 _NO_OFFSET = 0.3
 _LEAST_SINGULAR = 0.05
 _TURNS = 3
@@ -81,12 +82,19 @@ def accel_scale(means: Array) -> tuple[float, list[float]] | None:
     """Counts per g and zeros (3,) of accelerometers from mean readings (N, 3) at rest; about no or a converter's middle
     zero where that is what the centre of their sphere is near to. None where the readings do not tell."""
     found = _sphere(means)
-    if found is None:
+    if found is None or _are_one_attitude(means):
         return None
     radius, zero = found
     middles = MIDDLES if (means > 0.0).all() else ()
     known = next((m for m in (0.0, *middles) if np.abs(zero - m).max() < _NO_OFFSET * radius), None)
     return radius, [known] * 3 if known is not None else [float(f"{z:.5g}") for z in zero]
+
+
+def _are_one_attitude(means: Array) -> bool:
+    """Whether readings at rest are alike, and one g in counts of a data sheet: what they differ by is no sphere."""
+    length = float(np.median(np.linalg.norm(means, axis=1)))
+    alike = float(np.linalg.norm(means.std(axis=0))) < _ALIKE * length
+    return alike and counts_per_g(length).known
 
 
 def _sphere(points: Array) -> tuple[float, Array] | None:

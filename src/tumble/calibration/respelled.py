@@ -19,7 +19,7 @@ from tumble.calibration.sentences import sentences
 from tumble.calibration.several_lines import several_lines
 from tumble.calibration.spelling import Spelling, most_common, of_named_values
 from tumble.errors import InputError
-from tumble.files import whole_file
+from tumble.files import not_there, whole_file
 from tumble.recording.dialect import encoding_of
 from tumble.recording.log_source import readable
 from tumble.recording.text_pieces import opened
@@ -50,9 +50,7 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
         spelling = Spelling(names=(), values=lambda line: [line], said="lines that end in a carriage return")
     if spelling is None:
         return None
-    target = folder / f"{file.name.partition('.')[0]}.csv"
-    if target.exists():
-        target = target.with_stem(f"{target.stem}-copy")
+    target = not_there(folder / f"{file.name.partition('.')[0]}.csv")
     folder.mkdir(parents=True, exist_ok=True)
     with readable(file), opened(file, encoding) as stream, whole_file(target) as temporary, temporary.open("wb") as out:
         if spelling.names:
@@ -66,7 +64,9 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
 
 def _framed(lines: Sequence[str]) -> Spelling | None:
     """The spelling of rows in brackets, and of rows behind the clock of a serial monitor, `13:02:11.345 -> 0.1,…`."""
-    if most_common((bool(_BRACKETED.fullmatch(line)) for line in lines), lines):
+    first = next((line.strip() for line in lines if line.strip()), "")
+    nested = first.startswith(("{", "[")) and not _BRACKETED.fullmatch(first)  # a document of JSON
+    if not nested and most_common((bool(_BRACKETED.fullmatch(line)) for line in lines), lines):
         return Spelling(names=(), values=lambda line: [line.strip(" \t,;[](){}")], said="rows in brackets")
     if most_common((bool(_MONITORED.fullmatch(line)) for line in lines), lines):
         return Spelling(names=(), values=_behind_the_clock, said="rows behind the clock of a serial monitor")

@@ -3,7 +3,6 @@ sensor, which are logs of sensors in files of their own."""
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -11,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from tumble.errors import InputError
-from tumble.files import whole_file
+from tumble.files import plain_name, whole_file
 from tumble.recording.dialect import Dialect, Top, is_clock
 from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, columns_by_name
 from tumble.recording.log_source import readable
@@ -23,19 +22,19 @@ _UNNAMED = ("time", "x", "y", "z")
 
 
 def sensor_column(seen: bytes, dialect: Dialect, top: Top) -> int | None:
-    """The column that says of which sensor a row is: few words, one of which is that of accelerometers, that change
-    all the time."""
+    """The column that says of which sensor a row is: names of sensors that change all the time."""
     lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
     rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     for column in range(len(top.names)):
         words = [row[column] for row in rows]
         changes = sum(a != b for a, b in pairwise(words))
-        if 4 * changes > len(words) and _are_sensors(words, dialect):
+        if 4 * changes > len(words) and are_sensors(words, dialect):
             return column
     return None
 
 
-def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
+def are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
+    """Whether the cells of a column are names of sensors: few words, one of which is that of accelerometers."""
     named = Counter(words)
     return (
         2 <= len(named) <= _MOST_SENSORS
@@ -58,7 +57,7 @@ def headed_kinds(seen: bytes) -> dict[str, list[str]]:
 def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
     """The rows of each sensor in a file of its own, with the names that comments state of it."""
     folder.mkdir(parents=True, exist_ok=True)
-    parts = {word: folder / f"{file.name.partition('.')[0]}-{_plain(word)}.csv" for word in kinds}
+    parts = {word: folder / f"{file.name.partition('.')[0]}-{plain_name(word)}.csv" for word in kinds}
     with ExitStack() as files, readable(file), opened(file) as stream:
         outs = {word: files.enter_context(files.enter_context(whole_file(p)).open("wb")) for word, p in parts.items()}
         for word, names in kinds.items():
@@ -68,11 +67,6 @@ def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], folder: Path
             if word in outs:
                 outs[word].write(rest.rstrip("\r\n").encode() + b"\n")
     return list(parts.values())
-
-
-def _plain(word: str) -> str:
-    """A word as a part of the name of a file."""
-    return re.sub(r"\W+", "-", word).strip("-")[:40] or "unnamed"
 
 
 def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: Path) -> list[Path]:
@@ -92,7 +86,7 @@ def split_by_sensor(file: Path, dialect: Dialect, top: Top, label: int, folder: 
             cells = dialect.cells(line[:_LONGEST_LINE].decode(errors="replace").rstrip("\r\n"))
             if number < top.lines or len(cells) != len(top.names):
                 continue
-            word = _plain(cells[label])
+            word = plain_name(cells[label])
             if word not in parts:
                 if len(parts) == _MOST_SENSORS:
                     raise InputError(f"{file}: expected at most {_MOST_SENSORS} sensors, found more")

@@ -30,8 +30,8 @@ def new(
 ) -> None:
     """Write a commented session.toml for a log into FOLDER, and say what was guessed.
 
-    LOG, or --log, is one or more text files in any dialect, .parquet, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5, .npy, a
-    .zip of such, a ROS 2 folder, or a folder or a pattern of files that were recorded one after the other.
+    LOG, or --log, is one or more text files in any dialect, .parquet, .xlsx, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5,
+    .npy, a .zip of such, a ROS 2 folder, or a folder or a pattern of files that were recorded one after the other.
     """
     from tumble.calibration.new_session import Given, new_session
 

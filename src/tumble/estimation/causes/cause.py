@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from tumble.estimation.causes.chances import fall_chance, noise_chance
 from tumble.estimation.causes.linearised_session import LinearisedSession
+from tumble.estimation.causes.neighbouring_rests import Neighbours
 from tumble.estimation.causes.projection import Projection
 from tumble.units import DEGREE, G_STANDARD, Array
 
@@ -48,12 +50,18 @@ class Candidate:
     """A session that knows the size to no better, SI, says nothing of it."""
 
 
-def tested(candidate: Candidate, session: LinearisedSession, seen_by: tuple[Projection, Projection]) -> Cause | None:
+def tested(
+    candidate: Candidate,
+    session: LinearisedSession,
+    seen_by: tuple[Projection, Projection],
+    alike: Iterable[Neighbours],
+) -> Cause | None:
     """A candidate by Eq. (11) of the dynamics method, with the noise `alone` and with the scatter of the estimate: it
-    is no more likely than by either. None where the session does not see it."""
+    is no more likely than by either. With the scatter, biases may be `alike` in neighbouring rests by as much as they
+    are beside the candidate. None where the session does not see it."""
     alone, projection = seen_by
     columns = projection.whitened(candidate.rest, candidate.turn)
-    fit = _fitted(columns, projection, candidate.known)
+    fit = _fitted(columns, projection, candidate.known, alike)
     if fit is None:
         return None
     probability = fall_chance(projection, session.linearised.scatter, fit.fall, fit.q)
@@ -61,7 +69,7 @@ def tested(candidate: Candidate, session: LinearisedSession, seen_by: tuple[Proj
         by_noise = _fitted(alone.whitened(candidate.rest, candidate.turn), alone, np.inf)
         probability = max(probability, 1.0 if by_noise is None else noise_chance(by_noise.fall, by_noise.q))
     m = session.problem.instrument.linear_count
-    damage = float(np.max(np.abs(projection.change(columns, fit.values)[:m]) / projection.u[:m]))
+    damage = float(np.max(np.abs(projection.changes(columns @ fit.values)[:m]) / projection.u[:m]))
     largest, (scale, unit) = float(np.abs(fit.values).max()), candidate.unit
     return Cause(
         name=candidate.name,
@@ -82,17 +90,23 @@ class _Explained:
     values: Array
 
 
-def _fitted(columns: Array, projection: Projection, known: float) -> _Explained | None:
-    """Whitened columns by least squares; None where one is not seen better than it is `known`, SI."""
+def _fitted(
+    columns: Array, projection: Projection, known: float, alike: Iterable[Neighbours] = ()
+) -> _Explained | None:
+    """Whitened columns by least squares; None where one is not seen better than it is `known`, SI. Chi-square falls by
+    as much as the covariance of their sizes has it, larger where biases are `alike` in neighbouring rests."""
     length = np.sqrt((columns**2).sum(axis=0))
     left = projection.left_of(columns / np.where(length > 0.0, length, 1.0))
     size, directions = np.linalg.eigh(left.T @ left)
     seen = size > UNSEEN**2
     if not seen.any() or 1.0 / np.sqrt(size[seen].min()) > known * length.max():
         return None
-    along = directions[:, seen].T @ (left.T @ projection.residual)
+    across = directions[:, seen] / np.sqrt(size[seen])
+    own = left @ across
+    along = own.T @ projection.residual
+    covariance = np.eye(len(along)) + sum(each.in_common(own, along) for each in alike)
     return _Explained(
-        fall=float((along**2 / size[seen]).sum()),
+        fall=float(along @ np.linalg.solve(covariance, along)),
         q=int(seen.sum()),
-        values=directions[:, seen] @ (along / size[seen]) / np.where(length > 0.0, length, np.inf),
+        values=across @ along / np.where(length > 0.0, length, np.inf),
     )

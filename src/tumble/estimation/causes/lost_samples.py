@@ -117,7 +117,7 @@ def lost_in_a_turn(linearised: Linearised, projection: Projection) -> Cause | No
     observations, turns = linearised.problem.observations, linearised.problem.observations.turns
     assert turns is not None
     m = linearised.problem.instrument.linear_count
-    damage = np.abs(projection.change(columns[:, worst], values)[:m]) / projection.u[:m]
+    damage = np.abs(projection.changes(columns[:, worst] @ values)[:m]) / projection.u[:m]
     return Cause(
         name="lost samples",
         concerns="both",

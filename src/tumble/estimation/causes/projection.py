@@ -99,10 +99,9 @@ class Projection:
             wide_turn[np.arange(K), :, self.first] = turn
         return self.whitened(_joined(wide_rest), _joined(wide_turn))
 
-    def change(self, columns: Array, values: Array) -> Array:
-        """Δθ (m,) of the parameters by a cause of these values that is left out."""
-        right = self.basis[: self._rows].T @ (columns @ values)
-        return np.asarray(solve_triangular(self._triangle, right)[self._parameters :])
+    def changes(self, columns: Array) -> Array:
+        """Δθ (m, …) of the parameters by whitened columns of something that is left out."""
+        return np.asarray(solve_triangular(self._triangle, self.basis[: self._rows].T @ columns)[self._parameters :])
 
     @cached_property
     def u(self) -> Array:

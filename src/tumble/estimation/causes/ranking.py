@@ -20,6 +20,7 @@ from tumble.estimation.causes.former_attitudes import hysteresis, memory
 from tumble.estimation.causes.latitude import latitude_error
 from tumble.estimation.causes.linearised_session import LinearisedSession
 from tumble.estimation.causes.lost_samples import lost_samples
+from tumble.estimation.causes.neighbouring_rests import Neighbours
 from tumble.estimation.causes.nonlinearity import gyro_nonlinearity, products
 from tumble.estimation.causes.over_time import over_time
 from tumble.estimation.causes.projection import Projection
@@ -27,7 +28,9 @@ from tumble.estimation.causes.quantisation import quantisation
 from tumble.estimation.likelihood import Linearised
 
 
-def causes(linearised: Linearised, alone: Projection, projection: Projection) -> list[Cause]:
+def causes(
+    linearised: Linearised, seen_by: tuple[Projection, Projection], alike: tuple[Neighbours, ...] = ()
+) -> list[Cause]:
     """All candidates, the most significant first, one of a name and kind of sensor. The first projection is that with
     the noise alone, the second that with the scatter of the estimate too: the same where there is none."""
     session = LinearisedSession(linearised)
@@ -36,12 +39,12 @@ def causes(linearised: Linearised, alone: Projection, projection: Projection) ->
     for candidate in _candidates(session):
         key = candidate.name, candidate.concerns
         tried[key] = tried.get(key, 0) + 1
-        cause = tested(candidate, session, (alone, projection))
+        cause = tested(candidate, session, seen_by, alike)
         if cause is not None and (key not in found or cause.probability < found[key].probability):
             found[key] = cause
     several = [replace(c, probability=min(1.0, tried[key] * c.probability)) for key, c in found.items()]
     several += quantisation(session)
-    several += lost_samples(session, projection)
+    several += lost_samples(session, seen_by[1])
     return sorted(several, key=lambda cause: cause.probability)
 
 

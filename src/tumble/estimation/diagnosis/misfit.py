@@ -9,7 +9,7 @@ the 21 parameters by more than DAMAGE of its u, for then the error is not random
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from tumble.estimation.by_session import each_session
 from tumble.estimation.causes.cause import UNITS, WORDS, Cause, Concerns
 from tumble.estimation.causes.chances import variance_chance
 from tumble.estimation.causes.lost_samples import jittering, lost_in_a_turn, stamps_remedy, with_all_groups
+from tumble.estimation.causes.neighbouring_rests import Neighbours, neighbours
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.causes.ranking import causes
 from tumble.estimation.components import COMPONENTS, Scatter
@@ -138,7 +139,9 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     chances = group_chances(linearised, alone)
     larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
     scatters = bool(np.any(linearised.scatter.variances > 0.0))
-    found = causes(linearised, alone, Projection(linearised, linearised.scatter) if scatters else alone)
+    projection = Projection(linearised, linearised.scatter) if scatters else alone
+    alike = tuple(neighbours(linearised, projection))
+    found = causes(linearised, (alone, projection), alike)
     named = [cause for cause in found if cause.probability < limit]
     ratios = {group.component: _ratio(group, linearised, observations) for group in larger}
     if larger:
@@ -156,6 +159,7 @@ def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     remarks = list(_settled(linearised))
     remarks += [(group.concerns, _larger(group, ratios[group.component], linearised)) for group in larger]
     remarks += [(concerns, f"{said}; u contains it") for concerns, said, many in wandering if not many]
+    remarks += list(_alike(alike))
     remarks += [(cause.concerns, f"probable cause: {cause.sentence}") for cause in named]
     warm = ("warm-up",) if observations.warm_up is not None else ()
     return Misfit(reasons=tuple(reasons), remarks=tuple(remarks), causes=(*warm, *(cause.name for cause in named)))
@@ -196,6 +200,17 @@ def _wandering(linearised: Linearised, observations: Observations) -> Iterator[t
             said += f", those of the other {WORDS[block.kind]} by {others / size:.2g} {unit}"
             many = by > max(MANY * _noise(group, observations), NOTHING[block.kind])
             yield group.concerns, said.replace(" °", "°"), many
+
+
+def _alike(alike: Iterable[Neighbours]) -> Iterator[tuple[Concerns, str]]:
+    """The kinds of sensors whose biases are alike in neighbouring rests."""
+    for each in alike:
+        if (correlation := each.alone) > 0.0:
+            yield (
+                each.kind,
+                f"biases of the {WORDS[each.kind]} are alike in neighbouring rests, by a correlation of "
+                f"{correlation:.2f}: an instability that lasts longer than a rest{CONTAINED}",
+            )
 
 
 def _likely(

@@ -41,10 +41,12 @@ _WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
 
 _TIME = re.compile(
     r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
-    r"micros(econds)?|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
-    r"^time_(since|elapsed|from)"
+    r"micros(econds)?|device_?time_?stamp|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
+    r"^time_(since|elapsed|from)|^elapsed_time"
 )
-_OF_THE_SAMPLE = re.compile(r"header_stamp|time_?stamp_?sample|elapsed_?realtime|since_?reboot")
+_OF_THE_SAMPLE = re.compile(
+    r"header_stamp|(^|_)stamp$|time_?stamp_?sample|elapsed_?realtime|since_?reboot|(device|sensor|imu|chip|board)_?time"
+)
 """Times of the samples, and not of their arrival, which are taken where there are several."""
 
 _TIME_WORDS = {
@@ -61,6 +63,9 @@ _TEMPERATURE_UNITS = {
     "f": "degF", "°f": "degF", "degf": "degF", "fahrenheit": "degF",
     "raw": "raw", "count": "raw", "counts": "raw", "lsb": "raw", "adc": "raw",
 }  # fmt: skip
+
+_RATES_OF_FLIGHT = ("p", "q", "r")
+"""The names of a body's rates about x, y and z in the mechanics of flight."""
 
 _LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _COUNTED = {"1": "x", "2": "y", "3": "z"}
@@ -128,6 +133,10 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         else:
             three = axes["x"], axes["y"], axes["z"]
             triads[kind] = Sensors(columns=three, unit=_UNITS[kind].get(_split(three[0])[1]))
+    flight = {words[0]: name for name in names if (words := _split(name)[0])[1:] == [] and words}
+    if GYRO not in triads and set(_RATES_OF_FLIGHT) <= set(flight):
+        p, q, r = (flight[letter] for letter in _RATES_OF_FLIGHT)
+        triads[GYRO] = Sensors(columns=(p, q, r), unit=_UNITS[GYRO].get(_split(p)[1]))
     taken = {column for triad in triads.values() for column in triad.columns}
     free = [name for name in names if name and name not in taken]
     times = [name for name in free if name != "T" and _TIME.search("_".join(_split(name)[0]))]
@@ -182,15 +191,21 @@ def is_no_sensor(name: str) -> bool:
 def in_order(names: Sequence[str]) -> tuple[str, str, str]:
     """Three columns in the order of their axes, where their names differ by these: z, x and y are x, y and z.
 
-    >>> in_order(["rate z", "rate x", "rate y"]), in_order(["4", "5", "6"])
-    (('rate x', 'rate y', 'rate z'), ('4', '5', '6'))
+    >>> in_order(["rate z", "rate x", "rate y"]), in_order(["z", "y", "x"]), in_order(["4", "5", "6"])
+    (('rate x', 'rate y', 'rate z'), ('x', 'y', 'z'), ('4', '5', '6'))
     """
-    first = [next(iter(_axes(_split(name)[0])), ("", "")) for name in names]
+    first = [_axis_and_rest(_split(name)[0]) for name in names]
     of_axis = dict(zip((axis for axis, _ in first), names, strict=True))
     if set(of_axis) == set("xyz") and len({stem for _, stem in first}) == 1:
         names = [of_axis[axis] for axis in "xyz"]
     x, y, z = names
     return x, y, z
+
+
+def _axis_and_rest(words: list[str]) -> tuple[str, str]:
+    """The likeliest reading of a name's words, which may be an axis alone."""
+    alone = (words[0], "") if len(words) == 1 and words[0] in ("x", "y", "z") else ("", "")
+    return next(iter(_axes(words)), alone)
 
 
 def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:

@@ -25,7 +25,7 @@ _ANEW = 1e-3
 _STILL = 0.05
 _SAME_NORM = 1e-5
 _NEAR, _OFF, _UNSTEADY = 0.06, 0.25, 0.6
-_STRANGEST = 3
+_PLAIN, _STRANGEST = 2, 3
 _THERMOMETER = 5.0
 
 ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
@@ -49,6 +49,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     attitudes = _attitudes(read, numbers)
     numbers = [j for j in numbers if j not in attitudes]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
+    runs.sort(key=lambda run: _is_amid(run, numbers))
     found: dict[str, Run] = {}
     if runs and len(read) >= _FEWEST_ROWS:
         found = _sensors(read, runs, _quiet(read[:, numbers]), fused=bool(attitudes)) or _at_rest(read, runs)
@@ -63,6 +64,14 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
 
 Run = tuple[int, int, int]
 """Three columns side by side."""
+
+
+def _is_amid(run: Run, numbers: Sequence[int]) -> bool:
+    """Whether three columns are some of two threes, where columns side by side are counted in threes."""
+    first = run[0]
+    while first - 1 in numbers:
+        first -= 1
+    return (run[0] - first) % len(run) != 0
 
 
 def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
@@ -86,17 +95,21 @@ def _turns_alone(columns: Array) -> bool:
 
 def _sensors(read: Array, runs: Sequence[Run], quiet: BoolArray, *, fused: bool) -> dict[str, Run]:
     """Accelerometers, which of those that read one length are those that read it as gravity, and the gyros that are
-    next to them, behind them first. What is in no unit and
-    no counts of data sheets is none beside what a filter has `fused`, and without gyros."""
+    next to them, behind them first. What is in no unit and no counts of data sheets is none beside what a filter has
+    `fused`, without gyros, and where three others read gravity in a unit."""
     kinds = {run: _kind(read[:, run], quiet) for run in runs}
     accels = [run for run in runs if kinds[run] == ACCEL]
-    accel = min(accels, key=lambda run: _strangeness(read[:, run], quiet), default=None)
-    if accel is None:
+    strangeness = {run: _strangeness(read[:, run], quiet) for run in runs} if accels else {}
+    told = min(accels, key=strangeness.__getitem__, default=None)
+    if told is None:
         return {}
-    strange = _strangeness(read[:, accel], quiet)
+    # where one axis reads nearly all of gravity, two of three and another have its length too
+    strange = strangeness[told]
+    accel = next(run for run in runs if set(run) & set(told) and strangeness[run] <= strange)
     gyros = [run for run in runs if kinds[run] == GYRO and not set(run) & set(accel)]
     next_to = min(gyros, key=lambda run: (run[0] < accel[0], abs(run[0] - accel[0])), default=None)
-    if strange >= _STRANGEST and (fused or next_to is None):
+    others = (run for run in runs if run != accel)
+    if strange >= _STRANGEST and (fused or next_to is None or any(strangeness[run] < _PLAIN for run in others)):
         return {}
     if next_to is None:
         return {ACCEL: accel}
@@ -137,12 +150,19 @@ def _is_near(length: float, ones: Sequence[float]) -> bool:
 
 
 def _at_rest(read: Array, runs: Sequence[Run]) -> dict[str, Run]:
-    """What columns are where nothing ever moves: accelerometers read one gravity, gyros are beside them."""
+    """What columns are where nothing ever moves: accelerometers read one gravity, gyros, beside them, the least of what
+    they scatter by."""
     still = [run for run in runs if _reads_gravity(read[:, run])]
     if not still:
         return {}
     beside = [run for run in runs if not set(run) & set(still[0])]
-    return {ACCEL: still[0]} | ({GYRO: beside[0]} if beside else {})
+    return {ACCEL: still[0]} | ({GYRO: min(beside, key=lambda run: _share(read[:, run]))} if beside else {})
+
+
+def _share(columns: Array) -> float:
+    """The mean vector that three columns read, in parts of what they scatter by."""
+    scatter = float(np.linalg.norm(np.nanstd(columns, axis=0)))
+    return float(np.linalg.norm(np.nanmean(columns, axis=0))) / scatter if scatter > 0.0 else np.inf
 
 
 def _reads_gravity(columns: Array) -> bool:

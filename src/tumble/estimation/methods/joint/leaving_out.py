@@ -156,4 +156,4 @@ def without_misfits(everything: Fitted, most: int) -> Fitted:
 
 def _again(problem: Problem, fitted: Fitted, out: Out) -> Fitted:
     """The fit with something else left out."""
-    return fit_of(problem, At.of(problem, fitted.solved.point, fitted.solved.last.about, out))
+    return fit_of(problem, At.of(problem, fitted.solved.point, fitted.solved.last.about, out), guess=fitted.scatter)

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tumble.estimation.causes.neighbouring_rests import common_to_neighbours
 from tumble.estimation.common_errors import common_covariance
 from tumble.estimation.estimate import DETERMINED, Estimate, GroupFinding, OwnEstimate
 from tumble.estimation.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
@@ -76,7 +77,9 @@ def _estimate(fitted: Fitted, increments: tuple[Array, ...], sigmas: tuple[Array
     problem, instrument = fitted.problem, fitted.problem.instrument
     observations, linear = problem.observations, instrument.linear_count
     values, last = fitted.solved.point.values, fitted.solved.last
+    linearised = _linearised(fitted)
     covariance = fitted.solved.step.covariance[1:, 1:] + common_covariance(observations, instrument)
+    covariance += common_to_neighbours(linearised)
     spread = problem.spread[:linear]
     observable = np.ones(len(values), dtype=bool)
     observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
@@ -111,7 +114,7 @@ def _estimate(fitted: Fitted, increments: tuple[Array, ...], sigmas: tuple[Array
             gravity=observations.site.gravity,
             rate=_usual_rate(last.about),
         ),
-        linearised=_linearised(fitted),
+        linearised=linearised,
         own=_own(fitted),
     )
 

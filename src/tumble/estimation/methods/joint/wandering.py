@@ -34,7 +34,8 @@ def with_wandering(fitted: Fitted) -> Fitted:
         if found == fitted.problem.wandering:
             break
         parted = replace(fitted.problem, wandering=found)
-        fitted = fit_of(parted, At.of(parted, fitted.solved.point, fitted.solved.last.about, fitted.out))
+        start = At.of(parted, fitted.solved.point, fitted.solved.last.about, fitted.out)
+        fitted = fit_of(parted, start, guess=fitted.scatter)
     return fitted
 
 

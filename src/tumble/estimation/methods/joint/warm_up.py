@@ -27,6 +27,8 @@ FARTHEST = 0.5
 SETTLED_TO = 0.2
 """Of its u: by how much it may still move."""
 WARM_UP_ROUNDS = 5
+MOST_HELD = 0.6
+"""Of the distance to the most likely time constant: what priors and scatter of another one keep at most."""
 TIME_CONSTANT_KNOWN = 0.5
 """u of the logarithm of a time constant: what is known less well is no warm-up that is seen."""
 EVIDENT = 40.0
@@ -47,11 +49,10 @@ def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
     longest = WARM_UPS[-1] * np.ptp(problem.observations.rests.start)
     if straight is None or straight.settling > longest or _evidence(fitted) - straight.evidence < EVIDENT:
         return with_wandering(fitted)
-    hopeless = straight.evidence + EVIDENT
-    curved = _warmed(straight.fitted, problem, WARMING, straight.settling, TIME_CONSTANT_KNOWN, hopeless)
+    curved = _curved(straight, problem)
     if curved is None or straight.evidence - curved.evidence < CURVED:
-        return straight.spread
-    return curved.spread
+        return _apart(straight, problem, WARMING[:1]).spread
+    return _apart(curved, problem, WARMING).spread
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -71,10 +72,35 @@ class _Warmed:
     @property
     def spread(self) -> Fitted:
         """The solution with what is not known of the time constant in its covariance."""
-        fitted = with_wandering(self.fitted)
-        solved = fitted.solved
+        solved = self.fitted.solved
         step = replace(solved.step, covariance=solved.step.covariance + np.outer(self.by, self.by))
-        return replace(fitted, solved=replace(solved, step=step))
+        return replace(self.fitted, solved=replace(solved, step=step))
+
+
+def _curved(straight: _Warmed, problem: Problem) -> _Warmed | None:
+    """The solution with the square of the exponential too; None where that is far less likely, by the solution without
+    it to begin with."""
+    of_all = _time_constants(straight.fitted, problem)
+    alone, both = (
+        of_all.deviance(straight.settling, settling_with(problem, straight.settling, variables))
+        for variables in (WARMING[:1], WARMING)
+    )
+    if both - alone > EVIDENT:
+        return None
+    hopeless = straight.evidence + EVIDENT
+    return _warmed(straight.fitted, problem, WARMING, straight.settling, TIME_CONSTANT_KNOWN, hopeless)
+
+
+def _apart(warmed: _Warmed, problem: Problem, variables: tuple[Variable, ...]) -> _Warmed:
+    """The same with a scatter of their own for sensors that wander, without which the time constant is sought again:
+    one that jumps among the first rests may be taken for a device that settles sooner."""
+    apart = with_wandering(warmed.fitted)
+    if apart is warmed.fitted:
+        return warmed
+    of_all, warm = _time_constants(apart, problem), settling_with(problem, warmed.settling, variables)
+    tried = [warmed.settling, *(WARM_UPS * np.ptp(problem.observations.rests.start)).tolist()]
+    first = min(tried, key=lambda each: of_all.deviance(each, warm))
+    return _warmed(apart, problem, variables, first) or replace(warmed, fitted=apart)
 
 
 def _warmed(
@@ -88,19 +114,30 @@ def _warmed(
     """The solution with a warm-up of the most likely time constant, sought from the first one, of which the logarithm
     is `known` to so much; None where there is none, and where by the first one −2 log of the likelihood is `hopeless`:
     no other one makes up for that."""
-    settling, found, by = first, fitted, np.zeros(0)
-    for _ in range(WARM_UP_ROUNDS):
-        before, warm = settling, settling_with(problem, settling, variables)
+    tried, found, wandering = [first], fitted, fitted.problem.wandering
+    closest = list[float]()
+    while True:
+        warm = replace(settling_with(problem, tried[-1], variables), wandering=wandering)
         found = fit_of(warm, without_own(warm, found.solved), guess=found.scatter)
-        if before == first and _evidence(found) > hopeless:
+        if not closest and _evidence(found) > hopeless:
             return None
-        closest = _closest(_time_constants(found, problem), settling, found.problem, (first, known))
-        if closest is None:
+        likeliest = _closest(_time_constants(found, problem), tried[-1], found.problem, (first, known))
+        if likeliest is None:
             return None
-        settling, u, by = closest
-        if abs(np.log(settling / before)) < SETTLED_TO * u:
-            break
-    return _Warmed(fitted=found, settling=settling, by=by)
+        settling, u, by = likeliest
+        closest.append(settling)
+        if abs(np.log(settling / tried[-1])) < SETTLED_TO * u or len(tried) == WARM_UP_ROUNDS:
+            return _Warmed(fitted=found, settling=settling, by=by)
+        tried.append(_further(tried, closest))
+
+
+def _further(tried: list[float], closest: list[float]) -> float:
+    """The time constant, s, at which a solution has itself for the most likely one, as if the logarithms of these that
+    are `closest` were linear in those of the solutions that were `tried`: priors and scatter of each hold to its
+    own."""
+    x, y = np.log(tried[-2:]), np.log(closest[-2:])
+    held = float(np.clip(np.diff(y)[0] / np.diff(x)[0], 0.0, MOST_HELD)) if len(x) > 1 else 0.0
+    return float(np.exp(y[-1] + held / (1.0 - held) * (y[-1] - x[-1])))
 
 
 def _time_constants(fitted: Fitted, problem: Problem) -> TimeConstants:
@@ -115,7 +152,8 @@ def _time_constant(fitted: Fitted, problem: Problem) -> float | None:
     rests, total = problem.observations.rests, fitted.fits[TOTAL]
     explained = special.chdtrc(max(total.degrees, 1.0), total.chi_square) > UNEXPLAINED
     unknown = "accel.bias.warmup" not in problem.observations.usual
-    if explained or unknown or rests.temperatures is not None or rests.file[0] != rests.file[-1]:
+    one = len(rests.start) < 2
+    if explained or unknown or one or rests.temperatures is not None or rests.file[0] != rests.file[-1]:
         return None
     tried = (WARM_UPS * np.ptp(rests.start)).tolist()
     of_all, warm = _time_constants(fitted, problem), settling_with(problem, tried[0], WARMING[:1])

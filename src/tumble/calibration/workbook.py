@@ -1,0 +1,97 @@
+"""Workbooks of a spreadsheet, as phones and laboratories save them, as their sheets: a CSV file of each."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tumble.errors import InputError, needs_extra
+from tumble.files import not_there, plain_name, whole_file
+from tumble.recording.unpacked import LARGEST_RATIO, SMALL_BYTES
+
+if TYPE_CHECKING:
+    from python_calamine import CalamineSheet, CalamineWorkbook
+
+ENDINGS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+_MOST_SHEETS = 50
+_WIDEST = 1000
+
+
+def is_workbook(file: Path) -> bool:
+    """Whether a file is a workbook by its ending."""
+    return file.suffix.lower() in ENDINGS
+
+
+def sheets_of(workbook: Path, folder: Path) -> list[Path]:
+    """The sheets of a workbook that have rows, a CSV file each, in a folder that is made if need be.
+
+    Raises InputError for one that is damaged, has none, or is larger than readings would be, and MissingExtraError
+    where the extra `formats` is not installed; the message names the way without it."""
+    with needs_extra(
+        f"{workbook}: reading a workbook, unless its sheets are saved as CSV,", "formats", "python_calamine"
+    ):
+        from python_calamine import CalamineError, CalamineWorkbook
+    try:
+        _check_size(workbook)
+        with CalamineWorkbook.from_path(workbook) as opened:
+            sheets = [sheet for sheet in _sheets(opened) if sheet.height > 1]
+            if not 0 < len(sheets) <= _MOST_SHEETS or max(sheet.width for sheet in sheets) > _WIDEST:
+                raise InputError(
+                    f"{workbook}: expected 1 to {_MOST_SHEETS} sheets with rows of at most {_WIDEST} values, found "
+                    f"{len(sheets)} with rows; save the sheets that matter as CSV"
+                )
+            folder.mkdir(parents=True, exist_ok=True)
+            stem = workbook.name.partition(".")[0]
+            return [
+                _written(sheet, folder / (f"{stem}-{plain_name(sheet.name)}" if len(sheets) > 1 else stem))
+                for sheet in sheets
+            ]
+    except (CalamineError, zipfile.BadZipFile, OSError, ValueError) as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{workbook}: expected a sound workbook, found: {said[:200]}; save it as CSV") from None
+
+
+def _check_size(workbook: Path) -> None:
+    """Raises InputError for a workbook, where it is an archive, that unpacks to more than readings do."""
+    if not zipfile.is_zipfile(workbook):
+        return
+    limit = max(LARGEST_RATIO * workbook.stat().st_size, SMALL_BYTES)
+    with zipfile.ZipFile(workbook) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > limit:
+        raise InputError(f"{workbook}: expected at most {limit / 1e6:.3g} MB unpacked, found {size / 1e6:.3g} MB")
+
+
+def _sheets(workbook: CalamineWorkbook) -> Iterator[CalamineSheet]:
+    for name in workbook.sheet_names:
+        yield workbook.get_sheet_by_name(name)
+
+
+def _written(sheet: CalamineSheet, place: Path) -> Path:
+    """The rows of a sheet as a CSV file."""
+    target = not_there(place.with_name(f"{place.name}.csv"))
+    with whole_file(target) as temporary, temporary.open("w", encoding="utf-8", newline="") as out:
+        csv.writer(out, lineterminator="\n").writerows(_rows(sheet.iter_rows()))
+    return target
+
+
+def _rows(rows: Iterable[Iterable[object]]) -> Iterator[list[str]]:
+    for row in rows:
+        cells = [_text(cell) for cell in row]
+        if any(cells):
+            yield cells
+
+
+def _text(cell: object) -> str:
+    """A cell as text that is read again as what it was."""
+    if isinstance(cell, float):
+        return repr(cell).removesuffix(".0")
+    if isinstance(cell, datetime.datetime):
+        return cell.isoformat(" ")
+    if isinstance(cell, datetime.timedelta):
+        return repr(cell.total_seconds())
+    return " ".join(str(cell).split())
