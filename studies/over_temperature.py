@@ -7,7 +7,7 @@ from the truth. Each session has biases of its own launch and drifts of its own.
 Procedures: the programme at 0, 20 and 40 °C, a launch each; the programme twice in one recording while the temperature
 goes from 0 to 40 °C and back; once while it goes from 0 to 40 °C; once at room temperature while the unit warms by
 3 °C; and the same without any change of temperature. Sensors follow the thermometer with a lag, |N(0, 200 s)| where
-none is stated, and have a hysteresis of the usual size where both ways are gone.
+none is stated, and have a hysteresis of the usual size on ramps.
 
 Then the three procedures from logs of every sample, tactical instruments, rests of 30 s at 20 samples a second.
 
@@ -103,7 +103,7 @@ class Procedure:
 
 LEVELS = Procedure(name="three levels", courses=((0.0, 0.0), (20.0, 20.0), (40.0, 40.0)))
 BOTH_WAYS = Procedure(name="up and down", courses=((0.0, 40.0, 0.0),), programme=TWICE, hysteresis=True)
-ONE_WAY = Procedure(name="up", courses=((0.0, 40.0),))
+ONE_WAY = Procedure(name="up", courses=((0.0, 40.0),), hysteresis=True)
 WARM_UP = Procedure(name="warm-up of 3 °C", courses=((20.0, 23.0),), warm_up=5.0)
 ISOTHERMAL = Procedure(name="no change", courses=((20.0, 20.0),))
 

@@ -121,7 +121,7 @@ def test_a_session_with_a_magnetometer_gives_its_parameters(tmp_path: Path) -> N
 def test_the_accelerometers_are_calibrated_as_without_it(tmp_path: Path, method: str) -> None:
     with_it = calibrate(write(tmp_path / "a"), method=method)
     without = calibrate(write(tmp_path / "b", changes={"log.magnetometer": None, "site.field": None}), method=method)
-    assert without.parameters == with_it.parameters[:9]
+    assert without.parameters == tuple(p for p in with_it.parameters if not p.name.startswith("mag."))
     assert without.mag is None
 
 

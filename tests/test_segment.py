@@ -19,6 +19,7 @@ from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, Scenario, Vibration, scenario_of
+from tumble.simulation.temperature_profile import TemperatureProfile, draw_thermal
 from tumble.units import DEGREE, G_STANDARD, Array
 
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
@@ -340,6 +341,18 @@ def test_every_rest_is_found_where_the_level_of_the_gyros_depends_on_the_attitud
             recording = recorded(Setup.of(grade=grade, programme=programme, rest=5.0, sample_rate=50.0), seed)
         recording = with_g_sensitivity(recording, seed)
         assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
+
+
+@pytest.mark.parametrize("seed", [207, 208])
+def test_every_rest_is_found_where_gyros_that_feel_force_also_warm(seed: int) -> None:
+    """MEMS units with all terms of usual size that warm by 20 K in some four minutes."""
+    setup, rng = Setup.of(grade="mems", positions=26, sample_rate=25.0, terms="full"), np.random.default_rng(seed)
+    unit = scenario_of(setup, rng)
+    thermal = draw_thermal(setup.further, "mems", {"accel": unit.accel, "gyro": unit.gyro}, rng)
+    climate = TemperatureProfile(celsius=(15.0, 35.0)).climate(240.0)
+    unit = replace(unit, truth=dict(unit.truth) | thermal, climate=climate)
+    recording = record(unit, np.random.default_rng([seed, 1]))
+    assert_all_found(recording, found(recording.time, recording.accel, recording.gyro))
 
 
 def test_no_rest_is_lost_to_g_sensitivities_up_to_half_a_degree() -> None:

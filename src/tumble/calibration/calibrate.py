@@ -19,7 +19,7 @@ from tumble.calibration.observed import Progress, inspected, observations_for_ca
 from tumble.calibration.with_magnetometer import with_magnetometer
 from tumble.errors import CalibrationError, InputError
 from tumble.estimation.common_errors import by_time_base
-from tumble.estimation.diagnosis.linear_model import judged, left_out
+from tumble.estimation.diagnosis.linear_model import judged, left_out, taken_as_nothing
 from tumble.estimation.diagnosis.undetermined import one_attitude
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.estimation.methods.ellipsoid import ellipsoid
@@ -41,6 +41,8 @@ DEFAULT_METHOD = "joint"
 Terms = Literal["full", "linear"]
 """Which parameters: all groups of the table, or bias, scale factor and axis angles alone."""
 METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
+WITH_ALL_TERMS = ("joint", "ellipsoid")
+"""Those that know of groups of parameters beyond bias, scale factor and axis angles."""
 ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequential": sequential, "scalar": scalar}
 """The pipelines of the paper, which take a number of iterations."""
 
@@ -95,7 +97,7 @@ def calibrate(
 ) -> Calibration:
     """Calibrate the device of a session: a `Session`, the path of its folder, or readings in SI as
     `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2), `terms`
-    for the method joint: `linear` leaves out what is not bias, scale factor or axis angle. The rests
+    for the methods joint and ellipsoid: `linear` leaves out what is not bias, scale factor or axis angle. The rests
     `without`, by their numbers from 1 in the result with all, are left out beside those of [[exclude]]. The result is
     given in `frame` (see `frames`). A recording that cannot be calibrated comes back with the reasons in its outcome;
     unusable input raises an `InputError`.
@@ -116,7 +118,8 @@ def calibrate(
         if isinstance(observations, Outcome):
             found = observations
         else:
-            found = estimated(session, observations, estimator, systematic, terms if method == "joint" else "linear")
+            known: Terms = terms if method in WITH_ALL_TERMS else "linear"
+            found = estimated(session, observations, estimator, systematic, known)
     provenance, bridged = provenance_of(observed.sha256), bridged_in(observed.gaps)
     if isinstance(found, Outcome):
         made = without_result(session, method, found, provenance, bridged)
@@ -202,8 +205,12 @@ def estimated(
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = _with_time_base(method(observations), observations)
-        if terms == "full":
+        if terms == "full" and estimate.method == "joint":
             return estimate, observations
+        if terms == "full":
+            return judged(estimate, observations, observations), replace(
+                observations, notes=(*notes, *taken_as_nothing(estimate))
+            )
         whole = replace(observations, usual=_usual(session, observations, "full")[0])
         estimate = judged(estimate, observations, whole)
         return estimate, replace(observations, notes=notes + left_out(estimate, observations, whole))

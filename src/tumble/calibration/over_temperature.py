@@ -36,7 +36,7 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
         u = float(estimate.u[estimate.names.index("temperature.lag")])
         yield (
             f"the temperature was not passed both ways: the lag behind the thermometer is known to {u:.0f} s only, and "
-            "hysteresis not at all; ramp up and down in one recording"
+            "hysteresis not at all, which is in u by its usual size; ramp up and down in one recording"
         )
 
 

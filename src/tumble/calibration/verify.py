@@ -245,8 +245,9 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     known = np.einsum("im,mk,ik->i", by_parameters, seen.parameter_covariance, by_parameters)
     difference = positions.gravity - np.linalg.norm(_force(calibration, positions), axis=1)
     if own:
-        known = np.maximum(known - positions.gravity_u**2, 0.0)
-        return _left_out(positions, difference, variance, known, fit)
+        untold = _untold(calibration, positions, by_parameters)
+        known = np.maximum(known - untold - positions.gravity_u**2, 0.0)
+        return _left_out(positions, difference, variance, (known, untold), fit)
     same_gravity = calibration.site is not None and (
         (calibration.site.gravity, calibration.site.gravity_u) == (positions.gravity, positions.gravity_u)
     )
@@ -289,15 +290,31 @@ def _by_turn_on(
     return square / N < float(fdtri(N, fit.degrees, 1.0 - CHANCE))
 
 
-def _left_out(positions: Positions, difference: Array, variance: Array, known: Array, fit: Fit) -> Verification:
-    """Each of the calibration's own positions without itself; nan where nothing else determines it."""
-    left = 1.0 - known / variance
+def _untold(calibration: Calibration, positions: Positions, by_parameters: Array) -> Array:
+    """The part (N,) of the variance of the force in the calibration's own positions that comes from parameters of which
+    they have told nothing: given these, the force is as well known as the fit has it."""
+    names, covariance = _accelerometer_names(calibration, positions), calibration.covariance
+    untold = [i for i, p in enumerate(calibration.parameters) if p.learned == 0.0]
+    if covariance is None or not untold:
+        return np.zeros(len(by_parameters))
+    at = [i for i, p in enumerate(calibration.parameters) if p.name in names]
+    moved = by_parameters @ covariance[np.ix_(at, untold)]
+    return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(covariance[np.ix_(untold, untold)], moved.T)))
+
+
+def _left_out(
+    positions: Positions, difference: Array, variance: Array, known: tuple[Array, Array], fit: Fit
+) -> Verification:
+    """Each of the calibration's own positions without itself; nan where nothing else determines it. `known`: the
+    variances of the force there by the fit, and by what it leaves out."""
+    of_fit, untold = known
+    left = 1.0 - of_fit / variance
     left = np.where(left > NOTHING_LEFT, left, np.nan)
-    normalised = difference / np.sqrt(variance * left)
+    normalised = difference / np.sqrt(variance * left + untold)
     return Verification(
         labels=positions.labels,
         difference=difference / left,
-        u=np.sqrt(variance / left),
+        u=np.sqrt(variance * left + untold) / left,
         sigmas=sigmas(normalised, fit.degrees, fit.scatter > 0.0),
         limit=_limit(len(left), np.inf),
         left_out=True,

@@ -82,9 +82,9 @@ def _of_temperature(
     reference, seconds = kelvin.mean(axis=0), np.maximum(_turning(observations)[1], 1.0)[:, None]
     rest, turn, before, after = (_of_warmth(each, reference) for each in _warmth(observations, kelvin, lag))
     out = {name: (rest[name], turn[name], 2.0 * (after[name] - before[name]) / seconds) for name in rest}
-    if not both_ways(observations):
+    if not lag_is_sought(observations):
         del out["hysteresis"]
-    if lag_is_sought(observations):
+    else:
         out["lag"] = np.zeros_like(rest["temperature"]), *np.zeros((2, *turn["temperature"].shape))
     return out
 

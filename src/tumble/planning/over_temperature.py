@@ -251,7 +251,7 @@ def _notes(
         yield (
             "no temperature is passed both ways in a recording: a lag behind the thermometer shows only where a ramp "
             f"begins, a typical one to {math.sqrt(covariance[at, at]):.0f} s, which is in u, and hysteresis not at "
-            "all; ramp there and back in one recording"
+            "all, which is in u by its usual size; ramp there and back in one recording"
         )
     elif not ramps:
         yield (

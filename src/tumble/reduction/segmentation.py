@@ -13,11 +13,10 @@
 3. A rest is extended block by block while single blocks stay within EDGE_SIGMAS of its own mean, then
    shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two
    rests of a file is a turn.
-4. Gyros that feel specific force have a level of their own in every attitude, and the one level of steps 1 and 2 passes
-   over rests. Stretches that are quiet and steady but off the level are therefore looked at again (`gyro_levels`):
-   where a linear function of the specific force explains the levels, it is taken off the rates, and steps 1 and 2 are
-   repeated. No stretch is accepted but one whose level the others predict, so that a slow turn about the vertical
-   stays a turn.
+4. Gyros that feel specific force have a level of their own in every attitude, those that warm in every rest. What
+   is quiet and steady but off the level is therefore looked at again (`gyro_levels`): where a linear function of the
+   specific force and of time explains the levels, it is taken off the rates, and steps 1 and 2 are repeated. Nothing is
+   accepted but a stretch whose level the others predict: a slow turn about the vertical stays a turn.
 5. A recording whose stretches are nearly all too short was made so: it is searched again with windows of half a second
    and margins of a tenth, and a rest is then what has SHORT_REST_SECONDS between them.
 6. What seemed a rest while the vertical moved by more than TILT_LIMIT is none: where nothing rests, the floors
@@ -37,7 +36,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
-from tumble.reduction.gyro_levels import OffLevel, Span, core, g_sensitivity
+from tumble.reduction.gyro_levels import OffLevel, Span, core, level_function, times_of
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
@@ -168,8 +167,9 @@ def _found(reduction: Reduction, accel: Block, gyro: Block | None, pace: _Pace) 
     spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
     off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, (window, pace))
     noise_limit = _noise_limit(rates, spans, off, coarse[1], window)
-    if (g := g_sensitivity(specific_force, rates, spans, off, noise_limit, window)) is not None:
-        rates = [w - f @ g.matrix.T for w, f in zip(rates, specific_force, strict=True)]
+    also = specific_force, times_of([f.edges for f in reduction.files])
+    if (g := level_function(rates, also, spans, off, noise_limit, window)) is not None:
+        rates = g.without(rates, *also)
         spans, unmoved, rate_limit = _still_spans(rates, calm, quiet, coarse[1], window)
         spans = [_overlapping(new, like) for new, like in zip(spans, g.accepted, strict=True)]
         off = _off_level(reduction, specific_force, rates, calm, spans, rate_limit, (window, pace))

@@ -4,12 +4,8 @@ The methods beside `joint` have bias, scale factor and axis angles alone, and ta
 a quadratic term of the accelerometers for a bias and scale factors. Two things are asked of such an estimate.
 
 Its residuals are judged about the estimate that `joint` makes of the same model (`judged`), for the turns show most of
-what rests alone can be fitted to. And what they do not show is counted: groups of the accelerometers, of usual size σ,
-add Σ_c B_c θ_c to the rests, B along what no turn of the vertical reaches, of which a fit of the linear columns A makes
-
-    ΔX = A⁺ B θ,   u²(ΔX) = Σ_c (A⁺ B)_c² σ_c²
-
-Source: dynamics method, A4; the columns are those of Eq. (12) of the turntable method, for any number of sensors.
+what rests alone can be fitted to. And what they do not show is counted (`tumble.estimation.left_out`): in u by the
+method ellipsoid, which has no turns, in a note by the others.
 """
 
 from __future__ import annotations
@@ -19,17 +15,14 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.estimation.diagnosis.misfit import lost_by_velocities
+from tumble.estimation.diagnosis.undetermined import linear_names
 from tumble.estimation.estimate import Estimate
+from tumble.estimation.left_out import left_out_of
 from tumble.estimation.likelihood import Linearised
 from tumble.estimation.methods.joint.method import joint
 from tumble.reduction.observations import Observations
-from tumble.rotation import tangent_basis, unit_vector
-from tumble.sensors.instrument import Instrument, functions
-from tumble.sensors.parameters import FORCE, positions_by_group, shown_in
+from tumble.sensors.parameters import positions_by_group, shown_in
 from tumble.units import Array
-
-_NOTHING = 1e-9
-"""Of the largest singular value: what rests do not determine is moved by nothing that they show."""
 
 
 def judged(estimate: Estimate, observations: Observations, whole: Observations) -> Estimate:
@@ -52,7 +45,7 @@ def _likelihood(estimate: Estimate, observations: Observations) -> Linearised | 
         beside = joint(seen)
     except np.linalg.LinAlgError:
         return None
-    return beside.linearised if beside.converged and not beside.unobservable else None
+    return beside.linearised if beside.converged and not linear_names(beside.unobservable) else None
 
 
 def left_out(estimate: Estimate, observations: Observations, whole: Observations) -> tuple[str, ...]:
@@ -77,6 +70,16 @@ def left_out(estimate: Estimate, observations: Observations, whole: Observations
     )
 
 
+def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
+    """That groups are nothing by the method and in its u by their size, where an estimate has such, as a note."""
+    if not estimate.groups:
+        return ()
+    return (
+        f"the method {estimate.method} takes all of it as nothing and has its usual size in u; the method joint finds "
+        "what the session shows of it, and --terms linear leaves it out",
+    )
+
+
 _AT_REST = {
     "accel.quadratic": "quadratic terms",
     "accel.cubic": "cubic terms",
@@ -89,17 +92,4 @@ _WORDS = {"accel.bias": "biases", "accel.scale": "scale factors", "accel.axis": 
 def moved_by(names: set[str], observations: Observations) -> Array:
     """Standard deviations (m,) by which groups of their usual sizes move bias, scale factors and axis angles of the
     accelerometers in a fit to the rests that does not have them."""
-    block, g = observations.accel_block, observations.site.gravity
-    instrument = Instrument.of(block, None, names)
-    values = np.zeros(len(instrument.names))
-    force = g * unit_vector(block.nominal().apply(observations.rests.accel))
-    seen, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
-    changes = np.einsum("ipb,pbm->ipm", seen, D)
-    turning = np.einsum("pk,ijk->ipj", instrument.coefficients(block, values)[:, FORCE], tangent_basis(force / g))
-    basis, _ = np.linalg.qr(turning, mode="complete")
-    rows = np.einsum("ipr,ipm->irm", basis[:, :, 2:], changes).reshape(-1, len(values))
-    linear = instrument.linear_count
-    usual = np.array([observations.usual[group.name] for group in instrument.further for _ in group.names(block)])
-    return np.asarray(
-        np.linalg.norm(np.linalg.pinv(rows[:, :linear], rcond=_NOTHING) @ rows[:, linear:] * usual, axis=1)
-    )
+    return np.asarray(np.linalg.norm(left_out_of(observations, names=names).by_usual, axis=1))

@@ -5,6 +5,10 @@ between rests is estimated on top. Where the rests are good this is stage 1 of t
 of u. What differs: it starts from the algebraic fit, not from nominal sensors, so that errors of any size are found;
 a bad rest is left out of the fit, and named, instead of bending it; positions that cannot determine all nine
 parameters are refused as a whole. Gyros, turns, Earth's rate and programme are not used.
+
+Rests alone hardly tell a quadratic term from a bias. So groups beyond the linear model whose usual size is known are
+in the result as nothing within that size, and in the covariance (`tumble.estimation.left_out`); the values of bias,
+scale factors and axis angles are those of the method.
 """
 
 from __future__ import annotations
@@ -12,10 +16,13 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.estimation.ellipsoid import fit_ellipsoid
+from tumble.estimation.ellipsoid import EllipsoidFit, fit_ellipsoid
 from tumble.estimation.estimate import Estimate, Fit
+from tumble.estimation.left_out import left_out_of, with_left_out
 from tumble.estimation.observability import Refusal
 from tumble.reduction.observations import Observations
+from tumble.rotation import unit_vector
+from tumble.units import Array
 
 
 def ellipsoid(observations: Observations) -> Estimate:
@@ -38,7 +45,7 @@ def ellipsoid(observations: Observations) -> Estimate:
     if isinstance(found, Refusal):
         return _refused(observations, found)
     assert found.covariance is not None
-    return Estimate(
+    estimate = Estimate(
         method="ellipsoid",
         names=block.names,
         units=block.units,
@@ -55,6 +62,18 @@ def ellipsoid(observations: Observations) -> Estimate:
         fits={"accelerometers": found.fit("m/s^2")},
         converged=found.converged,
     )
+    if not observations.usual:
+        return estimate
+    degrees = float(found.degrees) if found.scatter > 0.0 else np.inf
+    return with_left_out(estimate, left_out_of(observations, _sigma(found, observations)), degrees, site.gravity)
+
+
+def _sigma(found: EllipsoidFit, observations: Observations) -> Array:
+    """The standard deviations (N,) of the rests along the vertical that the fit has, infinite where it leaves them
+    out."""
+    up = unit_vector(found.model.apply(observations.rests.accel))
+    variance = np.einsum("ip,ipq,iq->i", up, observations.rests.accel_covariance, up) + found.scatter**2
+    return np.where(found.used, np.sqrt(variance), np.inf)
 
 
 def _refused(observations: Observations, refusal: Refusal) -> Estimate:

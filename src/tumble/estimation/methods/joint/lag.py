@@ -74,17 +74,22 @@ def _at_lag(problem: Problem, at: At, lag: float, scatter: Scatter) -> Step:
 
 
 def fit_with_lag(problem: Problem, start: At, most: int) -> Fitted:
-    """The solution with the scatter that it shows; with the lag of the start where Gauss–Newton has left it for one
-    that is much less likely. In an exponential warm-up the lag shows by its square alone: the steps do not know it."""
+    """The solution with the scatter that it shows; with the likeliest of LAGS and that of the start where Gauss–Newton
+    has ended at one that is much less likely. In an exponential warm-up the lag shows by its square alone: the steps do
+    not know it."""
     fitted = fit_of(problem, start, most)
     if problem.lag is None:
         return fitted
     at = At.of(fitted.problem, fitted.solved.point, fitted.solved.last.about, fitted.out)
-    lags = float(start.point.values[problem.lag]), float(fitted.solved.point.values[problem.lag])
-    started, found = (
-        _at_lag(fitted.problem, at, lag, fitted.scatter).deviance + _prior_of_lag(problem, lag) for lag in lags
-    )
-    return fitted if found < started + LESS_LIKELY else fit_of(_held(problem, lags[0]), start, most)
+
+    def deviance(lag: float) -> float:
+        return _at_lag(fitted.problem, at, lag, fitted.scatter).deviance + _prior_of_lag(problem, lag)
+
+    tried = {lag: deviance(lag) for lag in (*LAGS, float(start.point.values[problem.lag]))}
+    likeliest = min(tried, key=lambda lag: tried[lag])
+    if deviance(float(fitted.solved.point.values[problem.lag])) < tried[likeliest] + LESS_LIKELY:
+        return fitted
+    return fit_of(_held(problem, likeliest), start, most)
 
 
 def with_posterior(fitted: Fitted, free: Problem) -> Fitted:
@@ -103,7 +108,7 @@ def with_posterior(fitted: Fitted, free: Problem) -> Fitted:
     if not fitted.problem.lag_known and 1.0 - (u / expected[where]) ** 2 < KEPT:
         return fitted
     grid = LAGS_ABOUT if fitted.problem.lag_known else u * LAG_GRID
-    lags, weight, moved_by = _resolved(fitted, free, solved.point.values[free.lag] + grid)
+    lags, weight, moved_by = _resolved(fitted, free, np.union1d(solved.point.values[free.lag] + grid, LAGS))
     mean = float(weight @ lags)
     moved_by -= weight @ moved_by
     held = _held(fitted.problem, mean)

@@ -20,7 +20,7 @@ from tumble.estimation.likelihood import Problem
 from tumble.estimation.linearisation import priors, with_priors
 from tumble.estimation.methods.joint.iteration import At
 from tumble.estimation.step import Told, joined
-from tumble.estimation.variables import at_two_temperatures
+from tumble.estimation.variables import at_two_temperatures, both_ways
 from tumble.sensors.parameters import Variable, variable_of
 from tumble.units import Array
 
@@ -67,6 +67,8 @@ def _widened(problem: Problem) -> list[slice]:
     held: set[Variable | None] = {"lag"}  # it multiplies others: a wide prior would let both grow
     if at_two_temperatures(problem.observations):
         held.add("temperature²")
+    if not both_ways(problem.observations):
+        held.add("hysteresis")
     return [of for name, of in problem.instrument.members.items() if variable_of(name) not in held]
 
 
