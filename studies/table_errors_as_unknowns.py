@@ -29,6 +29,7 @@ import formulas_against_simulation as simulation
 import numpy as np
 from paper_device import SETUP
 
+from tumble.estimation.methods.paper.accuracy_formulas import accelerometer_errors
 from tumble.estimation.methods.paper.compensation import (
     ACCEL_ANGLES,
     compensated,
@@ -37,7 +38,6 @@ from tumble.estimation.methods.paper.compensation import (
     triad_model,
     triad_parameters,
 )
-from tumble.estimation.methods.paper.indirect import accelerometer_errors
 from tumble.estimation.methods.paper.levelling import vertical
 from tumble.estimation.methods.paper.scalar import scalar_fit
 from tumble.estimation.methods.paper.sequential import accelerometers as sequential
@@ -103,7 +103,8 @@ def rows(u: Array, by_tilt: Array) -> Array:
     tilts = np.zeros((T, N, 3, N, 2))
     at = np.arange(N)
     tilts[:, at, :, at] = np.moveaxis(by_tilt, 1, 0)
-    return np.concatenate([accelerometer_errors(u).reshape(T, 3 * N, 9), tilts.reshape(T, 3 * N, 2 * N)], axis=-1)
+    sensors = np.moveaxis(accelerometer_errors(np.eye(9)[:, None, None], u), 0, -1)
+    return np.concatenate([sensors.reshape(T, 3 * N, 9), tilts.reshape(T, 3 * N, 2 * N)], axis=-1)
 
 
 def values_of(model: SensorModel) -> Array:
