@@ -16,8 +16,8 @@ from test_formats import ulog_message
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.new_session import Given, new_session
 from tumble.cli import main
+from tumble.drafting.new_session import Given, new_session
 from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.planning.setup import Setup

@@ -13,14 +13,14 @@ from corpus import dialects as d
 from corpus import programs as p
 from corpus.dialects import Case
 
-from tumble.calibration.archive import unzipped
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
-from tumble.calibration.log_detection import files_of, found_log
-from tumble.calibration.log_times import Stamps, times_of_column
-from tumble.calibration.mended_log import mended
-from tumble.calibration.new_session import new_session
 from tumble.cli import main
+from tumble.drafting.archive import unzipped
+from tumble.drafting.log_detection import files_of, found_log
+from tumble.drafting.log_times import Stamps, times_of_column
+from tumble.drafting.mended_log import mended
+from tumble.drafting.new_session import new_session
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session import Channels

@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
-from tumble.calibration.new_session import new_session
+from tumble.drafting.new_session import new_session
 from tumble.errors import InputError
 from tumble.recording.formats import Message, as_log, is_recording, messages
 from tumble.units import Array

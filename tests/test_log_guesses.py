@@ -8,11 +8,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from tumble.calibration.found_log import samples_in
-from tumble.calibration.log_times import Stamps, overflow_of, recordings_of, times_of_column
-from tumble.calibration.new_session import Given, new_session
-from tumble.calibration.raw_scale import accel_scale, plain_unit
-from tumble.calibration.respelled import respelled
+from tumble.drafting.found_log import samples_in
+from tumble.drafting.log_times import Stamps, overflow_of, recordings_of, times_of_column
+from tumble.drafting.new_session import Given, new_session
+from tumble.drafting.raw_scale import accel_scale, plain_unit
+from tumble.drafting.respelled import respelled
 from tumble.errors import InputError
 from tumble.recording.clock import seconds_of
 from tumble.recording.dialect import is_clock

@@ -13,10 +13,10 @@ import polars as pl
 import pytest
 from corpus import documents as d
 
-from tumble.calibration.found_log import times_of
-from tumble.calibration.log_detection import found_log
-from tumble.calibration.new_session import new_session
-from tumble.calibration.workbook import sheets_of
+from tumble.drafting.found_log import times_of
+from tumble.drafting.log_detection import found_log
+from tumble.drafting.new_session import new_session
+from tumble.drafting.workbook import sheets_of
 from tumble.errors import InputError, MissingExtraError
 from tumble.recording.formats.columns import ACCEL, GYRO
 from tumble.units import G_STANDARD, Array

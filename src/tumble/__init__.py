@@ -36,13 +36,11 @@ if TYPE_CHECKING:
     from tumble.calibration.check import check_calibration as check_calibration
     from tumble.calibration.compare import Comparison as Comparison
     from tumble.calibration.compare import compare_calibrations as compare_calibrations
-    from tumble.calibration.draft import Draft as Draft
     from tumble.calibration.from_readings import ReadingsCalibration as ReadingsCalibration
     from tumble.calibration.from_readings import calibrate_table as calibrate_table
     from tumble.calibration.launches import Run as Run
     from tumble.calibration.launches import calibrate_launches as calibrate_launches
     from tumble.calibration.launches import mean_of_launches as mean_of_launches
-    from tumble.calibration.new_session import new_session as new_session
     from tumble.calibration.observed import Observed as Observed
     from tumble.calibration.observed import inspect_session as inspect_session
     from tumble.calibration.quiet_samples import RecordedNoise as RecordedNoise
@@ -62,6 +60,8 @@ if TYPE_CHECKING:
     from tumble.campaigns.run import FleetResult as FleetResult
     from tumble.campaigns.run import campaign as campaign
     from tumble.campaigns.run import fleet as fleet
+    from tumble.drafting.draft import Draft as Draft
+    from tumble.drafting.new_session import new_session as new_session
     from tumble.earth import normal_gravity as normal_gravity
     from tumble.errors import InputError as InputError
     from tumble.errors import MissingExtraError as MissingExtraError
@@ -157,8 +157,8 @@ _PUBLIC = {
     "rest_residuals": "calibration.apply",
     "RecordedNoise": "calibration.quiet_samples",
     "noise": "calibration.quiet_samples",
-    "new_session": "calibration.new_session",
-    "Draft": "calibration.draft",
+    "new_session": "drafting.new_session",
+    "Draft": "drafting.draft",
     "Exported": "export.exported",
     "export_calibration": "export",
     "write_report": "report.write",

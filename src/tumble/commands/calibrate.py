@@ -213,7 +213,7 @@ def _of_type(place: str, model: str | None, frame: Frame) -> TypeSpread:
 @contextmanager
 def _session_of(logs: Sequence[Path], said: Mapping[str, Any]) -> Iterator[list[Path]]:
     """The folder of a session made of a log, of which this is said; it is there no more where the block fails."""
-    from tumble.calibration.new_session import Given, new_session
+    from tumble.drafting.new_session import Given, new_session
     from tumble.files import nothing_left
 
     if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":

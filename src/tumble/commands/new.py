@@ -33,7 +33,7 @@ def new(
     LOG, or --log, is one or more text files in any dialect, .parquet, .xlsx, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5,
     .npy, a .zip of such, a ROS 2 folder, or a folder or a pattern of files that were recorded one after the other.
     """
-    from tumble.calibration.new_session import Given, new_session
+    from tumble.drafting.new_session import Given, new_session
 
     if not log and not more:
         raise click.UsageError("Missing argument 'LOG': the recording")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import reduce
 
-from tumble.calibration.spelling import LEAST_NUMBERS, Spelling, most_common
+from tumble.drafting.spelling import LEAST_NUMBERS, Spelling, most_common
 
 _MAG = tuple(f"Mag{axis} [gauss]" for axis in "XYZ")
 _INERTIAL = (*(f"Accel{axis} [m/s^2]" for axis in "XYZ"), *(f"Gyro{axis} [rad/s]" for axis in "XYZ"))

@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from tumble.calibration.archive import is_archive, unzipped
-from tumble.calibration.draft import Draft, session_text
-from tumble.calibration.draft_trials import tried
-from tumble.calibration.found_log import FoundLog, times_of
-from tumble.calibration.log_detection import files_of, found_log
-from tumble.calibration.log_times import Times
-from tumble.calibration.mended_log import mended
 from tumble.calibration.observed import Progress
-from tumble.calibration.opposite_sign import with_sign
-from tumble.calibration.workbook import is_workbook, sheets_of
+from tumble.drafting.archive import is_archive, unzipped
+from tumble.drafting.draft import Draft, session_text
+from tumble.drafting.draft_trials import tried
+from tumble.drafting.found_log import FoundLog, times_of
+from tumble.drafting.log_detection import files_of, found_log
+from tumble.drafting.log_times import Times
+from tumble.drafting.mended_log import mended
+from tumble.drafting.opposite_sign import with_sign
+from tumble.drafting.workbook import is_workbook, sheets_of
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, nothing_left, whole_file
 from tumble.programme.positions import BUILT_IN

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.calibration.log_times import Stamps, Times, times_of_column, times_without_column
+from tumble.drafting.log_times import Stamps, Times, times_of_column, times_without_column
 from tumble.errors import InputError
 from tumble.recording.dialect import Dialect, is_clock
 from tumble.recording.formats.columns import ACCEL, Columns

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from tumble.calibration.spelling import Spelling, of_named_values
+from tumble.drafting.spelling import Spelling, of_named_values
 from tumble.recording.dialect import Dialect, is_clock
 
 _LONGEST_LINE = 4096

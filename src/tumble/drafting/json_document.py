@@ -13,8 +13,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from tumble.calibration.json_lines import column_name, values_of
-from tumble.calibration.sensor_rows import are_sensors
+from tumble.drafting.json_lines import column_name, values_of
+from tumble.drafting.sensor_rows import are_sensors
 from tumble.errors import InputError
 from tumble.files import not_there, plain_name, whole_file
 from tumble.recording.dialect import Dialect

@@ -12,12 +12,12 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from tumble.calibration.json_lines import json_lines
-from tumble.calibration.named_values import LONGEST_LINE, cells
-from tumble.calibration.novatel import novatel
-from tumble.calibration.sentences import sentences
-from tumble.calibration.several_lines import several_lines
-from tumble.calibration.spelling import Spelling, most_common, of_named_values
+from tumble.drafting.json_lines import json_lines
+from tumble.drafting.named_values import LONGEST_LINE, cells
+from tumble.drafting.novatel import novatel
+from tumble.drafting.sentences import sentences
+from tumble.drafting.several_lines import several_lines
+from tumble.drafting.spelling import Spelling, most_common, of_named_values
 from tumble.errors import InputError
 from tumble.files import not_there, whole_file
 from tumble.recording.dialect import encoding_of

@@ -11,8 +11,8 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from tumble.calibration.named_values import named_numbers
-from tumble.calibration.spelling import Spelling
+from tumble.drafting.named_values import named_numbers
+from tumble.drafting.spelling import Spelling
 
 _ABOVE = re.compile(r"([ \t]*)([^\W\d][\w.]*)\s*:\s*")
 _LEAST_NAMES = 6

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from tumble.calibration.draft import Draft
-from tumble.calibration.gyro_unit_at_rest import more_than_gyros_read
-from tumble.calibration.gyro_unit_by_earth import RATES, reads_the_earth
-from tumble.calibration.log_times import ASSUMED_RATE, RATES_OF_LOGS
 from tumble.calibration.observed import Progress, inspect_session
-from tumble.calibration.raw_scale import (
+from tumble.drafting.draft import Draft
+from tumble.drafting.gyro_unit_at_rest import more_than_gyros_read
+from tumble.drafting.gyro_unit_by_earth import RATES, reads_the_earth
+from tumble.drafting.log_times import ASSUMED_RATE, RATES_OF_LOGS
+from tumble.drafting.raw_scale import (
     PLAIN,
     Scale,
     accel_scale,

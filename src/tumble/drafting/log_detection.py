@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
-from tumble.calibration.json_document import tables_of_json
-from tumble.calibration.other_formats import check_is_log
-from tumble.calibration.respelled import respelled
-from tumble.calibration.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
-from tumble.calibration.sensors_apart import are_sensors_apart, of_sensors_apart
+from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
+from tumble.drafting.json_document import tables_of_json
+from tumble.drafting.other_formats import check_is_log
+from tumble.drafting.respelled import respelled
+from tumble.drafting.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
+from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
 from tumble.recording.formats.columns import (

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.calibration.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
-from tumble.calibration.log_times import overflow_of, recordings_of, times_without_column, unwound
-from tumble.calibration.positions_apart import positions_apart
-from tumble.calibration.raw_scale import unwrapped, wrapped
+from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
+from tumble.drafting.log_times import overflow_of, recordings_of, times_without_column, unwound
+from tumble.drafting.positions_apart import positions_apart
+from tumble.drafting.raw_scale import unwrapped, wrapped
 from tumble.errors import InputError
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER
 from tumble.recording.formats.message import TIME

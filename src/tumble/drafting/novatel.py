@@ -9,7 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 
-from tumble.calibration.spelling import Spelling
+from tumble.drafting.spelling import Spelling
 from tumble.errors import InputError
 
 _NAMES = ("Seconds [s]", *(f"Accel{axis} [counts]" for axis in "XYZ"), *(f"Gyro{axis} [counts]" for axis in "XYZ"))

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import polars as pl
 
-from tumble.calibration.found_log import LONGEST, FoundLog
-from tumble.calibration.raw_scale import unwrapped
+from tumble.drafting.found_log import LONGEST, FoundLog
+from tumble.drafting.raw_scale import unwrapped
 from tumble.errors import InputError
 from tumble.recording.formats.columns import ACCEL
 from tumble.units import Array

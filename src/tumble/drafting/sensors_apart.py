@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.calibration.found_log import SHOWN, FoundLog, check_has_accelerometers
-from tumble.calibration.log_times import times_of_column
-from tumble.calibration.raw_scale import PLAIN
+from tumble.drafting.found_log import SHOWN, FoundLog, check_has_accelerometers
+from tumble.drafting.log_times import times_of_column
+from tumble.drafting.raw_scale import PLAIN
 from tumble.errors import InputError
 from tumble.recording import formats
 from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name, unit_of_name
