@@ -30,6 +30,7 @@ ANSWERS = {
     "kalman_filter.py": "Does the Kalman filter win? In accuracy",
     "over_temperature.py": "Is u over temperature honest, and does a warm-up cost little? Yes",
     "paper_device.py": "Do the published tables come out? Mostly.",
+    "populations.py": "Is u honest beyond the data sheet? Yes",
     "platform_drift.py": "Does the drift of the platform win? No",
     "registry_interruptions.py": "Does a registry lose anything when its writer is killed? No.",
     "rest_noise.py": "too small, and the scatter between rests has to be estimated.",
