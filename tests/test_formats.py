@@ -218,6 +218,16 @@ def sensors(found: list[Message]) -> tuple[Message, Message]:
     return accel, accel if accel.gyro else next(m for m in found if m.gyro)
 
 
+def test_numbers_of_more_bits_than_others_hold_are_lost(record: Array, tmp_path: Path) -> None:
+    wide = record.astype(np.longdouble)
+    wide[7, 1] = np.longdouble(10.0) ** 400
+    write_hdf5(tmp_path / "r.h5", wide)
+    accel, _ = sensors(messages(tmp_path / "r.h5"))
+    as_log(tmp_path / "log.parquet", accel, accel)
+    lost = ~np.isfinite(pl.read_parquet(tmp_path / "log.parquet").select(pl.selectors.float()).to_numpy())
+    assert lost.sum() == lost[7].sum() > 0
+
+
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_recording_comes_back_as_it_was_written(name: str, record: Array, tmp_path: Path) -> None:
     WRITERS[name](tmp_path / name, record)

@@ -18,11 +18,13 @@ LONGEST_STEP = 3.5
 
 
 def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> Array:
-    """True vectors (..., 3) of readings (..., n), SI; with the intervals `dt` (...), s, both are increments."""
-    if dt is None:
-        return model.apply(readings)
-    offset = model.bias * np.asarray(dt)[..., None]
-    return np.asarray((readings - offset) @ model.inverse().T)
+    """True vectors (..., 3) of readings (..., n), SI; with the intervals `dt` (...), s, both are increments. What is
+    not finite stays so."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        if dt is None:
+            return model.apply(readings)
+        offset = model.bias * np.asarray(dt)[..., None]
+        return np.asarray((readings - offset) @ model.inverse().T)
 
 
 def true_force(

@@ -147,11 +147,10 @@ def _read_whole(path: Path, columns: Columns) -> Any:
 
 def _part(shape: tuple[int, ...], read: Read, part: slice, axis: int | None) -> Any:
     """Some of a column of an array: of three columns or three rows, or of one of either."""
-    if len(shape) == 1:
-        numbers = np.asarray(read(part), dtype=np.float64)
-    else:
-        across, upright = 0 if axis is None else axis, shape[0] >= shape[1]
-        numbers = np.asarray(read((part, across) if upright else (across, part)), dtype=np.float64)
+    across, upright = 0 if axis is None else axis, shape[0] >= shape[-1]
+    where = part if len(shape) == 1 else (part, across) if upright else (across, part)
+    with np.errstate(over="ignore"):  # numbers of 80 bits that are beyond those of 64
+        numbers = np.asarray(read(where), dtype=np.float64)
     return np.where(is_likely(numbers), numbers, np.nan)
 
 
