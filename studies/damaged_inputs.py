@@ -530,17 +530,27 @@ def _stopped_after(seconds: float) -> Iterator[None]:
 
 
 class _Memory:
-    """The most memory that this process held since the object was made, as far as the system tells."""
+    """The most memory that this process held since the object was made, as far as the system tells, less what the
+    cases before have left in it."""
+
+    begun: int | None = None
 
     def __init__(self) -> None:
         with suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+        if _Memory.begun is None:
+            _Memory.begun = self._of("VmRSS")
+        self._left = max(self._of("VmRSS") - _Memory.begun, 0)
 
     @property
     def most(self) -> int:
+        return self._of("VmHWM") - self._left
+
+    @staticmethod
+    def _of(name: str) -> int:
         try:
             status = Path("/proc/self/status").read_text(encoding="ascii")
-            return int(re.findall(r"VmHWM:\s+(\d+)", status)[0]) * 1024
+            return int(re.findall(rf"{name}:\s+(\d+)", status)[0]) * 1024
         except (OSError, IndexError):
             return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 

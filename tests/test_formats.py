@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -219,7 +220,7 @@ def sensors(found: list[Message]) -> tuple[Message, Message]:
 
 
 def test_numbers_of_more_bits_than_others_hold_are_lost(record: Array, tmp_path: Path) -> None:
-    wide = record.astype(np.longdouble)
+    wide: Any = record.astype(np.longdouble)
     wide[7, 1] = np.longdouble(10.0) ** 400
     write_hdf5(tmp_path / "r.h5", wide)
     accel, _ = sensors(messages(tmp_path / "r.h5"))
