@@ -178,6 +178,20 @@ def test_rows_that_two_runs_computed_are_taken_once(expected: pl.DataFrame, tmp_
     assert rows(job(), tmp_path / "out", twice).equals(expected)
 
 
+@pytest.mark.parametrize("chunks", [1, 1000])
+def test_a_table_that_another_run_made_meanwhile_is_taken(chunks: int, expected: pl.DataFrame, tmp_path: Path) -> None:
+    def overtaken(of: Job, pending: Sequence[int]) -> Iterator[Done]:
+        """Another run makes the table after the first chunk, or after the last."""
+        for count, done in enumerate(serially(of, pending)):
+            if count == chunks:
+                run(of, tmp_path)
+            yield done
+        if not (tmp_path / engine.TABLE).exists():
+            run(of, tmp_path)
+
+    assert rows(job(), tmp_path, overtaken).equals(expected)
+
+
 def test_a_finished_job_is_not_computed_again(tmp_path: Path) -> None:
     (tmp_path / "log").mkdir()
     for _ in range(2):

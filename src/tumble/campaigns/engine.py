@@ -95,17 +95,27 @@ def run(
     table = folder / TABLE
     if _begun(job, folder) and table.exists():
         return table
+    try:
+        _complete(job, folder, executor or serially, progress)
+    except FileNotFoundError:
+        if not table.exists():
+            raise
+    return table
+
+
+def _complete(job: Job, folder: Path, executor: Executor, progress: Progress) -> None:
+    """Compute what is missing, and make the table. Raises FileNotFoundError where another run in the same folder has
+    made it meanwhile."""
     (folder / "parts").mkdir(exist_ok=True)
     done = _tasks_of_parts(folder)
     pending = [number for number in range(len(job.items)) if number not in done]
     count = len(job.items) - len(pending)
     progress(count, len(job.items))
-    for numbers, part in (executor or serially)(job, pending):
+    for numbers, part in executor(job, pending):
         _write_part(folder, numbers, part)
         count += len(numbers)
         progress(count, len(job.items))
     _join_parts(job, folder)
-    return table
 
 
 # Tasks and chunks
@@ -230,7 +240,7 @@ def _short(value: Any) -> str:
 
 
 def _parts(folder: Path) -> list[Path]:
-    return sorted((folder / "parts").glob("[0-9]*.parquet"))
+    return sorted(path for path in (folder / "parts").iterdir() if path.match("[0-9]*.parquet"))
 
 
 def _tasks_of_parts(folder: Path) -> set[int]:
@@ -249,7 +259,7 @@ def _write_part(folder: Path, numbers: Chunk, part: bytes) -> None:
 
 def _join_parts(job: Job, folder: Path) -> None:
     """Make one table of the parts, sorted by task. Where two runs shared a folder and did a task both, its rows are
-    equal, and those of one part are taken."""
+    equal, and those of one part are taken. The parts leave their place at once: another run finds all or none."""
     import polars as pl
 
     parts = _parts(folder)
@@ -259,4 +269,4 @@ def _join_parts(job: Job, folder: Path) -> None:
     table = frame.sort("task", maintain_order=True).collect()
     with whole_file(folder / TABLE) as temporary:
         table.write_parquet(temporary)
-    shutil.rmtree(folder / "parts")
+    shutil.rmtree((folder / "parts").rename(folder / "joined"))
