@@ -28,12 +28,12 @@ from tumble.recording.session_file import session_from
 from tumble.reduction import exclusion
 from tumble.reduction.blemishes import without_blemishes
 from tumble.reduction.blocks import Reduction, reduce_log
-from tumble.reduction.clipping import without_clipped_turns
 from tumble.reduction.matching import Match, match_rests
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
 from tumble.reduction.turns import torn_turns
+from tumble.reduction.unknown_turns import without_unknown_turns
 from tumble.units import IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
@@ -109,6 +109,8 @@ def inspected(session: Session, progress: Progress, beside: Executor) -> Observe
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
         segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
+        if session.gyro_block is not None and session.log.gyro is not None:
+            reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
         observations = _observed(session, reduction, segmentation.rests)
         trial = observations
         if trial is None and not faults:
@@ -181,7 +183,4 @@ def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | O
         return no_rests(observed.segmentation)
     reduction = exclusion.without_turns(observed.reduction, match, session.excluded)
     match = exclusion.without_rests(match, session.excluded)
-    if session.gyro_block is None or session.log.gyro is None:
-        return reduction, match, ()
-    reduction = without_clipped_turns(reduction, match, session.gyro_block, session.log.gyro)
-    return reduction, match, torn_turns(match.rests, reduction.gaps)
+    return reduction, match, torn_turns(match.rests, reduction.gaps) if session.gyro_block is not None else ()

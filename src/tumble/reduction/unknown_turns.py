@@ -1,0 +1,104 @@
+"""Turns of which the gyros do not say where they have led, left out and named: gyros were clipped, or read more than
+half a turn from sample to sample.
+
+Numbers of a converter end at 2^k − 1 and −2^k. A gyro that reads this in a turn turned faster than it can say, so that
+nobody knows where the turn has led. Turns of gyros in physical units, whose converter is not known, are judged by
+whether they fit.
+
+A reading of more than half a turn from sample to sample is no reading: what a turn by more is cannot be told from one
+the other way round.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from tumble.recording.gaps import Gap
+from tumble.recording.session import Channels
+from tumble.reduction.array_motion import read_by
+from tumble.reduction.blocks import Reduction, extremes
+from tumble.reduction.segmentation import RestSpan
+from tumble.sensors.model import Block
+from tumble.units import Array, BoolArray
+
+CONVERTERS = 2.0 ** np.arange(11, 32)
+"""2^k of converters of 12 to 32 bits."""
+EXACT = 1e-6
+HALF_TURN = math.pi
+FEWEST = 2
+"""Samples of a turn: a single one at the end of the range may just have reached it."""
+
+
+def without_unknown_turns(
+    reduction: Reduction, rests: tuple[RestSpan, ...], gyro: Block, channels: Channels
+) -> Reduction:
+    """A reduction in which turns between these rests with clipped gyros, or with readings of more than half a turn from
+    sample to sample, were not recorded."""
+    clipped, fast = dict[int, Gap](), dict[int, Gap]()
+    limits, turns = _limits(reduction, channels), list(pairwise(rests))
+    if np.isfinite(limits).any():
+        for k, rates, _, spare in _samples(reduction, turns):
+            of_gyros = spare[:, max(spare.shape[1] - (gyro.size - 3), 0) :]
+            if of_gyros.shape[1] < gyro.size - 3:
+                continue  # more than three gyros, and of their samples the rate alone
+            count = int(_clipped(read_by(gyro, rates, of_gyros), limits).sum())
+            if count >= FEWEST:
+                clipped[k] = _unknown(turns[k], count, f"gyros are clipped in {count} of its samples")
+    if 2.0 * np.abs(extremes(reduction.gyro_channels)).max() > HALF_TURN * reduction.rate:
+        for k, rates, intervals, _ in _samples(reduction, turns):
+            count = int((np.linalg.norm(rates, axis=1) * intervals > HALF_TURN).sum())
+            if count:
+                why = f"gyros read more than half a turn from sample to sample, in {count} of its samples"
+                fast[k] = _unknown(turns[k], count, why)
+    if 2 * len(fast) > len(turns):
+        fast = {}  # then it is the unit or the rate that is wrong, which is said elsewhere
+    gaps = {**fast, **clipped}
+    return replace(reduction, gaps=(*reduction.gaps, *gaps.values())) if gaps else reduction
+
+
+def _samples(reduction: Reduction, turns: list[tuple[RestSpan, RestSpan]]) -> Iterator[tuple[int, Array, Array, Array]]:
+    """The number of each turn that lies in one file, and of its samples the rates in the body (m, 3), the intervals
+    (m,) and what is spare."""
+    for k, (before, after) in enumerate(turns):
+        if before.file == after.file and reduction.samples is not None:
+            of = reduction.by_file[before.file]
+            start, stop = of.sample_at(before.last), of.sample_at(after.first)
+            rates, _, intervals, spare = reduction.samples.read_with_spare(start, stop)
+            yield k, rates, intervals, spare
+
+
+def _unknown(turn: tuple[RestSpan, RestSpan], count: int, why: str) -> Gap:
+    """A turn, from rest to rest, of which so many samples do not say where it has led."""
+    before, after = turn
+    return Gap(
+        file=before.file,
+        row=0,
+        time=before.stop,
+        samples=count,
+        what="no rotation",
+        stop=after.start,
+        integrable=False,
+        why=why,
+    )
+
+
+def _limits(reduction: Reduction, channels: Channels) -> Array:
+    """The least and the most (2, n) that gyros read, SI, where that is where a converter ends; else infinite."""
+    if channels.unit_name != "count":
+        return np.full((2, len(reduction.gyro_channels)), np.inf)
+    read = extremes(reduction.gyro_channels)
+    raw = read / channels.unit.factor * channels.scale + channels.offset
+    ends = np.array([-CONVERTERS, CONVERTERS - 1.0])
+    at_end = (np.abs(raw[:, :, None] - ends[:, None]) < EXACT).any(axis=2)
+    return np.where(at_end, read, np.array([[-np.inf], [np.inf]]))
+
+
+def _clipped(readings: Array, limits: Array) -> BoolArray:
+    """Samples (m,) of readings (m, n) in which a gyro is at a limit."""
+    least, most = limits * (1.0 - EXACT)
+    return np.asarray(((readings <= least) | (readings >= most)).any(axis=1))
