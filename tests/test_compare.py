@@ -8,15 +8,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from calibrated import FRAMES, HEXAD, calibration
 from click.testing import CliRunner
 
+from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.compare import compare_calibrations
 from tumble.calibration.results import Parameter
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.planning.setup import Setup
 from tumble.recording.session import Site
 from tumble.registry.connect import open_registry
 from tumble.registry.monitor import monitored
@@ -24,6 +27,8 @@ from tumble.registry.records import Particulars, read_submission
 from tumble.registry.store import add
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
+from tumble.simulation.session import simulate_session
+from tumble.units import Array
 
 
 def moved(made: Calibration, by: dict[str, float]) -> Calibration:
@@ -292,3 +297,51 @@ def test_differences_that_are_small_one_by_one_contradict_together() -> None:
     found = compare_calibrations(replace(first, site=None), replace(second, parameters=apart))
     assert all(abs(d.e_n or 0.0) < 1.0 for d in found.differences)
     assert not found.agree
+
+
+def of_prior(rows: Array, s: float) -> tuple[Calibration, Array]:
+    """A bias and a quadratic term by readings with these rows (n, 2), of which the second has a prior of size s, and
+    their covariance."""
+    covariance = np.asarray(np.linalg.inv(rows.T @ rows + np.diag([0.0, s**-2])), dtype=float)
+    u = np.sqrt(np.diag(covariance)).tolist()
+    bias = Parameter(name="accel.bias.x", value=0.0, u=u[0], unit="m/s^2")
+    quadratic = Parameter(name="accel.quadratic.x", value=0.0, u=u[1], unit="1/(m/s^2)", prior=s)
+    return replace(calibration(), parameters=(bias, quadratic), covariance=covariance), covariance
+
+
+def test_what_priors_leave_open_of_a_device_is_no_part_of_a_difference() -> None:
+    """θ̂ = C Hᵀ (H θ + n): for one θ the difference is written out, and another device has another θ."""
+    rng, s = np.random.default_rng(0), 0.3
+    rows = [rng.normal(size=(5, 2)) for _ in range(2)]
+    (first, of_first), (second, of_second) = (of_prior(H, s) for H in rows)
+    K, L = of_first @ rows[0].T, of_second @ rows[1].T
+    by_quadratic = (K @ rows[0] - L @ rows[1])[:, 1] * s
+    expected = np.outer(by_quadratic, by_quadratic) + K @ K.T + L @ L.T
+    found = compare_calibrations(first, second)
+    assert found.covariance is not None
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
+    assert [d.u for d in found.differences] == pytest.approx(np.sqrt(np.diag(expected)))
+    other = compare_calibrations(first, replace(second, serial="another device"))
+    assert other.covariance is not None
+    np.testing.assert_allclose(other.covariance, of_first + of_second)
+
+
+def test_what_neither_has_learned_is_not_judged() -> None:
+    rows = np.array([[1.0, 0.0], [1.0, 0.0]])
+    found = compare_calibrations(of_prior(rows, 0.3)[0], of_prior(2.0 * rows, 0.3)[0])
+    assert [d.u for d in found.differences] == pytest.approx([np.sqrt(0.5 + 0.125), 0.0])
+    assert found.differences[1].e_n is None
+    assert found.degrees == 1
+
+
+def test_an_ellipsoid_that_knows_no_nonlinear_terms_shows_a_step_of_the_bias(tmp_path: Path) -> None:
+    """u of its biases is some 100 µg for what it leaves out, and two launches of one device differ by a hundredth."""
+    setup = Setup.of(programme="cube-26", grade="navigation", rest=10.0, sample_rate=50.0, terms="full")
+    one, other = (simulate_session(tmp_path / f"{k}", setup, seed=1, launch=k) for k in (1, 2))
+    first, second = (calibrate(folder, method="ellipsoid") for folder in (one, other))
+    assert compare_calibrations(first, second).agree
+    log = pl.read_parquet(other / "log.parquet")
+    log.with_columns(pl.col("ax") + 3e-4).write_parquet(other / "log.parquet")
+    found = compare_calibrations(first, calibrate(other, method="ellipsoid"))
+    beyond = [d.name for d in found.differences if d.e_n is not None and abs(d.e_n) > 1.0]
+    assert beyond == ["accel.bias.x"]

@@ -57,6 +57,27 @@ def trend(*points: SeriesPoint) -> Trend:
 # -------------------- drift --------------------
 
 
+def test_what_only_priors_say_of_a_device_hides_no_drift_and_is_in_the_level() -> None:
+    """A bias known to 10, of which 0.1 of its own: it drifts by 1 a year."""
+    points = [
+        replace(point(t, t, u=float(np.hypot(10.0, 0.1))), by_priors={"accel.quadratic.x": 10.0}) for t in range(4)
+    ]
+    found, without = trend(*points), trend(*(replace(p, by_priors={}) for p in points))
+    assert found.drift is not None
+    assert without.drift is not None
+    assert found.drift.u == pytest.approx(0.1 / np.sqrt(5.0))
+    assert without.drift.u == pytest.approx(np.hypot(10.0, 0.1) / np.sqrt(5.0))
+    assert found.drift.level_u == pytest.approx(np.hypot(10.0, 0.05))
+    assert [change.u for change in found.changes] == pytest.approx([0.1 * np.sqrt(2.0)] * 3)
+
+
+def test_a_parameter_of_which_no_more_than_its_prior_is_known_has_no_drift() -> None:
+    points = [replace(point(t, 0.0, u=10.0), by_priors={"accel.quadratic.x": 10.0}) for t in range(4)]
+    found = trend(*points)
+    assert (found.drift, found.instability) == (None, None)
+    assert [change.probability for change in found.changes] == [None] * 3
+
+
 def test_the_drift_of_a_scattered_series_is_that_of_ordinary_regression() -> None:
     """Equal u far below the scatter: weights are equal, and the scatter is that of the residuals."""
     t = np.array([0.0, 1.1, 2.0, 2.9, 4.2, 5.0])

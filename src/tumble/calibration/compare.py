@@ -5,17 +5,18 @@ With d = first − second,
     u(d)² = u₁² + u₂² − 2 Σ g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
 
 (ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.calibration.coverage`). g₁ and g₂
-are what one standard uncertainty of what both share changes in each, gravity and the time base
-(`tumble.calibration.shared_errors`): the error of these is no part of a difference. |E_n| ≤ 1 is agreement. One honest
-value in twenty-two lies beyond, so that of 21 parameters one or two may.
+are what one standard uncertainty of what both share changes in each, gravity, the time base and what only priors say
+of the device (`tumble.calibration.shared_errors`): the error of these is no part of a difference. |E_n| ≤ 1 is
+agreement. One honest value in twenty-two lies beyond, so that of 21 parameters one or two may.
 
-χ² = dᵀ C⁻¹ d with C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ) judges all m of them together, correlations included. Where u was
+χ² = dᵀ C⁻¹ d with C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ) judges all m of them together, correlations included; what
+neither has learned anything of is left out. Where u was
 estimated with ν degrees of freedom, the fewest of all differences, χ²/m is F distributed with m and ν (Hotelling).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
@@ -24,10 +25,10 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from tumble.calibration.calibration_file import Calibration, calibration_from, text_of
-from tumble.calibration.coverage import apart, expanded_of, remarks, welch_satterthwaite
+from tumble.calibration.coverage import UNLEARNED, apart, expanded_of, remarks, welch_satterthwaite
 from tumble.calibration.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
 from tumble.calibration.results import Parameter
-from tumble.calibration.shared_errors import between, shared_errors
+from tumble.calibration.shared_errors import shared_errors
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.units import Array
@@ -39,7 +40,8 @@ LEAST_PROBABILITY = 1e-3
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Difference:
     """A parameter of both calibrations, SI; `u` is the standard uncertainty of first − second without what both share,
-    None where one of them has none, `dof` its degrees of freedom, None where it is known."""
+    None where one of them has none, 0 where both know no more than their prior; `dof` its degrees of freedom, None
+    where it is known."""
 
     name: str
     unit: str
@@ -116,14 +118,20 @@ def compare_calibrations(
             f"compare: expected calibrations with parameters in common, found {len(ours)} and {len(theirs)} parameters "
             "and none in both; compare devices of one kind"
         )
-    shared = _of_parameters(shared_errors(a, b), a, b, common)
-    differences = tuple(
-        _difference(ours[name], theirs[name], [(g[i], h[i]) for g, h in shared.values()])
-        for i, name in enumerate(common)
+    sources = shared_errors(a, b)
+    shared = [
+        _of_parameters(calibration, common, [each[k] for each in sources.values()])
+        for k, calibration in enumerate((a, b))
+    ]
+    differences = tuple(_difference(ours[name], theirs[name], g, h) for name, g, h in zip(common, *shared, strict=True))
+    covariance = _covariance(a, b, common, *shared)
+    fewest = min((d.dof for d in differences if d.u and d.dof is not None), default=None)
+    learned = np.array([d.u != 0.0 for d in differences])
+    chi_square, degrees, probability = _chi_square(
+        np.array([d.value for d in differences])[learned],
+        None if covariance is None else covariance[np.ix_(learned, learned)],
+        fewest,
     )
-    covariance = _covariance(a, b, common, shared)
-    fewest = min((d.dof for d in differences if d.dof is not None), default=None)
-    chi_square, degrees, probability = _chi_square(np.array([d.value for d in differences]), covariance, fewest)
     return Comparison(
         frame=frame,
         differences=differences,
@@ -132,7 +140,7 @@ def compare_calibrations(
         degrees=degrees,
         probability=probability,
         missing=tuple(name for name in (*ours, *theirs) if name not in common),
-        remarks=(*_remarks(first, second, frame), *_common(shared), *(second.notes if foreign else ())),
+        remarks=(*_remarks(first, second, frame), *_common(sources), *(second.notes if foreign else ())),
     )
 
 
@@ -145,37 +153,39 @@ def _second(given: Calibration | FilePath, gyro: FilePath | None, like: Calibrat
     return calibration_from(given)
 
 
-def _difference(first: Parameter, second: Parameter, shared: Sequence[tuple[float, float]]) -> Difference:
+def _of_parameters(calibration: Calibration, names: Sequence[str], changes: Sequence[Array]) -> Array:
+    """Changes (M, k) of all parameters of a calibration by what is shared, of those of these names alone (m, k)."""
+    if not changes:
+        return np.zeros((len(names), 0))
+    order = [p.name for p in calibration.parameters]
+    return np.concatenate(changes, axis=1)[[order.index(name) for name in names]]
+
+
+def _difference(first: Parameter, second: Parameter, g: Array, h: Array) -> Difference:
+    """The difference of a parameter of which what both share changes the first by `g` (k,), the second by `h` (k,)."""
     known = first.u is not None and second.u is not None
-    left = sum((g - h) ** 2 for g, h in shared)
-    parts = [
-        (left, None),
-        apart(first.u, first.dof, [g for g, _ in shared]),
-        apart(second.u, second.dof, [h for _, h in shared]),
+    parts: list[tuple[float, float | None]] = [
+        (float(((g - h) ** 2).sum()), None),
+        apart(first.u, first.dof, g.tolist()),
+        apart(second.u, second.dof, h.tolist()),
     ]
+    variance = sum(variance for variance, _ in parts)
+    if variance < UNLEARNED * ((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2):
+        variance = 0.0
     return Difference(
         name=first.name,
         unit=first.unit,
         first=first.value,
         second=second.value,
-        u=sqrt(sum(variance for variance, _ in parts)) if known else None,
+        u=sqrt(variance) if known else None,
         dof=welch_satterthwaite(parts) if known else None,
     )
 
 
-def _of_parameters(
-    shared: Mapping[str, tuple[Array, Array]], first: Calibration, second: Calibration, names: Sequence[str]
-) -> dict[str, tuple[Array, Array]]:
-    """What both share in the parameters of these names alone."""
-    at = [[[p.name for p in calibration.parameters].index(name) for name in names] for calibration in (first, second)]
-    return {source: (g[at[0]], h[at[1]]) for source, (g, h) in shared.items()}
-
-
-def _covariance(
-    first: Calibration, second: Calibration, names: Sequence[str], shared: Mapping[str, tuple[Array, Array]]
-) -> Array | None:
-    """Covariance (m, m) of the differences of these parameters."""
-    total = -between(shared, len(names))
+def _covariance(first: Calibration, second: Calibration, names: Sequence[str], g: Array, h: Array) -> Array | None:
+    """Covariance (m, m) of the differences of these parameters, of which what both share changes those of the first by
+    `g` (m, k), of the second by `h` (m, k)."""
+    total = -g @ h.T - h @ g.T
     for calibration in (first, second):
         if calibration.covariance is None:
             return None
@@ -202,9 +212,10 @@ def _chi_square(
     return chi_square, rank, float(fdtrc(rank, fewest, chi_square / rank))
 
 
-def _common(shared: Mapping[str, tuple[Array, Array]]) -> list[str]:
+def _common(sources: Iterable[str]) -> list[str]:
     """What was taken as the same in both."""
-    return [f"the same error of {' and of '.join(shared)} in both is no part of their differences"] if shared else []
+    found = list(sources)
+    return [f"the same error of {' and of '.join(found)} in both is no part of their differences"] if found else []
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> list[str]:

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
     from tumble.recording.session import Site
 
+UNLEARNED = 1e-9
+"""Of a variance: where what others do not share is so little, it is none."""
 PROBABILITY = 0.9545
 """What U covers, as certificates state it."""
 
@@ -88,7 +90,8 @@ def apart(u: float | None, degrees: float | None, shared: Iterable[float]) -> tu
     """Variance of a parameter of this u without the standard uncertainties that it shares, and its degrees of
     freedom."""
     whole = (u or 0.0) ** 2
-    own = max(whole - sum(each**2 for each in shared), 0.0)
+    own = whole - sum(each**2 for each in shared)
+    own = own if own > UNLEARNED * whole else 0.0
     return own, None if degrees is None or whole == 0.0 else degrees * (own / whole) ** 2
 
 

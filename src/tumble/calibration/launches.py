@@ -22,6 +22,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
+from tumble.calibration.shared_errors import by_priors
 from tumble.calibration.type_spread import TypeSpread, pooled
 from tumble.errors import InputError
 from tumble.estimation.common_errors import by_time_base
@@ -37,7 +38,7 @@ from tumble.recording.session_file import session_from
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import Variable, group_name, positions_by_group, to_temperature, variable_of
+from tumble.sensors.parameters import Variable, group_name, positions_by_group, to_temperature
 from tumble.units import Array
 
 _Any = TypeVar("_Any")
@@ -340,15 +341,9 @@ def _gravity_in_common(runs: Sequence[Run], names: list[str], covariances: Seque
 
 
 def _by_prior(run: Run, names: list[str], covariance: Array) -> Array:
-    """Covariance that comes from the priors: θ̂ follows the mean of a prior of variance s² by C s⁻², so that what is
-    wrong with it, the same in every launch, adds C s⁻² C. Drifts are others in every launch."""
-    found = _named(run)
-    priors = [(i, s) for i, n in enumerate(names) if (s := found[n].prior) is not None and variable_of(n) != "time"]
-    if not priors:
-        return np.zeros_like(covariance)
-    at, sizes = zip(*priors, strict=True)
-    gain = covariance[:, at] / np.array(sizes)
-    return np.asarray(gain @ gain.T)
+    """Covariance that comes from the priors: what is wrong with them is the same in every launch."""
+    changes = by_priors([_named(run)[name] for name in names], covariance)
+    return sum((np.outer(each, each) for each in changes.values()), start=np.zeros_like(covariance))
 
 
 def _learned(runs: Sequence[Run], name: str, u: float) -> dict[str, float]:

@@ -1,38 +1,63 @@
 """What two calibrations of one device err by alike, so that it is no part of a difference between them.
 
 The uncertainty of gravity, where both used the same stated gravity with the same uncertainty, is in the scale factors
-of the accelerometers; that of the time base, where both of one device state the same one, in those of the gyros. With
-g₁ and g₂ what one standard uncertainty of such a source changes in either,
+of the accelerometers; that of the time base, where both of one device state the same one, in those of the gyros. Where
+both know a property of the device by a prior alone, or in part, they err alike by what it truly is: an estimate with
+the covariance C follows the mean of a prior of variance s² by C s⁻², of which one standard deviation changes it by C/s.
+With g₁ and g₂ what one standard uncertainty of such a source changes in either,
 
     C(first − second) = C₁ + C₂ − Σ (g₁ g₂ᵀ + g₂ g₁ᵀ)
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.estimation.common_errors import by_time_base
+from tumble.sensors.parameters import Variable, variable_of
 from tumble.units import Array
 
 if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
+    from tumble.calibration.results import Parameter
 
-GRAVITY, TIME_BASE = "gravity", "the time base"
+GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "the priors"
+
+_OF_A_SESSION: tuple[Variable, ...] = ("time", "warm-up", "warm-up²")
+"""What parameters change with that is another in every session, and so no property of the device."""
 
 
 def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Array, Array]]:
-    """For every source whose error both share, what one standard uncertainty of it changes in all parameters of the
-    first (m₁,) and of the second (m₂,)."""
+    """For every source whose errors both share, what one standard uncertainty of each error changes in all parameters
+    of the first (m₁, k) and of the second (m₂, k)."""
     found = {}
     if shared_gravity(first.site, second.site):
         found[GRAVITY] = (_of_gravity(first), _of_gravity(second))
     if first.serial == second.serial and shared_time_base(first.clock_u, second.clock_u):
         found[TIME_BASE] = (_of_time_base(first), _of_time_base(second))
+    if first.serial == second.serial:
+        ours, theirs = (by_priors(each.parameters, each.covariance) for each in (first, second))
+        names = [name for name in ours if name in theirs]
+        if names:
+            found[PRIORS] = (np.stack([ours[n] for n in names], axis=1), np.stack([theirs[n] for n in names], axis=1))
     return {source: changes for source, changes in found.items() if changes[0].any() and changes[1].any()}
+
+
+def by_priors(parameters: Sequence[Parameter], covariance: Array | None) -> dict[str, Array]:
+    """Change (m,) of parameters, as far as their covariance (m, m) has it, where what a prior is of is one standard
+    deviation of it off its mean: by the name of the parameter that has this prior, if it is a property of the
+    device."""
+    if covariance is None:
+        return {}
+    return {
+        p.name: covariance[:, i] / p.prior
+        for i, p in enumerate(parameters)
+        if p.prior is not None and variable_of(p.name) not in _OF_A_SESSION
+    }
 
 
 def shared_time_base(first: float, second: float) -> bool:
@@ -41,17 +66,8 @@ def shared_time_base(first: float, second: float) -> bool:
 
 
 def _of_gravity(calibration: Calibration) -> Array:
-    return by_gravity(calibration.parameters, calibration.covariance, calibration.site)
+    return by_gravity(calibration.parameters, calibration.covariance, calibration.site)[:, None]
 
 
 def _of_time_base(calibration: Calibration) -> Array:
-    return by_time_base([p.name for p in calibration.parameters], calibration.clock_u)
-
-
-def between(shared: Mapping[str, tuple[Array, Array]], count: int) -> Array:
-    """The sum (m, m) of g₁ g₂ᵀ + g₂ g₁ᵀ of `count` parameters."""
-    total = np.zeros((count, count))
-    for first, second in shared.values():
-        both = np.outer(first, second)
-        total += both + both.T
-    return total
+    return by_time_base([p.name for p in calibration.parameters], calibration.clock_u)[:, None]

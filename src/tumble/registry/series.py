@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import TYPE_CHECKING
 
 from tumble.calibration.compare import Comparison, compare_calibrations
 from tumble.calibration.coverage import by_gravity
+from tumble.calibration.shared_errors import by_priors
 from tumble.errors import InputError
 from tumble.estimation.common_errors import by_time_base
 from tumble.recording.session import Site
@@ -47,6 +48,8 @@ class SeriesPoint:
     """Relative standard uncertainty of the time base."""
     by_clock: float = 0.0
     """Change of the value with it."""
+    by_priors: Mapping[str, float] = field(default_factory=dict)
+    """And where a property of the device is a standard deviation of its prior off, by the name of this parameter."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,6 +77,7 @@ def _points(name: str, unit: str, found: Iterable[Record], alike: Mapping[int, C
     for record in found:
         calibration = alike[record.number]
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
+        changes = by_priors(calibration.parameters, calibration.covariance)
         for i, own in enumerate(calibration.parameters):
             if (own.name, own.unit) == (name, unit):
                 launches = [p for x in calibration.launches for p in x.parameters if (p.name, p.unit) == (name, unit)]
@@ -89,6 +93,7 @@ def _points(name: str, unit: str, found: Iterable[Record], alike: Mapping[int, C
                     by_gravity=float(change[i]),
                     clock_u=calibration.clock_u,
                     by_clock=float(by_time_base([name], calibration.clock_u)[0]),
+                    by_priors={of: float(each[i]) for of, each in changes.items()},
                 )
 
 

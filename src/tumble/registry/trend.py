@@ -15,11 +15,15 @@ are together what their degrees of freedom ν expect (p parameters a_s, b); zero
 its variance follow by weighted least squares, and U = t(ν) u(b) with Student's t for 95.45 %, the probability of ±2u of
 a normal distribution.
 
-The u_i are without the uncertainty of gravity where all calibrations used the same stated gravity, and without that of
-the time base where all state the same: their error is the same every time and hence no part of a drift. It is no part
-of a change between two that share it either (`tumble.calibration.shared_errors`). A change has the expanded uncertainty
-U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`); it is `beyond chance` where chance alone
-makes one of all parameters of the device change so much less often than in CHANCE of all cases.
+The u_i are without the uncertainty of gravity where all calibrations used the same stated gravity, without that of the
+time base where all state the same, and without what only priors say of the device: with g_i what one standard
+uncertainty of these changes in y_i, u_i² is less by |g_i|² and more by |g_i − ḡ|², for what is the same every time is
+no part of a drift, nor of a change between two that share it (`tumble.calibration.shared_errors`). The level of the
+line has |ḡ|² in its variance. A parameter of which no more than its prior is known has neither τ nor drift.
+
+A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.calibration.coverage`); it
+is `beyond chance` where chance alone makes one of all parameters of the device change so much less often than in CHANCE
+of all cases.
 
 Source: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
 """
@@ -156,9 +160,9 @@ def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
         known = earlier.u is not None and later.u is not None
         before, after = _shared([earlier, later])
         parts = [
-            apart(earlier.u, earlier.dof, [before]),
-            apart(later.u, later.dof, [after]),
-            ((after - before) ** 2, None),
+            apart(earlier.u, earlier.dof, before.tolist()),
+            apart(later.u, later.dof, after.tolist()),
+            (float(((after - before) ** 2).sum()), None),
         ]
         yield Change(
             earlier=earlier.number,
@@ -170,12 +174,17 @@ def _changes(points: Sequence[SeriesPoint]) -> Iterable[Change]:
         )
 
 
-def _shared(points: Sequence[SeriesPoint]) -> list[float]:
-    """Change of each point with one standard uncertainty of gravity or of the time base, where all share it; a
-    parameter changes with one of them at most."""
-    gravity = all(shared_gravity(points[0].site, p.site) for p in points)
-    clock = all(shared_time_base(points[0].clock_u, p.clock_u) for p in points)
-    return [(p.by_gravity if gravity else 0.0) + (p.by_clock if clock else 0.0) for p in points]
+def _shared(points: Sequence[SeriesPoint]) -> Array:
+    """Changes (n, k) of the points with one standard uncertainty of all that they share: gravity, the time base, and
+    what only priors say of the device."""
+    columns = []
+    if all(shared_gravity(points[0].site, p.site) for p in points):
+        columns.append([p.by_gravity for p in points])
+    if all(shared_time_base(points[0].clock_u, p.clock_u) for p in points):
+        columns.append([p.by_clock for p in points])
+    names = [name for name in points[0].by_priors if all(name in p.by_priors for p in points)]
+    columns += [[p.by_priors[name] for p in points] for name in names]
+    return np.array(columns, dtype=float).reshape(-1, len(points)).T
 
 
 # -------------------- drift --------------------
@@ -194,7 +203,11 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
     """τ and the drift, as far as the points say anything about them (module docstring)."""
     if not points or not all(_certain(p) for p in points):
         return None, None
-    points = [_without(p, abs(g)) for p, g in zip(points, _shared(points), strict=True)]
+    shared = _shared(points)
+    mean = shared.mean(axis=0)
+    points = [_without(p, g, g - mean) for p, g in zip(points, shared, strict=True)]
+    if not all(_certain(p) for p in points):
+        return None, None
     X = _design(points)
     y = np.array([p.value for p in points])
     degrees = len(points) - X.shape[1] + sum(max(len(p.launches) - 1, 0) for p in points)
@@ -213,20 +226,20 @@ def _instability_and_drift(points: Sequence[SeriesPoint]) -> tuple[float | None,
         degrees=degrees,
         expanded=float(special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
         level=float(line.values[stretches - 1]),
-        level_u=math.sqrt(float(line.covariance[stretches - 1, stretches - 1])),
+        level_u=math.sqrt(float(line.covariance[stretches - 1, stretches - 1] + mean @ mean)),
         level_with_drift=float(line.covariance[stretches - 1, -1]),
         since=float(years(points).mean()),
     )
 
 
-def _without(point: SeriesPoint, g: float) -> SeriesPoint:
-    """A point with uncertainties without what is shared, where they have it."""
+def _without(point: SeriesPoint, shared: Array, off: Array) -> SeriesPoint:
+    """A point with uncertainties without what is shared (k,), but with how far it is `off` (k,) what all share."""
 
-    def without(u: float | None) -> float | None:
-        return math.sqrt(u**2 - g**2) if u is not None and u > g else u
+    def without(u: float | None, off: float = 0.0) -> float | None:
+        return None if u is None else math.sqrt(apart(u, None, shared.tolist())[0] + off)
 
     launches = tuple((value, without(u)) for value, u in point.launches)
-    return replace(point, u=without(point.u), launches=launches)
+    return replace(point, u=without(point.u, float(off @ off)), launches=launches)
 
 
 def _certain(point: SeriesPoint) -> bool:
