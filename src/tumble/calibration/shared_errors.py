@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
     from tumble.calibration.results import Parameter
 
-GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "the priors"
+GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
 
 _OF_A_SESSION: tuple[Variable, ...] = ("time", "warm-up", "warm-up²")
 """What parameters change with that is another in every session, and so no property of the device."""
