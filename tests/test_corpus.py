@@ -71,6 +71,10 @@ CASES: dict[str, Case] = {
     "names in a comment": Case(write=d.named(["# t", *d.NAMES[1:]], delimiter=" ", file="np.txt")),
     "a line of units": Case(write=d.named(d.NAMES, delimiter=";"), said=("semicolons",)),
     "no names": Case(write=d.without_names, said=("columns without names", "by their numbers (a guess)")),
+    "names end with a comma": Case(write=d.ends_with_comma("names"), said=(GOOD,)),
+    "rows end with a comma": Case(write=d.ends_with_comma("rows"), said=(GOOD,)),
+    "a table of R": Case(write=d.of_r, said=("blanks", GOOD)),
+    "lists in cells": Case(write=d.lists_in_cells, said=("lists of three numbers (time, accel_x",)),
     "carriage returns": Case(write=d.carriage_returns, said=("carriage return: copied to log.csv", "semicolons")),
     "key=value": Case(
         write=d.printed("t={t} ax={a[0]:.7g} ay={a[1]:.7g} az={a[2]:.7g} gx={g[0]:.7g} gy={g[1]:.7g} gz={g[2]:.7g}"),

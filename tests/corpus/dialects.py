@@ -144,6 +144,32 @@ def without_names(log: pl.DataFrame, folder: Path) -> str:
     return written(folder / "LOG00012.TXT", table(log, NAMES)[1:], delimiter="\t")
 
 
+def ends_with_comma(of: str) -> Callable[[pl.DataFrame, Path], str]:
+    """A comma behind the last name, or behind the last value of each row."""
+
+    def write(log: pl.DataFrame, folder: Path) -> str:
+        names, *rows = table(log, NAMES)
+        more = {"names": ([*names, ""], rows), "rows": (names, [[*row, ""] for row in rows])}[of]
+        return written(folder / "log.csv", [more[0], *more[1]])
+
+    return write
+
+
+def of_r(log: pl.DataFrame, folder: Path) -> str:
+    """A table of R: its rows are numbered, and the column of numbers has no name."""
+    names, *rows = table(log, NAMES)
+    quoted = [f'"{name}"' for name in names]
+    numbered = [[f'"{k}"', *row] for k, row in enumerate(rows, 1)]
+    return written(folder / "log.txt", [quoted, *numbered], delimiter=" ")
+
+
+def lists_in_cells(log: pl.DataFrame, folder: Path) -> str:
+    """A table of Python: lists of three numbers as text."""
+    _, *rows = table(log, NAMES)
+    lists = [[t, f'"[{", ".join(row[:3])}]"', f'"[{", ".join(row[3:])}]"'] for t, *row in rows]
+    return written(folder / "log.csv", [["time", "accel", "gyro"], *lists])
+
+
 def arduino(log: pl.DataFrame, folder: Path) -> str:
     rows = table(log, NAMES, time=1e3)[1:]
     above = "Initializing I2C devices...\nTesting device connections...\nMPU6050 connection successful\n"

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tumble.drafting.json_lines import json_lines
+from tumble.drafting.list_cells import list_cells
 from tumble.drafting.named_values import LONGEST_LINE, cells
 from tumble.drafting.novatel import novatel
 from tumble.drafting.sentences import sentences
@@ -38,7 +39,7 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
     text = seen.decode(encoding, errors="replace")
     lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
     try:
-        spelling = sentences(lines) or novatel(lines) or json_lines(lines) or several_lines(lines)
+        spelling = sentences(lines) or novatel(lines) or json_lines(lines) or several_lines(lines) or list_cells(lines)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     spelling = spelling or of_named_values(cells, lines, "names before the numbers") or _framed(lines)

@@ -19,6 +19,8 @@ from functools import lru_cache
 from typing import Any
 
 LINE_BYTES = 1 << 20
+FIRST_ROWS = 5
+"""By which it is found out whether a name is missing."""
 BLANKS = " "
 """The delimiter that stands for one or more blanks or tabs."""
 
@@ -127,7 +129,10 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     if not dialect.header:
         return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
     above = [(i, _uncommented(line, dialect)) for i, line in enumerate(lines[:first])]
-    named = [(i, n) for i, line in reversed(above) if (n := _names(dialect.cells(line), width, dialect)) is not None]
+    rows_below = [dialect.cells(lines[i]) for i, each in rows.items() if i >= first and each == width][:FIRST_ROWS]
+    named = [
+        (i, n) for i, line in reversed(above) if (n := _names(dialect.cells(line), rows_below, dialect)) is not None
+    ]
     if not named:
         return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
     at, names = named[0]
@@ -160,17 +165,35 @@ def _uncommented(line: str, dialect: Dialect) -> str:
     return line.lstrip().lstrip(dialect.comment)
 
 
-def _names(cells: Sequence[str], width: int, dialect: Dialect) -> tuple[str, ...] | None:
-    """The names in a line, as many as there are columns; None where it has none."""
-    cells = [cell.strip().strip('"') for cell in cells]
-    while len(cells) > width and not cells[-1]:
-        cells = cells[:-1]
-    if not width - 1 <= len(cells) <= width or not cells[min(1, width - 1)] or sum(map(bool, cells)) < _LEAST_NUMBERS:
+def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:
+    """The names in a line, as many as the rows below have columns; None where it has none."""
+    names = names_of_rows([cell.strip().strip('"') for cell in cells], rows)
+    if len(names) != len(rows[0]) or not names[1] or sum(map(bool, names)) < _LEAST_NUMBERS:
         return None
-    if sum(map(dialect.is_number, cells)) > len(cells) // 2:
-        return None
-    return (*cells, *[""] * (width - len(cells)))
+    return None if sum(map(dialect.is_number, names)) > len(names) // 2 else names
 
+
+def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Names of as many columns as most rows have. Empty ones at the end go where rows have no such columns; where one
+    is missing it is that of the first column if this numbers the rows, as R writes them, else of the last, as where
+    rows end with a comma."""
+    width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
+    while len(names) > width and not names[-1]:
+        names = names[:-1]
+    if len(names) != width - 1:
+        return tuple(names)
+    wider = [cells for cells in rows if len(cells) == width]
+    numbers = [cells[0].strip('"') for cells in wider]
+    numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))
+    if numbered and all(cells[-1] for cells in wider) and not _COUNTS.fullmatch(names[0]):
+        return ("", *names)
+    return (*names, "")
+
+
+_COUNTS = re.compile(
+    r"\W*(sample|packet|frame|row|seq|record)?[ _]?(count(er)?|index|idx|id|n|nr|no|number|sample|seq|row)\W*", re.I
+)
+"""Names of columns that number rows."""
 
 _UNIT_WORDS = re.compile(
     r"s|sec|seconds?|ms|us|µs|μs|ns|g|mg|m/s/s|m/s\W?[2²]?|m\W?s\W{0,3}[2²]|rad|rad/s(ec)?|rad\W?s\W{0,3}1|deg|"

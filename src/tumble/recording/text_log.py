@@ -20,7 +20,7 @@ import polars as pl
 
 from tumble.errors import LogError
 from tumble.recording.clock import date_of, day_of, seconds_of
-from tumble.recording.dialect import BLANKS, LINE_BYTES, Dialect, head_lines, top_of
+from tumble.recording.dialect import BLANKS, FIRST_ROWS, LINE_BYTES, Dialect, head_lines, names_of_rows, top_of
 from tumble.recording.log_source import (
     Kind,
     Unread,
@@ -206,7 +206,10 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
     """A text log: with its names in the first line, unless a dialect is stated."""
     if dialect is None:
         with opened(path) as stream:
-            return TextLog(path=path, names=header(stream, path), dialect=Dialect(), top=1)
+            names = header(stream, path)
+            lines = [stream.readline(LINE_BYTES).decode("utf-8", errors="replace") for _ in range(FIRST_ROWS)]
+        rows = [cells for line in lines if (cells := Dialect().cells(line.strip()))]
+        return TextLog(path=path, names=names_of_rows(names, rows), dialect=Dialect(), top=1)
     with opened(path, dialect.encoding) as stream:
         top = top_of(head_lines(stream), dialect)
     if top is None:
