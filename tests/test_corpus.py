@@ -110,6 +110,7 @@ CASES: dict[str, Case] = {
     # who writes it
     "phyphox": Case(write=d.named(PHYPHOX), said=("m/s^2 (from the name", "rad/s (from the name")),
     "phone, a file a sensor": Case(write=d.phone, said=("one log at the times of the gyros",)),
+    "MetaWear": Case(write=d.meta_wear, said=("one log at the times of the gyros",), worth=(1.0 / G_STANDARD, DEG)),
     "MATLAB Mobile": Case(write=d.named(MATLAB_MOBILE)),
     "WitMotion": Case(
         write=d.named(WIT, accel=G, gyro=DEG, delimiter="\t", file="wit.txt"),
@@ -145,6 +146,10 @@ CASES: dict[str, Case] = {
         write=d.movella_dot,
         said=("in us (by its steps)", "gyros: in deg/s, not rad/s"),
         worth=(1.0, DEG),
+    ),
+    "increments of angle": Case(
+        write=d.named(["t", "dv_x", "dv_y", "dv_z", "dth_x", "dth_y", "dth_z"], accel=1.0 / d.RATE, gyro=1.0 / d.RATE),
+        said=("m/s (", "in rad, not rad/s"),
     ),
     "SBG": Case(write=d.named(SBG, time=1e6), said=("in us (by its name)",)),
     "OpenAXES": Case(write=d.named(OPENAXES, gyro=DEG, time=1e3), said=("in ms",), worth=(1.0, DEG)),

@@ -249,6 +249,22 @@ def phone(log: pl.DataFrame, folder: Path) -> str:
     return "phone"
 
 
+def meta_wear(log: pl.DataFrame, folder: Path) -> str:
+    """A file a sensor, times as milliseconds, as a date and as seconds, and axes that say nothing of the sensor."""
+    (folder / "wear").mkdir()
+    for name, columns, unit, one in (
+        ("Accelerometer", ACCEL, "g", 1.0 / G_STANDARD),
+        ("Gyroscope", GYRO, "deg/s", 1.0 / DEGREE),
+    ):
+        names = ["epoch (ms)", "time (-13:00)", "elapsed (s)", *(f"{axis}-axis ({unit})" for axis in "xyz")]
+        rows = [
+            [f"{1_600_000_000_000 + round(1e3 * t)}", iso(t), f"{t:.3f}", *(f"{one * v:.9g}" for v in read)]
+            for t, *read in log.select("t", *columns).iter_rows()
+        ]
+        written(folder / "wear" / f"unit_{name}.csv", [names, *rows])
+    return "wear"
+
+
 def in_two_files(log: pl.DataFrame, folder: Path) -> str:
     """Two halves of a recording, cut in a rest."""
     (folder / "parts").mkdir()

@@ -18,11 +18,11 @@ ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 
 _KINDS: Mapping[str, re.Pattern[str]] = {
     ACCEL: re.compile(
-        r"^(?!.*(angular|gravity|free|user|bias|variance)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)\d*$"
+        r"^(?!.*(angular|gravity|free|user|bias|variance)).*(acc|force|delta_?vel)|(^|_)(a|f|d(el(ta)?_?)?v|a_rs_s)\d*$"
     ),
     GYRO: re.compile(
         r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|omega|delta_?ang|dtheta)|"
-        r"(^|_)(w|g|as|rate|w_rs_s)\d*$"
+        r"(^|_)(w|g|as|rate|d(el(ta)?_?)?th(eta)?|w_rs_s)\d*$"
     ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
 }
@@ -285,9 +285,11 @@ def _stands_for_itself(words: list[str]) -> bool:
 
 
 def _words(name: str) -> list[str]:
-    """`AccX`: acc, x; `TimeUS`: time, us; `mag_uT`: mag, ut."""
-    words = []
+    """`AccX`: acc, x; `TimeUS`: time, us; `mag_uT`: mag, ut; `acc x-axis`: acc, x."""
+    words: list[str] = []
     for token in re.split(r"[^A-Za-z0-9µ°²]+", name):
         whole = token.lower() in _ALL_UNITS
         words += [token] if whole else re.split(r"(?<=[a-z])(?=[A-Z])", token)
-    return [word.lower() for word in words if word]
+    words = [word.lower() for word in words if word]
+    said = [word for word in words if word != "axis"]
+    return said if len(said) > 1 else words
