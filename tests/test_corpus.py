@@ -198,6 +198,12 @@ CASES: dict[str, Case] = {
         within=2.0,
         worth=(2048.0 * G, 16.4 * DEG),
     ),
+    "counts of 800 per g and 40 per deg/s": Case(
+        write=d.raw(800.0, 40.0),
+        said=("800 counts per g", "40 counts per deg/s"),
+        within=2.0,
+        worth=(800.0 * G, 40.0 * DEG),
+    ),
     "counts of 70 mdps": Case(
         write=d.raw(1e3 / 0.732, 1e3 / 70.0),
         said=("1366", "14.28"),

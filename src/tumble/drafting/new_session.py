@@ -41,7 +41,7 @@ from tumble.recording.session_keys.temperature import TemperatureTable
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
 
 _HEAD = 20_000
-_TOLERANCE = 0.3
+_TOLERANCE, _TOLERANCE_MG = 0.3, 0.12  # 800 and 1200 are counts per g of data sheets
 _SOFT = 0.03
 _FIELDS = {
     "uT": (15.0, 150.0),
@@ -304,7 +304,8 @@ def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, 
         return {"columns": columns, "unit": sensors.unit}, said
     for name, unit in ACCEL_UNITS.items():
         named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
-        fits = abs(magnitude * unit.per_second(times.rate) / G_STANDARD - 1.0) < _TOLERANCE
+        near = _TOLERANCE_MG if name == "mg" else _TOLERANCE
+        fits = abs(magnitude * unit.per_second(times.rate) / G_STANDARD - 1.0) < near
         if named_raw or unit.kind == "raw" or not fits:
             continue
         also = "; 1024 counts per g are possible too" if name == "mg" and abs(magnitude / 1024.0 - 1.0) < _SOFT else ""

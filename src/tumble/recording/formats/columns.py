@@ -21,7 +21,7 @@ _KINDS: Mapping[str, re.Pattern[str]] = {
         r"^(?!.*(angular|gravity|free|user|bias|variance)).*(acc|force|delta_?vel)|(^|_)(a|f|d(el(ta)?_?)?v|a_rs_s)\d*$"
     ),
     GYRO: re.compile(
-        r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|omega|delta_?ang|dtheta)|"
+        r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|rate_of_(rotation|turn)|omega|delta_?ang|dtheta)|"
         r"(^|_)(w|g|as|rate|d(el(ta)?_?)?th(eta)?|w_rs_s)\d*$"
     ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),

@@ -28,7 +28,7 @@ _NEAR, _OFF, _UNSTEADY = 0.06, 0.25, 0.6
 _PLAIN, _STRANGEST = 2, 3
 _THERMOMETER = 5.0
 
-ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 1e3 / 0.732, 1e6]))
+ACCEL_STEPS: tuple[float, ...] = tuple(sorted([*(float(2**k) for k in range(5, 18)), 800.0, 1200.0, 1e3 / 0.732, 1e6]))
 """Counts per g of data sheets: powers of two (which 0.061, 0.122 … mg per count are too), and others."""
 
 MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
