@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 from calibrated import FRAMES, HEXAD, calibration
 from click.testing import CliRunner
+from scipy.special import ndtr
 
 from tumble.calibration.calibrate import calibrate
 from tumble.calibration.calibration_file import Calibration
@@ -149,6 +150,22 @@ def test_e_n_beyond_one_is_as_rare_as_chance_has_it() -> None:
         rare += (found.probability or 0.0) < 0.05
     assert abs(np.mean(beyond) - 0.0455) < 5.0 * np.std(beyond) / np.sqrt(N)
     assert abs(rare / N - 0.05) < 5.0 * np.sqrt(0.05 * 0.95 / N)
+
+
+def test_one_value_of_many_beyond_one_is_no_disagreement() -> None:
+    """3.1 u of one parameter is E_n 1.55, which chance makes in 4 % of comparisons of 21; 4 u in 0.1 %."""
+    made = calibration()
+    made = replace(made, site=None, covariance=np.diag([p.u**2 for p in made.parameters if p.u is not None]))
+    name = made.parameters[0].name
+    for sigmas, agree in ((3.1, True), (4.0, False)):
+        parameters = tuple(
+            replace(p, value=p.value + sigmas * np.sqrt(2.0) * (p.u or 0.0)) if p.name == name else p
+            for p in made.parameters
+        )
+        found = compare_calibrations(made, replace(made, parameters=parameters))
+        assert found.differences[0].e_n == pytest.approx(-0.5 * sigmas)
+        assert found.largest_by_chance == pytest.approx(21 * 2.0 * ndtr(-sigmas))
+        assert found.agree == agree
 
 
 def test_parameters_of_one_only_are_named() -> None:

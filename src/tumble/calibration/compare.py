@@ -7,7 +7,8 @@ With d = first − second,
 (ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.calibration.coverage`). g₁ and g₂
 are what one standard uncertainty of what both share changes in each, gravity, the time base and what only priors say
 of the device (`tumble.calibration.shared_errors`): the error of these is no part of a difference. |E_n| ≤ 1 is
-agreement. One honest value in twenty-two lies beyond, so that of 21 parameters one or two may.
+agreement of a parameter. One honest value in twenty-two lies beyond, so that of 21 parameters one or two may. All m
+agree where chance makes the largest of them in CHANCE of all comparisons or oftener: Bonferroni, Student's t.
 
 χ² = dᵀ C⁻¹ d with C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ) judges all m of them together, correlations included; what
 neither has learned anything of is left out. Where u was
@@ -18,11 +19,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 from pathlib import Path
 
 import numpy as np
-from scipy.special import chdtrc, fdtrc
+from scipy.special import chdtrc, fdtrc, stdtr
 
 from tumble.calibration.calibration_file import Calibration, calibration_from, text_of
 from tumble.calibration.coverage import UNLEARNED, apart, expanded_of, remarks, welch_satterthwaite
@@ -33,6 +34,8 @@ from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.units import Array
 
+CHANCE = 0.01
+"""How often the largest difference of two calibrations that agree is called one."""
 LEAST_PROBABILITY = 1e-3
 """Two calibrations contradict each other where chance exceeds their χ² less often than this."""
 
@@ -61,6 +64,13 @@ class Difference:
         expanded = expanded_of(self.u, self.dof) if self.u else None
         return None if expanded is None else self.value / expanded
 
+    @property
+    def by_chance(self) -> float | None:
+        """How probable chance alone makes so large a difference; None where there is no E_n number."""
+        if self.e_n is None or not self.u:
+            return None
+        return float(2.0 * stdtr(inf if self.dof is None else self.dof, -abs(self.value) / self.u))
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Comparison:
@@ -79,9 +89,14 @@ class Comparison:
 
     @property
     def agree(self) -> bool:
-        """Whether there are E_n numbers, none exceeds 1 in size, and χ² is not beyond chance."""
-        judged = [abs(d.e_n) for d in self.differences if d.e_n is not None]
-        return bool(judged) and max(judged) <= 1.0 and not self.contradicts
+        """Whether there are E_n numbers, and neither the largest of them nor χ² is beyond chance."""
+        return self.largest_by_chance is not None and self.largest_by_chance >= CHANCE and not self.contradicts
+
+    @property
+    def largest_by_chance(self) -> float | None:
+        """How probable chance alone makes one of so many differences as large as the largest; None without any."""
+        judged = [d.by_chance for d in self.differences if d.by_chance is not None]
+        return min(1.0, len(judged) * min(judged)) if judged else None
 
     @property
     def contradicts(self) -> bool:

@@ -20,7 +20,7 @@ def compare(first: Path, second: Path, gyro: Path | None, as_json: bool) -> None
 
     SECOND may also be a result of Kalibr (YAML, with scale and misalignment) or of imu_tk, for the same readings.
 
-    Exit status 0: no |E_n| exceeds 1 and χ² is within chance (probability 0.001); 1: otherwise.
+    Exit status 0: the largest |E_n| and χ² are within chance (probability 0.01 of so many, and 0.001); 1: otherwise.
     """
     from tumble.calibration.compare import compare_calibrations
     from tumble.terminal.comparison import comparison_report

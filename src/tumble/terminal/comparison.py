@@ -20,10 +20,18 @@ def comparison_report(comparison: Comparison) -> RenderableType:
     parts: list[RenderableType] = [Text(f"frame {comparison.frame}"), Text(""), _table(comparison), Text("")]
     beyond = [d for d in comparison.differences if d.e_n is not None and abs(d.e_n) > 1.0]
     judged = sum(d.e_n is not None for d in comparison.differences)
-    parts.append(Text(f"{len(beyond)} of {judged} |E_n| beyond 1"))
+    parts.append(Text(f"{len(beyond)} of {judged} |E_n| beyond 1{_largest(comparison)}"))
     if comparison.chi_square is not None:
         parts.append(Text(f"all together: {chi_square_of(comparison)}"))
     return Group(*parts)
+
+
+def _largest(comparison: Comparison) -> str:
+    """How likely chance makes the largest difference."""
+    chance = comparison.largest_by_chance
+    if chance is None:
+        return ""
+    return f", one as large as the largest by chance with probability {probability_text(chance)}"
 
 
 def chi_square_of(comparison: Comparison) -> str:

@@ -133,6 +133,7 @@ def comparison_data(comparison: Comparison) -> dict[str, Any]:
         "chi_square": comparison.chi_square,
         "degrees": comparison.degrees,
         "probability": comparison.probability,
+        "largest_by_chance": comparison.largest_by_chance,
         "missing": list(comparison.missing),
         "remarks": list(comparison.remarks),
     }
