@@ -175,19 +175,22 @@ def _usual(session: Session, observations: Observations, terms: Terms) -> tuple[
     as a note; none for the linear model."""
     if terms == "linear":
         return {}, ()
-    grade, guessed = grade_of(session, observations)
+    grade, guessed_from = grade_of(session, observations)
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
-    origin = ", guessed from the noise; state another as [device] grade" if guessed else ""
+    origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
     return usual_sizes(grade, session.device.prior), (said + origin,)
 
 
-def grade_of(session: Session, observations: Observations) -> tuple[str, bool]:
-    """The grade of a session's device, and whether it had to be guessed from the noise."""
+def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
+    """The grade of a session's device, and what it had to be guessed from in words, nothing where it is stated."""
     if session.device.grade is not None:
-        return session.device.grade, False
+        return session.device.grade, ""
     rests = observations.rests
-    gyro = float(np.median(rests.gyro_noise)) if rests.gyro_noise.size else None
-    return guessed_grade(float(np.median(rests.accel_noise)), gyro), True
+    accel_white = float(np.median(rests.accel_noise))
+    if not rests.gyro_noise.size:
+        return guessed_grade(accel_white, None)
+    bias = float(np.abs(np.median(rests.gyro, axis=0)).max())
+    return guessed_grade(accel_white, float(np.median(rests.gyro_noise)), bias)
 
 
 def estimated(

@@ -133,7 +133,7 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
     if isinstance(observations, Outcome):
         raise InputError(f"{session.name}: expected rests to check with, found {'; '.join(observations.reasons)}")
     observations = _seen_by(own, observations)
-    grade, guessed = grade_of(session, observations)
+    grade, guessed_from = grade_of(session, observations)
     known = known_before(own, observations, grade, session.device.prior)
     return FieldCheck(
         calibration=own,
@@ -142,7 +142,7 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
         rests=len(observations.rests),
         turns=0 if observations.turns is None else len(observations.turns),
         result=field_check(observations, known),
-        notes=_notes(own, observations, grade, guessed=guessed),
+        notes=_notes(own, observations, grade, guessed_from),
         frame=given.frame,
         instrument=known.instrument,
         temperature=reference_of(observations),
@@ -185,9 +185,9 @@ def _seen_by(calibration: Calibration, observations: Observations) -> Observatio
     return observations if with_gyros else observations.of_accelerometers()
 
 
-def _notes(calibration: Calibration, observations: Observations, grade: str, *, guessed: bool) -> tuple[str, ...]:
+def _notes(calibration: Calibration, observations: Observations, grade: str, guessed_from: str) -> tuple[str, ...]:
     """What was supposed."""
-    origin = ", guessed from the noise; [device] grade says another" if guessed else ""
+    origin = f", guessed from {guessed_from}; [device] grade says another" if guessed_from else ""
     launches = ", or as from launch to launch of the calibration" if calibration.launches else ""
     notes = [f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
     then, now = calibration.reference_temperature, reference_of(observations)

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
+from tumble.earth import EARTH_RATE
 from tumble.errors import InputError, did_you_mean
 from tumble.sensors.parameters import group_name, sensor_kind, within_kind
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 
+OUTLYING = 100.0
+"""Times the spread of a grade's gyro biases: what no gyro of it has."""
 DEGREE_PER_ROOT_HOUR = DEGREE / 60.0
 """1 °/√h in rad/s/√Hz."""
 
@@ -157,13 +160,18 @@ def grade(name: str) -> Grade:
     return GRADES[name]
 
 
-def guessed_grade(accel_white: float, gyro_white: float | None) -> str:
+def guessed_grade(accel_white: float, gyro_white: float | None, gyro_bias: float = 0.0) -> tuple[str, str]:
     """The grade whose white noise, m/s²/√Hz and rad/s/√Hz (None without gyros), is nearest to what a recording shows,
-    by ratios. Accelerometers say less: those of one grade differ more than their gyros."""
+    by ratios, among those of which a gyro may read `gyro_bias`, rad/s, at rest; and what it is guessed from in words.
+    Accelerometers say less: those of one grade differ more than their gyros. A quiet instrument whose biases no quiet
+    grade has is no better than its biases."""
 
     def distance(name: str) -> float:
         noise = GRADES[name].noise
         by_accel = 0.3 * abs(math.log(max(accel_white, 1e-12) / noise.accel_white))
         return by_accel if gyro_white is None else by_accel + abs(math.log(max(gyro_white, 1e-15) / noise.gyro_white))
 
-    return min(GRADES, key=distance)
+    *others, poorest = GRADES
+    possible = [name for name in others if gyro_bias < OUTLYING * GRADES[name].gyro.bias + EARTH_RATE]
+    by_noise, found = min(GRADES, key=distance), min([*possible, poorest], key=distance)
+    return found, "the noise" if found == by_noise else "the biases of the gyros"
