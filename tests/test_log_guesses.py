@@ -262,3 +262,62 @@ def test_times_that_are_no_numbers_are_none(read: Array, tmp_path: Path) -> None
     np.savez(tmp_path / "imu.npz", t=np.full(600, np.nan), acc=read[:, :3], gyro=read[:, 3:])
     with pytest.raises(InputError, match="expected readings, found none"):
         new_session(tmp_path / "session", tmp_path / "imu.npz")
+
+
+def test_words_of_the_romance_languages_name_sensors() -> None:
+    names = [*(f"{word}_{a}" for word in ("aceleracion", "giro") for a in "xyz")]
+    found = columns_by_name(names).triads
+    assert found[ACCEL].columns == tuple(names[:3])
+    assert found[GYRO].columns == tuple(names[3:])
+    named = columns_by_name([f"{word} {a}" for word in ("Acelerômetro", "Giroscópio") for a in "XYZ"]).triads
+    assert set(named) == {ACCEL, GYRO}
+    assert set(columns_by_name([f"{word}{a}" for word in ("acel", "giro") for a in "XYZ"]).triads) == {ACCEL, GYRO}
+
+
+def test_accelerations_without_gravity_are_no_accelerometers() -> None:
+    names = [f"{kind}_{a}" for kind in ("lacc", "gyro") for a in "xyz"]
+    assert ACCEL not in columns_by_name(names).triads
+
+
+def test_the_time_since_a_board_was_started_is_one() -> None:
+    assert columns_by_name(["uptime nav", "ax", "ay", "az"]).time == "uptime nav"
+
+
+def test_a_date_between_underscores_is_no_number(read: Array, tmp_path: Path) -> None:
+    stamps = [f"2026_06_15_18_{21 + k // 6000:02d}_{k / 100 % 60:06.3f}" for k in range(600)]
+    rows = [",".join([stamp, *(f"{v:.4f}" for v in row)]) for stamp, row in zip(stamps, read, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["UTC_Time,ax,ay,az,gx,gy,gz", *rows, ""]))
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    assert "time" not in draft.content["log"]
+
+
+@pytest.mark.parametrize(
+    ("scale", "step", "decimals", "unit"),
+    [
+        (1.0, 1 / 16.4, 2, "deg/s"),
+        (1.0, 2000 / 32768, 6, "deg/s"),
+        (1.0, 0.00875, 5, "deg/s"),
+        (np.pi / 180, 1 / 16.4, 6, "rad/s"),
+        (1.0, 1e-3, 3, "rad/s"),
+        (1.0, 30.0, 1, "deg/s"),
+        (1.0, 30.0, 0, "count"),
+    ],
+    ids=["16.4 counts", "2000 °/s", "8.75 mdps", "rad/s", "thousandths", "too fast", "too fast and whole"],
+)
+def test_gyros_are_told_by_their_steps_and_by_what_none_reads(
+    scale: float, step: float, decimals: int, unit: str, read: Array, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(9)
+    counts = rng.integers(-40, 40, size=(600, 3))
+    gyro = (scale * step * (counts + (0.11 if (step, decimals) == (30.0, 1) else 0.0))).round(decimals)
+    table = pl.DataFrame(np.column_stack([read[:, :3], gyro]), schema=["ax", "ay", "az", "gx", "gy", "gz"])
+    table.write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    assert draft.content["log"]["gyro"]["unit"] == unit
+
+
+def test_accelerations_that_read_no_gravity_are_doubted(tmp_path: Path) -> None:
+    table = np.random.default_rng(3).normal(scale=2.0, size=(600, 3)).round(2)
+    pl.DataFrame(table, schema=["acc_x", "acc_y", "acc_z"]).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    assert any("left without gravity?" in said for said in draft.said)
