@@ -283,12 +283,16 @@ def test_the_time_since_a_board_was_started_is_one() -> None:
     assert columns_by_name(["uptime nav", "ax", "ay", "az"]).time == "uptime nav"
 
 
-def test_a_date_between_underscores_is_no_number(read: Array, tmp_path: Path) -> None:
-    stamps = [f"2026_06_15_18_{21 + k // 6000:02d}_{k / 100 % 60:06.3f}" for k in range(600)]
-    rows = [",".join([stamp, *(f"{v:.4f}" for v in row)]) for stamp, row in zip(stamps, read, strict=True)]
+def test_a_date_between_underscores_is_a_time_and_no_number(tmp_path: Path) -> None:
+    seconds = 0.02 * np.arange(500) + 55.0
+    stamps = [f"2026_06_15_18_{21 + int(t // 60):02d}_{t % 60:06.3f}" for t in seconds]
+    rows = [f"{stamp},{0.01 * (k % 7)},0.02,9.81,0,0.001,{0.001 * (k % 5)}" for k, stamp in enumerate(stamps)]
     (tmp_path / "log.csv").write_text("\n".join(["UTC_Time,ax,ay,az,gx,gy,gz", *rows, ""]))
-    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
-    assert "time" not in draft.content["log"]
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
+    assert draft.content["log"]["time_unit"] == "iso8601"
+    assert draft.rate == pytest.approx(50.0)
+    assert is_clock("2026_06_15_18_21_44.624")
+    assert not is_clock("2026_06_15")
 
 
 @pytest.mark.parametrize(

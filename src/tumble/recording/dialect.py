@@ -38,6 +38,9 @@ _CLOCK = re.compile(
     r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*"
     r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
 )
+JOINED = r"(\d{4})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{2})[_-](\d{2})([.]\d+)?"
+"""A date with a time of day of which all parts are joined alike: 2026_06_15_18_21_44.62."""
+_JOINED = re.compile(JOINED)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -87,7 +90,7 @@ class Top:
 
 def is_clock(cell: str) -> bool:
     """Whether a cell is a time of day or a date with one."""
-    return ":" in cell and bool(_CLOCK.fullmatch(cell))
+    return bool(_CLOCK.fullmatch(cell) if ":" in cell else _JOINED.fullmatch(cell))
 
 
 class Recoded(io.BufferedIOBase):
