@@ -10,12 +10,13 @@ import pytest
 
 from tumble.drafting.found_log import samples_in
 from tumble.drafting.log_times import Stamps, overflow_of, recordings_of, times_of_column
+from tumble.drafting.named_values import cells
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.raw_scale import accel_scale, plain_unit
 from tumble.drafting.respelled import respelled
 from tumble.errors import InputError
 from tumble.recording.clock import seconds_of
-from tumble.recording.dialect import is_clock
+from tumble.recording.dialect import Dialect, is_clock, top_of
 from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.units import G_STANDARD, Array
@@ -325,3 +326,18 @@ def test_accelerations_that_read_no_gravity_are_doubted(tmp_path: Path) -> None:
     pl.DataFrame(table, schema=["acc_x", "acc_y", "acc_z"]).write_csv(tmp_path / "log.csv")
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
     assert any("left without gravity?" in said for said in draft.said)
+
+
+def test_names_may_stand_behind_that_of_their_sensor() -> None:
+    line = "2025-10-04 16:35:12.186,EULER(deg): R=1.70,P=9.24,GYRO: X=-0.001,Y=0.002,Z=0.003,ACCEL: X=1.5,Y=-0.2,Z=9.6"
+    found = cells(line)
+    assert found["time"] == "2025-10-04 16:35:12.186"
+    assert [found[f"GYRO_{a}"] for a in "XYZ"] == ["-0.001", "0.002", "0.003"]
+    assert {ACCEL, GYRO} <= set(columns_by_name(found).triads)
+
+
+def test_a_row_with_much_text_in_it_is_no_line_of_names() -> None:
+    rows = ["in,swim,sea,1,0.81,0.56,0.17,-0.40,raw,a", ",swim,,2,0.81,0.56,0.17,-0.40,,", ",,,3,0.81,0.5,0.1,-0.4,,"]
+    top = top_of(("event,what,place,t,depth,x,y,z,behaviour,note", *rows), Dialect())
+    assert top is not None
+    assert top.names[5:8] == ("x", "y", "z")

@@ -108,13 +108,13 @@ def _accel_scaled(
         said = f"{named} in {unit} (gravity draws a sphere of {sphere[0]:.4g}), zero at {offset} ({seen})"
         return {**log, "accel": made | {"scale": PLAIN[unit]}}, [f"accelerometers: {said}"]
     scale = counts_per_g(sphere[0])
-    said = [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
+    told = [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
     if not (scale.known or draft.accel_whole or spherical):
-        said.append(
+        told.append(
             f"accelerometers: {named} are no whole numbers as counts are, and read gravity in no unit: are they what "
             "is left without gravity? That cannot be calibrated"
         )
-    return {**log, "accel": made | {"scale": scale.value}}, said
+    return {**log, "accel": made | {"scale": scale.value}}, told
 
 
 def _gyro_scaled(

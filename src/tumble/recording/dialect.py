@@ -133,13 +133,12 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     named = [(i, n) for i, line in reversed(above) if (n := _names(dialect.cells(line), width, dialect)) is not None]
     if not named:
         return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
-    at, names = named[0]
+    plain = [(i, n) for i, n in named if sum(map(dialect.is_number, n)) < _LEAST_NUMBERS]
+    at, names = (plain or named)[0]  # else a row with much text in it stands below the names
     used = {at}
-    if len(named) > 1 and named[1][0] == at - 1 and _are_units(names):
-        at, names = (
-            at - 1,
-            tuple(f"{name} [{_bare(unit)}]" for name, unit in zip(named[1][1], names, strict=True)),
-        )
+    above_it = dict(named).get(at - 1)
+    if above_it is not None and _are_units(names):
+        at, names = at - 1, tuple(f"{name} [{_bare(unit)}]" for name, unit in zip(above_it, names, strict=True))
         names = tuple(name.removesuffix(" []") for name in names)
         used.add(at)
     rest = [line for i, line in enumerate(lines[:first]) if i not in used]

@@ -18,7 +18,7 @@ ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 
 _KINDS: Mapping[str, re.Pattern[str]] = {
     ACCEL: re.compile(
-        r"^(?!.*(angular|gravity|free|user|bias|variance|(^|_)lacc)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)\d*$"
+        r"^(?!.*(angular|grav|free|user|bias|variance|(^|_)lacc)).*(acc|force|delta_?vel)|(^|_)(a|f|dv|a_rs_s)\d*$"
     ),
     GYRO: re.compile(
         r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|omega|delta_?ang|dtheta)|"
@@ -33,7 +33,7 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
 """Words for sensors in the names of files, and of rows."""
 
 _NO_SENSOR = re.compile(
-    r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|gravity|user|(^|_)(lin|lacc)|mag|compass|variance|bias|drift|"
+    r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|grav|user|(^|_)(lin|lacc)|mag|compass|variance|bias|drift|"
     r"(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|status|(^|_)q[wxyz0-3]?$"
 )
 _WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
