@@ -17,7 +17,7 @@ from tumble.drafting.respelled import respelled
 from tumble.errors import InputError
 from tumble.recording.clock import seconds_of
 from tumble.recording.dialect import Dialect, is_clock, top_of
-from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name
+from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name, is_no_sensor
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.units import G_STANDARD, Array
 
@@ -278,6 +278,7 @@ def test_words_of_the_romance_languages_name_sensors() -> None:
 def test_accelerations_without_gravity_are_no_accelerometers() -> None:
     names = [f"{kind}_{a}" for kind in ("lacc", "gyro") for a in "xyz"]
     assert ACCEL not in columns_by_name(names).triads
+    assert is_no_sensor("calib_accel")
 
 
 def test_the_time_since_a_board_was_started_is_one() -> None:

@@ -341,7 +341,7 @@ def _gyro(sensors: Sensors, read: Array, *, raw: bool) -> tuple[dict[str, Any], 
             said = f"gyros: {named} in deg/s (a guess): their steps are {step:.4g} °/s, a count of data sheets"
             return {"columns": columns, "unit": "deg/s"}, [said], False
         if fast:
-            said = f"gyros: {named} in deg/s (a guess): no gyro reads so much in rad/s"
+            said = f"gyros: {named} in deg/s, not rad/s (a guess): no gyro reads so much in that"
             return {"columns": columns, "unit": "deg/s"}, [said], True
         return {"columns": columns, "unit": "rad/s"}, [f"gyros: {named} in rad/s (a guess)"], True
     table = {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "deg/s", "offset": 0.0}

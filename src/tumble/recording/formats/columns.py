@@ -33,7 +33,7 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
 """Words for sensors in the names of files, and of rows."""
 
 _NO_SENSOR = re.compile(
-    r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|grav|user|(^|_)(lin|lacc)|mag|compass|variance|bias|drift|"
+    r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|grav|user|(^|_)(lin|lacc)|mag|compass|variance|bias|drift|(^|_)calib(_|$)|"
     r"(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|status|(^|_)q[wxyz0-3]?$"
 )
 _WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
