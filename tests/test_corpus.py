@@ -144,7 +144,7 @@ CASES: dict[str, Case] = {
     "Xsens MT Manager": Case(write=d.xsens, said=("ticks of 0.0001 s", GOOD)),
     "Movella DOT": Case(
         write=d.movella_dot,
-        said=("in us (by its steps)", "gyros: in deg/s, not rad/s"),
+        said=("in us (by its steps)", "in deg/s, not rad/s"),
         worth=(1.0, DEG),
     ),
     "increments of angle": Case(
@@ -255,7 +255,7 @@ CASES: dict[str, Case] = {
     ),
     "ticks of 25 us": Case(
         write=p.ticks(4e4),
-        said=("column 'tick' counts samples or ticks", "rate_hz = 50 from the turns", "gyros: in deg/s, not rad/s"),
+        said=("column 'tick' counts samples or ticks", "rate_hz = 50 from the turns", "in deg/s, not rad/s"),
         worth=(1.0, DEG),
     ),
     # several files

@@ -10,13 +10,14 @@ import pytest
 
 from tumble.drafting.found_log import samples_in
 from tumble.drafting.log_times import Stamps, overflow_of, recordings_of, times_of_column
+from tumble.drafting.named_values import cells
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.raw_scale import accel_scale, plain_unit
 from tumble.drafting.respelled import respelled
 from tumble.errors import InputError
 from tumble.recording.clock import seconds_of
-from tumble.recording.dialect import is_clock
-from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name
+from tumble.recording.dialect import Dialect, is_clock, top_of
+from tumble.recording.formats.columns import ACCEL, GYRO, columns_by_name, is_no_sensor
 from tumble.recording.formats.columns_by_data import columns_by_data
 from tumble.units import G_STANDARD, Array
 
@@ -262,3 +263,82 @@ def test_times_that_are_no_numbers_are_none(read: Array, tmp_path: Path) -> None
     np.savez(tmp_path / "imu.npz", t=np.full(600, np.nan), acc=read[:, :3], gyro=read[:, 3:])
     with pytest.raises(InputError, match="expected readings, found none"):
         new_session(tmp_path / "session", tmp_path / "imu.npz")
+
+
+def test_words_of_the_romance_languages_name_sensors() -> None:
+    names = [*(f"{word}_{a}" for word in ("aceleracion", "giro") for a in "xyz")]
+    found = columns_by_name(names).triads
+    assert found[ACCEL].columns == tuple(names[:3])
+    assert found[GYRO].columns == tuple(names[3:])
+    named = columns_by_name([f"{word} {a}" for word in ("Acelerômetro", "Giroscópio") for a in "XYZ"]).triads
+    assert set(named) == {ACCEL, GYRO}
+    assert set(columns_by_name([f"{word}{a}" for word in ("acel", "giro") for a in "XYZ"]).triads) == {ACCEL, GYRO}
+
+
+def test_accelerations_without_gravity_are_no_accelerometers() -> None:
+    names = [f"{kind}_{a}" for kind in ("lacc", "gyro") for a in "xyz"]
+    assert ACCEL not in columns_by_name(names).triads
+    assert is_no_sensor("calib_accel")
+
+
+def test_the_time_since_a_board_was_started_is_one() -> None:
+    assert columns_by_name(["uptime nav", "ax", "ay", "az"]).time == "uptime nav"
+
+
+def test_a_date_between_underscores_is_a_time_and_no_number(tmp_path: Path) -> None:
+    seconds = 0.02 * np.arange(500) + 55.0
+    stamps = [f"2026_06_15_18_{21 + int(t // 60):02d}_{t % 60:06.3f}" for t in seconds]
+    rows = [f"{stamp},{0.01 * (k % 7)},0.02,9.81,0,0.001,{0.001 * (k % 5)}" for k, stamp in enumerate(stamps)]
+    (tmp_path / "log.csv").write_text("\n".join(["UTC_Time,ax,ay,az,gx,gy,gz", *rows, ""]))
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
+    assert draft.content["log"]["time_unit"] == "iso8601"
+    assert draft.rate == pytest.approx(50.0)
+    assert is_clock("2026_06_15_18_21_44.624")
+    assert not is_clock("2026_06_15")
+
+
+@pytest.mark.parametrize(
+    ("scale", "step", "decimals", "unit"),
+    [
+        (1.0, 1 / 16.4, 2, "deg/s"),
+        (1.0, 2000 / 32768, 6, "deg/s"),
+        (1.0, 0.00875, 5, "deg/s"),
+        (np.pi / 180, 1 / 16.4, 6, "rad/s"),
+        (1.0, 1e-3, 3, "rad/s"),
+        (1.0, 30.0, 1, "deg/s"),
+        (1.0, 30.0, 0, "count"),
+    ],
+    ids=["16.4 counts", "2000 °/s", "8.75 mdps", "rad/s", "thousandths", "too fast", "too fast and whole"],
+)
+def test_gyros_are_told_by_their_steps_and_by_what_none_reads(
+    scale: float, step: float, decimals: int, unit: str, read: Array, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(9)
+    counts = rng.integers(-40, 40, size=(600, 3))
+    gyro = (scale * step * (counts + (0.11 if (step, decimals) == (30.0, 1) else 0.0))).round(decimals)
+    table = pl.DataFrame(np.column_stack([read[:, :3], gyro]), schema=["ax", "ay", "az", "gx", "gy", "gz"])
+    table.write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    assert draft.content["log"]["gyro"]["unit"] == unit
+
+
+def test_accelerations_that_read_no_gravity_are_doubted(tmp_path: Path) -> None:
+    table = np.random.default_rng(3).normal(scale=2.0, size=(600, 3)).round(2)
+    pl.DataFrame(table, schema=["acc_x", "acc_y", "acc_z"]).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(rate=100.0))
+    assert any("left without gravity?" in said for said in draft.said)
+
+
+def test_names_may_stand_behind_that_of_their_sensor() -> None:
+    line = "2025-10-04 16:35:12.186,EULER(deg): R=1.70,P=9.24,GYRO: X=-0.001,Y=0.002,Z=0.003,ACCEL: X=1.5,Y=-0.2,Z=9.6"
+    found = cells(line)
+    assert found["time"] == "2025-10-04 16:35:12.186"
+    assert [found[f"GYRO_{a}"] for a in "XYZ"] == ["-0.001", "0.002", "0.003"]
+    assert {ACCEL, GYRO} <= set(columns_by_name(found).triads)
+
+
+def test_a_row_with_much_text_in_it_is_no_line_of_names() -> None:
+    rows = ["in,swim,sea,1,0.81,0.56,0.17,-0.40,raw,a", ",swim,,2,0.81,0.56,0.17,-0.40,,", ",,,3,0.81,0.5,0.1,-0.4,,"]
+    top = top_of(("event,what,place,t,depth,x,y,z,behaviour,note", *rows), Dialect())
+    assert top is not None
+    assert top.names[5:8] == ("x", "y", "z")

@@ -14,8 +14,9 @@ from typing import Any
 class Draft:
     """The content of a session.toml as far as it is known, and how each part of it came about, in sentences. A table
     [log.magnetometer] is offered as a comment: iron nearby spoils it, and not the rest. Whether the rate is a guess,
-    whether the unit of the gyros is, and that of a time column; whether the gyros are whole numbers, as counts are; the
-    rate, Hz, by the times; and the median magnitude of what the accelerometers read, as written."""
+    whether the unit of the gyros is, and that of a time column; whether the gyros and the
+    accelerometers are whole numbers, as counts are; the rate, Hz, by the times; and the median magnitude of what the
+    accelerometers read, as written."""
 
     content: Mapping[str, Any]
     said: tuple[str, ...]
@@ -24,6 +25,7 @@ class Draft:
     gyro_unknown: bool = False
     time_guessed: bool = False
     gyro_whole: bool = False
+    accel_whole: bool = False
     rate: float = 1.0
     accel_magnitude: float = 1.0
 

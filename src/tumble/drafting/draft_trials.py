@@ -93,6 +93,7 @@ def _accel_scaled(
     means = observations.rests.accel if observations is not None else np.empty((0, 3))
     sphere = accel_scale(means)
     seen = f"from {len(means)} rests" if len(means) >= 4 else "a guess from too few rests: state the data sheet's"
+    spherical = sphere is not None
     if sphere is None:
         radius = float(np.median(np.linalg.norm(means, axis=1))) if len(means) else draft.accel_magnitude
         seen = seen if len(means) else "a guess, for there are no rests, from their median magnitude"
@@ -107,8 +108,13 @@ def _accel_scaled(
         said = f"{named} in {unit} (gravity draws a sphere of {sphere[0]:.4g}), zero at {offset} ({seen})"
         return {**log, "accel": made | {"scale": PLAIN[unit]}}, [f"accelerometers: {said}"]
     scale = counts_per_g(sphere[0])
-    said = f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"
-    return {**log, "accel": made | {"scale": scale.value}}, [said]
+    told = [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
+    if not (scale.known or draft.accel_whole or spherical):
+        told.append(
+            f"accelerometers: {named} are no whole numbers as counts are, and read gravity in no unit: are they what "
+            "is left without gravity? That cannot be calibrated"
+        )
+    return {**log, "accel": made | {"scale": scale.value}}, told
 
 
 def _gyro_scaled(

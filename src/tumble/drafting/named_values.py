@@ -1,5 +1,5 @@
 """Lines that name their values: `ax=0.01 ay=-0.02`, `acc: 0.1, 0.2, 9.8; gyro: …`, `Acc (mg) [ 12.2, …`, `Rotation X:
-0.01, Y: -0.02, Z: 0.00 rad/s`."""
+0.01, Y: -0.02, Z: 0.00 rad/s`, `GYRO: X=0.01, Y=-0.02, Z=0.00, ACCEL: X=…`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from tumble.recording.dialect import is_clock
 
 LONGEST_LINE = 4096
 _KEY = re.compile(r"([^\W\d][\w.]*)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))")
+_GROUP = re.compile(r"([^\W\d]\w*)\s*(?:\([^()]*\))?\s*:\s*(?=[^\W\d]\w*\s*=)")
 _NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _WHEN = re.compile(r"[\s\[\]()>,;|-]*$")
 _WORD = re.compile(r"([^\W\d]\w*)\s+$")
@@ -17,17 +18,20 @@ _TIME = "time"
 
 
 def cells(line: str) -> dict[str, str]:
-    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three."""
+    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three.
+    Names with a sensor before them, `GYRO: X=0.1, Y=…`, are named with it."""
+    groups = list(_GROUP.finditer(line[:LONGEST_LINE]))
     keys = list(_KEY.finditer(line[:LONGEST_LINE]))
     if not keys:
         return {}
-    when = _WHEN.sub("", line[: keys[0].start()]).strip(" []")
+    when = _WHEN.sub("", line[: min(first.start() for first in (keys[0], *groups[:1]))]).strip(" []")
     found = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
     for key, after in zip(keys, [*keys[1:], None], strict=True):
         numbers = _NUMBER.findall(line[key.end() : after.start() if after else None])
         unit = f" [{key[2]}]" if key[2] else ""
+        of = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
         if len(numbers) == 1:
-            found[key[1] + unit] = numbers[0]
+            found["_".join([*of[-1:], key[1]]) + unit] = numbers[0]
         elif len(numbers) == 3:
             found |= {f"{key[1]}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
     return found

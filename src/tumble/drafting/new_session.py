@@ -22,6 +22,7 @@ from tumble.drafting.archive import is_archive, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.draft_trials import tried
 from tumble.drafting.found_log import FoundLog, times_of
+from tumble.drafting.gyro_unit_by_readings import step_in_deg_s, too_fast_for_rad_s
 from tumble.drafting.log_detection import files_of, found_log
 from tumble.drafting.log_times import Times
 from tumble.drafting.mended_log import mended
@@ -145,6 +146,7 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
         time_guessed=times.unit_guessed,
         rate=times.rate,
         gyro_whole=GYRO in found.triads and _is_whole(log.read(found.triads[GYRO].columns, rows=_HEAD)),
+        accel_whole=_is_whole(log.read(found.triads[ACCEL].columns, rows=_HEAD)),
         accel_magnitude=magnitude,
     )
 
@@ -239,7 +241,9 @@ def _content(log: FoundLog, times: Times, found: Columns, magnitude: float) -> t
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys, "accel": accel}
     unknown = False
     if GYRO in found.triads:
-        table["gyro"], more, unknown = _gyro(found.triads[GYRO], raw=accel["unit"] == "count")
+        table["gyro"], more, unknown = _gyro(
+            found.triads[GYRO], log.read(found.triads[GYRO].columns, rows=_HEAD), raw=accel["unit"] == "count"
+        )
         said += more
     else:
         said.append("no gyros were found: the accelerometers alone will be calibrated")
@@ -314,8 +318,9 @@ def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, 
     return {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "m/s^2", "offset": 0.0}, []
 
 
-def _gyro(sensors: Sensors, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
-    """The table [log.gyro]; where the accelerometers are in counts, gyros of no named unit are too."""
+def _gyro(sensors: Sensors, read: Array, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
+    """The table [log.gyro]; where the accelerometers are in counts, gyros of no named unit are too, and whole numbers
+    which no gyro reads in rad/s."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
     if sensors.unit == "mdps":
@@ -330,7 +335,15 @@ def _gyro(sensors: Sensors, *, raw: bool) -> tuple[dict[str, Any], list[str], bo
             [f"gyros: {named} in {sensors.unit} (from the name or the format)"],
             False,
         )
-    if not raw and sensors.unit is None:
+    fast = too_fast_for_rad_s(read)
+    if not raw and sensors.unit is None and not (fast and _is_whole(read)):
+        step = step_in_deg_s(read)
+        if step is not None:
+            said = f"gyros: {named} in deg/s (a guess): their steps are {step:.4g} °/s, a count of data sheets"
+            return {"columns": columns, "unit": "deg/s"}, [said], False
+        if fast:
+            said = f"gyros: {named} in deg/s, not rad/s (a guess): no gyro reads so much in that"
+            return {"columns": columns, "unit": "deg/s"}, [said], True
         return {"columns": columns, "unit": "rad/s"}, [f"gyros: {named} in rad/s (a guess)"], True
     table = {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "deg/s", "offset": 0.0}
     return table, [], True

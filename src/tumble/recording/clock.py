@@ -1,4 +1,5 @@
-"""Times of day and dates as seconds: ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5 and 11:59:59.5 PM."""
+"""Times of day and dates as seconds: ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 11:59:59.5 PM and
+2025_12_31_23_59_59.5."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import polars as pl
 
+from tumble.recording.dialect import JOINED
 from tumble.recording.session import LogSpec
 from tumble.units import Array
 
@@ -36,6 +38,7 @@ def date_of(text: str) -> str | None:
 
 def seconds_of(text: pl.Series, day: int) -> pl.Series:
     """Seconds since midnight of a day (`day_of`); null where the text is no time."""
+    text = _parted(text)
     parts = {k: text.str.extract(_TIME, k) for k in range(1, 7)}
     hour, minute = (parts[k].cast(pl.Float64, strict=False) for k in (1, 2))
     half = parts[5].str.slice(0, 1).str.to_lowercase()  # of the day: 12 am is its beginning, 12 pm noon
@@ -47,9 +50,14 @@ def seconds_of(text: pl.Series, day: int) -> pl.Series:
     return (days - east) + hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
 
 
+def _parted(text: pl.Series) -> pl.Series:
+    """Dates and times whose parts are all joined alike as ISO 8601 has them."""
+    return text.str.replace(f'^\\s*"?{JOINED}', "${1}-${2}-${3}T${4}:${5}:${6}${7}")
+
+
 def _days(text: pl.Series) -> pl.Series:
     """Days since 1970-01-01; null without a date."""
-    found = [text.str.extract(_DATE, k) for k in range(1, 7)]
+    found = [_parted(text).str.extract(_DATE, k) for k in range(1, 7)]
     year, month, day = (found[i].zip_with(found[i].is_not_null(), found[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
     written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
     return written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)

@@ -40,6 +40,9 @@ _CLOCK = re.compile(
     r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*"
     r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
 )
+JOINED = r"(\d{4})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{2})[_-](\d{2})([.]\d+)?"
+"""A date with a time of day of which all parts are joined alike: 2026_06_15_18_21_44.62."""
+_JOINED = re.compile(JOINED)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -89,7 +92,7 @@ class Top:
 
 def is_clock(cell: str) -> bool:
     """Whether a cell is a time of day or a date with one."""
-    return ":" in cell and bool(_CLOCK.fullmatch(cell))
+    return bool(_CLOCK.fullmatch(cell) if ":" in cell else _JOINED.fullmatch(cell))
 
 
 class Recoded(io.BufferedIOBase):
@@ -135,13 +138,12 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     ]
     if not named:
         return Top(names=tuple(str(i + 1) for i in range(width)), lines=first, remarks=_said(lines[:first], dialect))
-    at, names = named[0]
+    plain = [(i, n) for i, n in named if sum(map(dialect.is_number, n)) < _LEAST_NUMBERS]
+    at, names = (plain or named)[0]  # else a row with much text in it stands below the names
     used = {at}
-    if len(named) > 1 and named[1][0] == at - 1 and _are_units(names):
-        at, names = (
-            at - 1,
-            tuple(f"{name} [{_bare(unit)}]" for name, unit in zip(named[1][1], names, strict=True)),
-        )
+    above_it = dict(named).get(at - 1)
+    if above_it is not None and _are_units(names):
+        at, names = at - 1, tuple(f"{name} [{_bare(unit)}]" for name, unit in zip(above_it, names, strict=True))
         names = tuple(name.removesuffix(" []") for name in names)
         used.add(at)
     rest = [line for i, line in enumerate(lines[:first]) if i not in used]

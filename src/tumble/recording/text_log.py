@@ -187,6 +187,8 @@ class _Text:
             if seconds is None:
                 raise ValueError(text)
             return float(seconds)
+        if "_" in text:  # a date such as 2026_06_15, which float() takes for a number
+            raise ValueError(text)
         return float(text.replace(",", ".") if self.source.dialect.decimal == "," else text)
 
 

@@ -18,10 +18,12 @@ ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 
 _KINDS: Mapping[str, re.Pattern[str]] = {
     ACCEL: re.compile(
-        r"^(?!.*(angular|gravity|free|user|bias|variance)).*(acc|force|delta_?vel)|(^|_)(a|f|d(el(ta)?_?)?v|a_rs_s)\d*$"
+        r"^(?!.*(angular|(?<!including_)grav|free|user|bias|variance|(^|_)lacc)).*(acc|force|delta_?vel)|"
+        r"(^|_)(a|f|d(el(ta)?_?)?v|a_rs_s)\d*$"
     ),
     GYRO: re.compile(
-        r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|rate_of_(rotation|turn)|omega|delta_?ang|dtheta)|"
+        r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|rate_of_(rotation|turn)|omega|"
+        r"delta_?ang|dtheta)|"
         r"(^|_)(w|g|as|rate|d(el(ta)?_?)?th(eta)?|w_rs_s)\d*$"
     ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
@@ -33,7 +35,7 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
 """Words for sensors in the names of files, and of rows."""
 
 _NO_SENSOR = re.compile(
-    r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|gravity|user|(^|_)lin|mag|compass|variance|bias|drift|"
+    r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|grav|user|(^|_)(lin|lacc)|mag|compass|variance|bias|drift|(^|_)calib(_|$)|"
     r"(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|status|(^|_)q[wxyz0-3]?$"
 )
 _WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
@@ -41,7 +43,7 @@ _WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
 
 _TIME = re.compile(
     r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
-    r"micros(econds)?|device_?time_?stamp|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
+    r"micros(econds)?|device_?time_?stamp|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|up_?time(_[a-z]+)?|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
     r"^time_(since|elapsed|from)|^elapsed_time"
 )
 _OF_THE_SAMPLE = re.compile(
@@ -125,7 +127,7 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     triads: dict[str, Sensors] = {}
     others: list[str] = []
     stems = _stems(name for name in names if name not in warm).items()
-    for (kind, stem), axes in sorted(stems, key=lambda found: bool(_WITHOUT_GRAVITY.search(found[0][1]))):
+    for (kind, stem), axes in sorted(stems, key=lambda found: _doubtful(found[0][1])):
         if set(axes) != set("xyz"):
             continue
         if kind in triads:
@@ -151,6 +153,11 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         temperatures=temperatures,
         others=(*others, *(name for name in warm if name not in temperatures)),
     )
+
+
+def _doubtful(stem: str) -> tuple[bool, bool]:
+    """How likely it is that a sensor of this name is none: those go first that say they read gravity."""
+    return bool(_WITHOUT_GRAVITY.search(stem)), "including_grav" not in stem
 
 
 def time_unit(name: str) -> str | None:
