@@ -10,6 +10,7 @@ import pytest
 
 from tumble.drafting.found_log import samples_in
 from tumble.drafting.log_times import Stamps, overflow_of, recordings_of, times_of_column
+from tumble.drafting.named_values import cells
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.raw_scale import accel_scale, plain_unit
 from tumble.drafting.respelled import respelled
@@ -262,3 +263,22 @@ def test_times_that_are_no_numbers_are_none(read: Array, tmp_path: Path) -> None
     np.savez(tmp_path / "imu.npz", t=np.full(600, np.nan), acc=read[:, :3], gyro=read[:, 3:])
     with pytest.raises(InputError, match="expected readings, found none"):
         new_session(tmp_path / "session", tmp_path / "imu.npz")
+
+
+def test_names_that_come_twice_have_the_word_before_them() -> None:
+    found = cells("20518269: |Acc X:-0.22, Acc Y:-0.11, Acc Z:9.19 |Gyr X:0.02, Gyr Y:0.1, Gyr Z:-0.01 |Mag X:-0.03")
+    assert list(found) == ["time", "Acc X", "Acc Y", "Acc Z", "Gyr X", "Gyr Y", "Gyr Z", "Mag X"]
+    assert (found["time"], found["Acc Z"], found["Gyr X"]) == ("20518269", "9.19", "0.02")
+    assert list(cells("Acc X: 1.0 g Y: 2.0 g Gyr X: 3.0 dps Y: 4.0 dps")) == ["Acc X", "Acc Y", "Gyr X", "Gyr Y"]
+
+
+def test_a_time_that_is_written_as_words_is_none(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    still = np.column_stack([G_STANDARD * np.repeat(FACES, 100, axis=0), np.zeros((600, 3))])
+    seconds = 120847.3 + 0.02 * np.arange(600)
+    rows = still + rng.normal(scale=0.01, size=(600, 6))
+    names = [f"EKF Raw {axis} {kind}" for kind in ("Accel", "Gyro") for axis in "XYZ"]
+    table = pl.DataFrame({"GPS time": [f"2022:{s:.3f}" for s in seconds], "iTOW": seconds})
+    table.hstack(pl.DataFrame(rows, schema=names)).write_csv(tmp_path / "esf.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "esf.csv")
+    assert draft.content["log"]["time"] == "iTOW"

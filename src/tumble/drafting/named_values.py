@@ -4,15 +4,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from tumble.recording.dialect import is_clock
 
 LONGEST_LINE = 4096
 _KEY = re.compile(r"([^\W\d][\w.]*)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))")
 _NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_WHEN = re.compile(r"[\s\[\]()>,;|-]*$")
+_WHEN = re.compile(r"[\s\[\]()>,;|:-]*$")
 _WORD = re.compile(r"([^\W\d]\w*)\s+$")
-_UNIT = re.compile(r"\s*(m/s\^?2|rad/s|deg/s|dps|mdps|m?g)\s*$")
+_UNIT = re.compile(r"(?<![^\W\d])\s*(m/s\^?2|rad/s|deg/s|dps|mdps|m?g)\s*$")
 _TIME = "time"
 
 
@@ -21,16 +22,30 @@ def cells(line: str) -> dict[str, str]:
     keys = list(_KEY.finditer(line[:LONGEST_LINE]))
     if not keys:
         return {}
-    when = _WHEN.sub("", line[: keys[0].start()]).strip(" []")
+    when = _WHEN.sub("", _WORD.sub("", line[: keys[0].start()])).strip(" []")
     found = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
-    for key, after in zip(keys, [*keys[1:], None], strict=True):
+    for key, name, after in zip(keys, _names(line, keys), [*keys[1:], None], strict=True):
         numbers = _NUMBER.findall(line[key.end() : after.start() if after else None])
         unit = f" [{key[2]}]" if key[2] else ""
         if len(numbers) == 1:
-            found[key[1] + unit] = numbers[0]
+            found[name + unit] = numbers[0]
         elif len(numbers) == 3:
-            found |= {f"{key[1]}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
+            found |= {f"{name}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
     return found
+
+
+def _names(line: str, keys: Sequence[re.Match[str]]) -> list[str]:
+    """The names in a line; where one comes twice, each with the last word before it: `Acc X: …, Gyr X: …`."""
+    names, word = [key[1] for key in keys], ""
+    if len(set(names)) == len(names):
+        return names
+    whole = []
+    for key in keys:
+        before = line[: key.start()]
+        said = None if _UNIT.search(before) else _WORD.search(before)
+        word = said[1] if said else word
+        whole.append(f"{word} {key[1]}" if word and len(key[1]) == 1 else key[1])
+    return whole
 
 
 def named_numbers(line: str) -> dict[str, str]:
