@@ -50,6 +50,12 @@ def test_unread_rows_do_not_hide_what_columns_are(read: Array) -> None:
     assert triads_of(blemished) == triads_of(read) == {ACCEL: ("1", "2", "3"), GYRO: ("4", "5", "6")}
 
 
+def test_sensors_are_not_of_two_arrays(read: Array) -> None:
+    found = columns_by_data(["fb[0]", "fb[1]", "fb[2]", "wb[0]", "wb[1]", "wb[2]"], read)
+    assert found.triads[ACCEL].columns == ("fb[0]", "fb[1]", "fb[2]")
+    assert not columns_by_data(["a[0]", "fb[0]", "fb[1]", "wb[0]", "wb[1]", "wb[2]"], read).triads
+
+
 def test_columns_of_which_no_stretch_is_whole_are_not_told_by_how_they_vary(read: Array) -> None:
     holed = read.copy()
     holed[::7, 0] = np.nan
