@@ -460,6 +460,7 @@ def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path)
         (p.positions_of_a_camera, "expected columns named as accelerometers are"),
         (p.gyros_alone, "expected columns named as accelerometers are"),
         (p.corrected_novatel, "of which gravity and the receiver's own corrections are taken off; log RAWIMUSX"),
+        (p.novatel_solution, "found INSPVAXA of NovAtel, a solution; log RAWIMUSX"),
     ],
 )
 def test_what_has_no_accelerometers_is_refused(write: p.Write, said: str, log: pl.DataFrame, tmp_path: Path) -> None:

@@ -50,6 +50,12 @@ def test_unread_rows_do_not_hide_what_columns_are(read: Array) -> None:
     assert triads_of(blemished) == triads_of(read) == {ACCEL: ("1", "2", "3"), GYRO: ("4", "5", "6")}
 
 
+def test_sensors_are_not_of_two_arrays(read: Array) -> None:
+    found = columns_by_data(["fb[0]", "fb[1]", "fb[2]", "wb[0]", "wb[1]", "wb[2]"], read)
+    assert found.triads[ACCEL].columns == ("fb[0]", "fb[1]", "fb[2]")
+    assert not columns_by_data(["a[0]", "fb[0]", "fb[1]", "wb[0]", "wb[1]", "wb[2]"], read).triads
+
+
 def test_columns_of_which_no_stretch_is_whole_are_not_told_by_how_they_vary(read: Array) -> None:
     holed = read.copy()
     holed[::7, 0] = np.nan
@@ -342,3 +348,22 @@ def test_a_row_with_much_text_in_it_is_no_line_of_names() -> None:
     top = top_of(("event,what,place,t,depth,x,y,z,behaviour,note", *rows), Dialect())
     assert top is not None
     assert top.names[5:8] == ("x", "y", "z")
+
+
+def test_names_that_come_twice_have_the_word_before_them() -> None:
+    found = cells("20518269: |Acc X:-0.22, Acc Y:-0.11, Acc Z:9.19 |Gyr X:0.02, Gyr Y:0.1, Gyr Z:-0.01 |Mag X:-0.03")
+    assert list(found) == ["time", "Acc X", "Acc Y", "Acc Z", "Gyr X", "Gyr Y", "Gyr Z", "Mag X"]
+    assert (found["time"], found["Acc Z"], found["Gyr X"]) == ("20518269", "9.19", "0.02")
+    assert list(cells("Acc X: 1.0 g Y: 2.0 g Gyr X: 3.0 dps Y: 4.0 dps")) == ["Acc X", "Acc Y", "Gyr X", "Gyr Y"]
+
+
+def test_a_time_that_is_written_as_words_is_none(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    still = np.column_stack([G_STANDARD * np.repeat(FACES, 100, axis=0), np.zeros((600, 3))])
+    seconds = 120847.3 + 0.02 * np.arange(600)
+    rows = still + rng.normal(scale=0.01, size=(600, 6))
+    names = [f"EKF Raw {axis} {kind}" for kind in ("Accel", "Gyro") for axis in "XYZ"]
+    table = pl.DataFrame({"GPS time": [f"2022:{s:.3f}" for s in seconds], "iTOW": seconds})
+    table.hstack(pl.DataFrame(rows, schema=names)).write_csv(tmp_path / "esf.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "esf.csv")
+    assert draft.content["log"]["time"] == "iTOW"

@@ -271,6 +271,15 @@ def gyros_alone(log: pl.DataFrame, folder: Path) -> str:
     return joined(folder / "Gyroscope.csv", ["Time (s)", *(f"{x} (rad/s)" for x in "XYZ")], [*text(t), *text(g)])
 
 
+def novatel_solution(log: pl.DataFrame, folder: Path) -> str:
+    lines = []
+    for s in 539371.0 + np.arange(float(len(log))):
+        body = f"INSPVAXA,COM3,0,93.2,FINESTEERING,2193,{s:.3f},0,03de,757;INS_RTKFIXED,40.2,116.2,62.9,-9.3,0.01,0.02"
+        lines += [f"#{body}*{zlib.crc32(body.encode(), 0xFFFFFFFF) ^ 0xFFFFFFFF:08x}\r\n"]
+    (folder / "pvax.txt").write_text("".join(lines), encoding="ascii", newline="")
+    return "pvax.txt"
+
+
 def corrected_novatel(log: pl.DataFrame, folder: Path) -> str:
     t, a, g = parts(log)
     lines = []

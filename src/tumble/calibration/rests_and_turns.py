@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.calibration.results import RestResult, SensorsAtRest, TurnResult
+from tumble.errors import InputError
 from tumble.estimation.estimate import Estimate
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests
@@ -13,8 +14,14 @@ from tumble.units import ZERO_CELSIUS, Array
 
 
 def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestResult, ...]:
-    """The rests of a calibration, in their order."""
+    """The rests of a calibration, in their order. Raises InputError where the fit ran away, as it may where the rests
+    are in nearly one attitude."""
     rests = observations.rests
+    if not np.isfinite(estimate.rest_residual).all():
+        raise InputError(
+            f"expected rests in attitudes far apart, found {len(rests)} for which the fit comes to no finite values; "
+            "put the device down in others too (`tumble programme` lists them)"
+        )
     return tuple(
         RestResult(
             file=int(rests.file[i]),

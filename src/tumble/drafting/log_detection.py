@@ -18,7 +18,7 @@ from tumble.drafting.respelled import respelled
 from tumble.drafting.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.errors import InputError
-from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of
+from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
 from tumble.recording.formats.columns import (
     ACCEL,
     GYRO,
@@ -167,10 +167,11 @@ def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog
     if len(rows) < 2:
         raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
+    words = {name for name, column in cells.items() if _are_words(column, dialect)}
     log = FoundLog(
         files=(file,),
         keys={} if plain else _keys(dialect),
-        columns=columns_by_name([name for name in top.names if top.names.count(name) == 1]),
+        columns=columns_by_name([name for name in top.names if top.names.count(name) == 1 and name not in words]),
         remarks=top.remarks,
         cells=cells,
         said=() if plain else (_described(dialect, top),),
@@ -180,6 +181,12 @@ def _found_text(file: Path, seen: bytes, dialect: Dialect, top: Top) -> FoundLog
         clock = next((name for name in cells if log.is_clock(name)), None)
         log = replace(log, columns=replace(log.columns, time=clock))
     return log
+
+
+def _are_words(column: Sequence[str], dialect: Dialect) -> bool:
+    """Whether the cells of a column are neither numbers nor times: week and seconds in one, `2022:120847.300`."""
+    found = [cell for cell in column if cell.strip()]
+    return bool(found) and not any(dialect.is_number(cell) or is_clock(cell) for cell in found)
 
 
 def _keys(dialect: Dialect) -> dict[str, Any]:

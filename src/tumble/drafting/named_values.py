@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from tumble.recording.dialect import is_clock
 
@@ -11,30 +12,46 @@ LONGEST_LINE = 4096
 _KEY = re.compile(r"([^\W\d][\w.]*)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))")
 _GROUP = re.compile(r"([^\W\d]\w*)\s*(?:\([^()]*\))?\s*:\s*(?=[^\W\d]\w*\s*=)")
 _NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_WHEN = re.compile(r"[\s\[\]()>,;|-]*$")
+_WHEN = re.compile(r"[\s\[\]()>,;|:-]*$")
 _WORD = re.compile(r"([^\W\d]\w*)\s+$")
-_UNIT = re.compile(r"\s*(m/s\^?2|rad/s|deg/s|dps|mdps|m?g)\s*$")
+_UNIT = re.compile(r"(?<![^\W\d])\s*(m/s\^?2|rad/s|deg/s|dps|mdps|m?g)\s*$")
 _TIME = "time"
 
 
 def cells(line: str) -> dict[str, str]:
-    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three.
-    Names with a sensor before them, `GYRO: X=0.1, Y=…`, are named with it."""
-    groups = list(_GROUP.finditer(line[:LONGEST_LINE]))
-    keys = list(_KEY.finditer(line[:LONGEST_LINE]))
+    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three."""
+    keys, groups = (list(pattern.finditer(line[:LONGEST_LINE])) for pattern in (_KEY, _GROUP))
     if not keys:
         return {}
-    when = _WHEN.sub("", line[: min(first.start() for first in (keys[0], *groups[:1]))]).strip(" []")
+    first = min(found.start() for found in (keys[0], *groups[:1]))
+    when = _WHEN.sub("", _WORD.sub("", line[:first])).strip(" []")
     found = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
-    for key, after in zip(keys, [*keys[1:], None], strict=True):
+    for key, name, after in zip(keys, _names(line, keys, groups), [*keys[1:], None], strict=True):
         numbers = _NUMBER.findall(line[key.end() : after.start() if after else None])
         unit = f" [{key[2]}]" if key[2] else ""
-        of = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
         if len(numbers) == 1:
-            found["_".join([*of[-1:], key[1]]) + unit] = numbers[0]
+            found[name + unit] = numbers[0]
         elif len(numbers) == 3:
-            found |= {f"{key[1]}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
+            found |= {f"{name}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
     return found
+
+
+def _names(line: str, keys: Sequence[re.Match[str]], groups: Sequence[re.Match[str]]) -> list[str]:
+    """The names in a line, with the sensor that stands before several, `GYRO: X=0.1, Y=…`; where one comes twice, each
+    with the last word before it: `Acc X: …, Gyr X: …`."""
+    names, word = [], ""
+    for key in keys:
+        of = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
+        names.append("_".join([*of[-1:], key[1]]))
+    if len(set(names)) == len(names):
+        return names
+    whole = []
+    for key in keys:
+        before = line[: key.start()]
+        said = None if _UNIT.search(before) else _WORD.search(before)
+        word = said[1] if said else word
+        whole.append(f"{word} {key[1]}" if word and len(key[1]) == 1 else key[1])
+    return whole
 
 
 def named_numbers(line: str) -> dict[str, str]:

@@ -18,12 +18,12 @@ _BEFORE = {"RAWIMUA": 1, "RAWIMUSA": 1, "RAWIMUXA": 3, "RAWIMUSXA": 3}
 
 _CORRECTED = ("CORRIMU", "IMURATECORRIMU")
 _BEHIND = 8  # seconds, status, three accelerometers, three gyros
-_LEAST_SHARE = 0.1
+_LEAST_SHARE, _MOST = 0.1, 0.5
 
 
 def novatel(lines: Sequence[str]) -> Spelling | None:
     """The spelling of lines of which some are raw sentences; None where they are none. Raises InputError for those that
-    have corrected readings alone."""
+    have corrected readings, or a solution, alone."""
     found = [parts for line in lines if (parts := _parts(line)) is not None]
     raw = sum(name in _BEFORE for name, _ in found)
     if raw >= max(2.0, _LEAST_SHARE * len(lines)):
@@ -34,6 +34,8 @@ def novatel(lines: Sequence[str]) -> Spelling | None:
             f"expected raw readings, found {corrected}, of which gravity and the receiver's own corrections are taken "
             "off; log RAWIMUSX"
         )
+    if not raw and len(found) >= max(2.0, _MOST * len(lines)):
+        raise InputError(f"expected readings of the sensors, found {found[0][0]} of NovAtel, a solution; log RAWIMUSX")
     return None
 
 

@@ -8,6 +8,7 @@ gravity. A time grows from row to row.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -16,6 +17,7 @@ from tumble.recording.formats.columns import ACCEL, GYRO, Columns, in_order
 from tumble.recording.formats.message import Sensors
 from tumble.units import G_STANDARD, Array, BoolArray
 
+_ELEMENT = re.compile(r"(.*)\[\d+\]")
 _BLOCK = 25
 _QUIET_SHARE = 0.4
 _SAME_LENGTH = 0.15
@@ -49,6 +51,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     attitudes = _attitudes(read, numbers)
     numbers = [j for j in numbers if j not in attitudes]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
+    runs = [run for run in runs if len({_array(names[j]) for j in run}) == 1]
     runs.sort(key=lambda run: _is_amid(run, numbers))
     found: dict[str, Run] = {}
     if runs and len(read) >= _FEWEST_ROWS:
@@ -60,6 +63,12 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
         temperatures=(),
         others=(),
     )
+
+
+def _array(name: str) -> str:
+    """The array that a column is of, `imu/fb` of `imu/fb[2]`; nothing for others."""
+    found = _ELEMENT.fullmatch(name)
+    return found[1] if found else ""
 
 
 Run = tuple[int, int, int]
