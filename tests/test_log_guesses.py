@@ -287,6 +287,12 @@ def test_accelerations_without_gravity_are_no_accelerometers() -> None:
     assert is_no_sensor("calib_accel")
 
 
+def test_forces_and_rates_in_the_body_are_sensors() -> None:
+    names = [f"imu/{kind}[{a}]" for kind in ("fb", "wb") for a in range(3)]
+    found = columns_by_name(names).triads
+    assert (found[ACCEL].columns, found[GYRO].columns) == (tuple(names[:3]), tuple(names[3:]))
+
+
 def test_the_time_since_a_board_was_started_is_one() -> None:
     assert columns_by_name(["uptime nav", "ax", "ay", "az"]).time == "uptime nav"
 

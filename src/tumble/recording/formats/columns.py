@@ -19,12 +19,12 @@ ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 _KINDS: Mapping[str, re.Pattern[str]] = {
     ACCEL: re.compile(
         r"^(?!.*(angular|(?<!including_)grav|free|user|bias|variance|(^|_)lacc)).*(acc|force|delta_?vel)|"
-        r"(^|_)(a|f|d(el(ta)?_?)?v|a_rs_s)\d*$"
+        r"(^|_)(a|fb?|d(el(ta)?_?)?v|a_rs_s)\d*$"
     ),
     GYRO: re.compile(
         r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|rate_of_(rotation|turn)|omega|"
         r"delta_?ang|dtheta)|"
-        r"(^|_)(w|g|as|rate|d(el(ta)?_?)?th(eta)?|w_rs_s)\d*$"
+        r"(^|_)(wb?|g|as|rate|d(el(ta)?_?)?th(eta)?|w_rs_s)\d*$"
     ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
 }
