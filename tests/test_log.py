@@ -481,17 +481,16 @@ def test_a_reading_beyond_1e300_is_a_lost_sample(value: str, tmp_path: Path) -> 
     assert [gap.samples for gap in log.gaps] == [1]
 
 
-@pytest.mark.parametrize("value", [" 1.5", "1.5 ", "\t1.5", '"1.5"', "1_5", "+1.5", ".5", "5.", "1E3", "-0"])
+@pytest.mark.parametrize("value", [" 1.5", "1.5 ", "\t1.5", '"1.5"', "+1.5", ".5", "5.", "1E3", "-0"])
 def test_number_that_python_reads_is_read(value: str, tmp_path: Path) -> None:
     samples = whole(csv_log(tmp_path, with_value(17, "ax", value)(lines())))
     expected = np.float64(float(value.strip('"')))
     assert samples["accel"][16, 0].tobytes() == expected.tobytes()
 
 
-@pytest.mark.parametrize("value", ["0x10", "1d5", "1;5", "1f", "None", "true", "1e", "--1", "1 2", "٫5", "²"])
-def test_what_python_does_not_read_is_a_lost_sample(value: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="could not convert"):
-        float(value)
+@pytest.mark.parametrize("value", ["0x10", "1d5", "1;5", "1f", "None", "true", "1e", "--1", "1 2", "٫5", "²", "1_5"])
+def test_what_is_no_number_is_a_lost_sample(value: str, tmp_path: Path) -> None:
+    """1_5 is one in Python's own language, and in a log what is left of a date."""
     log = csv_log(tmp_path, with_value(17, "ax", value)(lines()))
     check_ramp(whole(log))
     assert log.gaps == (Gap(file=0, row=17, time=0.17, samples=1, what=f"{value!r} in 'ax'"),)
