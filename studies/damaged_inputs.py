@@ -16,7 +16,8 @@ one command in this process. Case n of a seed is always the same, whatever ran b
     python studies/damaged_inputs.py [--short] [--cases N] [--seed S] [--first N] [--seconds S] [--verbose]
 
 With `--seconds` no case is begun after so long. `--first` starts at another case, for long runs in parts and to see one
-finding again with `--cases 1 --verbose`.
+finding again with `--cases 1 --verbose`. A long run says every 10,000 cases how far it is, so that one that is broken
+off counts as far as it went.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ from tumble.planning.setup import Setup
 from tumble.simulation.session import simulate_session
 from tumble.simulation.temperature_profile import temperature_profile
 
-SHORT, LONG = 80, 1_000_000
+SHORT, LONG, SAID = 80, 1_000_000, 10_000
 LONGEST, MOST, BEGUN = 20.0, 1 << 30, 5.0
 """How long and how large a command may be, and how long a campaign is looked at: s, bytes, s."""
 OFF = 3.0
@@ -757,6 +758,8 @@ def main() -> int:
         while done < most and time.monotonic() - started < given.seconds:
             number, done = given.first + done, done + 1
             finding = inputs.case(given.seed, number, given.verbose)
+            if done % SAID == 0:
+                print(f"{done} cases, {time.monotonic() - started:.0f} s", flush=True)
             if finding is not None:
                 kinds[finding.kind] += 1
                 if finding.kind not in first:

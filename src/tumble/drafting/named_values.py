@@ -9,8 +9,11 @@ from collections.abc import Sequence
 from tumble.recording.dialect import is_clock
 
 LONGEST_LINE = 4096
-_KEY = re.compile(r"([^\W\d][\w.]*)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))")
-_GROUP = re.compile(r"([^\W\d]\w*)\s*(?:\([^()]*\))?\s*:\s*(?=[^\W\d]\w*\s*=)")
+# A word is looked at from its first letter, and once: a line of nothing but letters takes no longer than another one.
+_KEY = re.compile(
+    r"(?<![^\W\d])([^\W\d][\w.]*+)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))"
+)
+_GROUP = re.compile(r"(?<![^\W\d])([^\W\d]\w*+)\s*(?:\([^()]*\))?\s*:\s*(?=[^\W\d]\w*\s*=)")
 _NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _WHEN = re.compile(r"[\s\[\]()>,;|:-]*$")
 _WORD = re.compile(r"([^\W\d]\w*)\s+$")
