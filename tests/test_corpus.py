@@ -69,7 +69,25 @@ CASES: dict[str, Case] = {
     "decimal comma, blanks": Case(write=d.decimal_comma("  "), said=("decimal commas",)),
     "comments": Case(write=d.named(d.NAMES, above="# device: imu\n# firmware 1.2\n"), said=("lines above",)),
     "names in a comment": Case(write=d.named(["# t", *d.NAMES[1:]], delimiter=" ", file="np.txt")),
-    "a line of units": Case(write=d.named(d.NAMES, delimiter=";"), said=("semicolons",)),
+    "a line of units": Case(
+        write=d.named(["s", *["m/s²"] * 3, *["deg/s"] * 3], gyro=DEG, delimiter=";", above=";".join(d.NAMES) + "\n"),
+        said=("semicolons", "gx [deg/s], gy [deg/s], gz [deg/s] in deg/s (from the name"),
+        worth=(1.0, DEG),
+    ),
+    "names of sensors above those of axes": Case(
+        write=d.named(["", *"xyzxyz"], above="time,Accelerometer,,,Gyroscope,,\n"), said=("Gyroscope x", GOOD)
+    ),
+    "names of sensors, axes and units": Case(
+        write=d.named(
+            ["[s]", *["[g]"] * 3, *["[°/s]"] * 3],
+            accel=G,
+            gyro=DEG,
+            delimiter="\t",
+            above="Time\tAccel\tAccel\tAccel\tGyro\tGyro\tGyro\n\tX\tY\tZ\tX\tY\tZ\n",
+        ),
+        said=("Gyro X [°/s]", "3 lines above", GOOD),
+        worth=(G, DEG),
+    ),
     "no names": Case(write=d.without_names, said=("columns without names", "by their numbers (a guess)")),
     "names end with a comma": Case(write=d.ends_with_comma("names"), said=(GOOD,)),
     "rows end with a comma": Case(write=d.ends_with_comma("rows"), said=(GOOD,)),
@@ -282,6 +300,10 @@ CASES: dict[str, Case] = {
     ),
     "cut last line": Case(write=d.cut, noted=("the last line is cut",)),
     "stamps repeated": Case(write=d.blemished(d.repeated), noted=("the time stamp of the row before",)),
+    "stamps out of line": Case(
+        write=d.blemished(d.out_of_line), within=2.0, noted=("before that of the row before", "beyond that of the next")
+    ),
+    "clock set back in a turn": Case(write=d.set_back_in_a_turn, within=3.0, noted=("the clock falls back in it",)),
     "rows twice": Case(write=d.blemished(d.doubled), noted=("the time stamp of the row before",)),
     "1 % lost": Case(write=d.blemished(d.lost), within=2.0, noted=("missing samples",)),
     "stamps jitter": Case(write=d.blemished(d.restamped(d.jitter)), said=("regular = true",)),

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from tumble.errors import LogError
 from tumble.recording import gaps as bridging
-from tumble.recording import table_log, text_pieces, unpacked
+from tumble.recording import table_log, text_pieces, timed_rows, unpacked
 from tumble.recording.description import description_of
 from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk, Log, open_log
@@ -185,9 +185,10 @@ CSV_FAULTS: dict[str, tuple[Callable[[Lines], Lines], str]] = {
         ": row 2 (line 3), column 't': expected a time after 0 s, found 0 s again; if the rows are equally spaced "
         "whatever their time stamps say, put regular = true in [log]",
     ),
-    "time backwards": (
-        with_value(250, "t", "1.5"),
-        ": row 250 (line 251), column 't': expected a time after 2.49 s, found 1.5 s running backwards",
+    "clock started anew": (
+        lambda table: [*table[:250], *table[1:52]],
+        ": row 250 (line 251), column 't': expected a time after 2.49 s, found 0.01 s running backwards; list "
+        "recordings whose time restarts as separate files",
     ),
     "first row too long": (
         lambda table: with_row(1, [*table[1], "1"])(table),
@@ -656,9 +657,17 @@ def test_gaps_in_memory_are_bounded(tmp_path: Path) -> None:
     frame = pl.DataFrame({"t": np.arange(30_000) / 100, **{name: np.ones(30_000) for name in NAMES[1:]}})
     frame = frame.with_columns(ax=pl.when(pl.arange(30_000) % 2 == 1).then(math.nan).otherwise(1.0))
     log = parquet_log(tmp_path, frame)
-    with mock.patch.object(table_log, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "_MOST", 700):
+    with mock.patch.object(table_log, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "MOST", 700):
         assert "expected at most 700 gaps in a file" in refusal(lambda: whole(log))
     assert len(log.gaps) < 1700
+
+
+def test_rows_behind_in_memory_are_bounded(tmp_path: Path) -> None:
+    time = np.arange(30_000) / 100.0
+    time[1000:] -= 20.0
+    log = parquet_log(tmp_path, pl.DataFrame({"t": time, **{name: np.ones(30_000) for name in NAMES[1:]}}))
+    with mock.patch.object(table_log, "_PARQUET_ROWS", 500), mock.patch.object(timed_rows, "MOST", 300):
+        assert "row 1001, column 't': expected a time after 9.99 s, found -10 s running" in refusal(lambda: whole(log))
 
 
 def test_gaps_are_those_of_the_latest_reading(tmp_path: Path) -> None:
@@ -701,6 +710,9 @@ BLEMISHES: dict[str, tuple[Change, str]] = {
     "quotation mark that does not end": (with_value(17, "ax", '"9.8'), "2 values: left out"),
     "time that is none": (with_value(17, "t", "12:30"), "'12:30' in 't': left out"),
     "time repeated": (with_value(17, "t", "0.16"), "the time stamp of the row before: left out"),
+    "time that falls back": (with_value(17, "t", "0.10"), "a time stamp before that of the row before: left out"),
+    "time of nothing": (with_value(17, "t", "0"), "a time stamp before that of the row before: left out"),
+    "time with a digit too many": (with_value(17, "t", "1.7"), "a time stamp beyond that of the next row: left out"),
     "row too short": (with_row(17, ["0.17", "1"]), "2 values: left out"),
     "row short by one": (lambda table: with_row(17, table[17][:-1])(table), "7 values: left out"),
     "row too long": (lambda table: with_row(17, [*table[17], "1"])(table), "9 values: left out"),
@@ -719,6 +731,53 @@ def test_isolated_bad_row_is_a_lost_sample_that_is_named(name: str, size: int, t
     assert {gap.row for gap in log.gaps} <= {17, 18}
     assert said in log.gaps[0].what
     assert all(gap.integrable for gap in log.gaps)
+
+
+def test_two_rows_in_the_wrong_order_cost_one(tmp_path: Path) -> None:
+    log = csv_log(tmp_path, [*(table := lines())[:17], table[18], table[17], *table[19:]])
+    check_ramp(whole(log))
+    assert [(gap.row, gap.samples) for gap in log.gaps] == [(17, 0), (19, 1)]
+
+
+def test_a_first_row_with_an_older_time_than_the_next_is_left_out(tmp_path: Path) -> None:
+    samples = whole(log := csv_log(tmp_path, with_value(1, "t", "73.2")(lines())))
+    assert len(samples["time"]) == ROWS - 1
+    assert [(gap.row, gap.samples, gap.integrable) for gap in log.gaps] == [(1, 0, True)]
+
+
+@pytest.mark.parametrize("rows", [1, 3, 8])
+@pytest.mark.parametrize("size", [60, 700, 1 << 24])
+def test_stamps_that_fall_back_while_time_passes_are_missing_samples(rows: int, size: int, tmp_path: Path) -> None:
+    table = lines()
+    for row in range(100, 100 + rows):
+        table[row][0] = f"{0.5 + 0.01 * (row - 100):.2f}"
+    log = csv_log(tmp_path, table)
+    with mock.patch.multiple(text_pieces, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+        samples = whole(log)
+    assert len(samples["time"]) == (ROWS if rows <= 5 else ROWS - rows)
+    assert sorted((gap.row, gap.samples) for gap in log.gaps)[-1] == (100 + rows, rows)
+    assert all(gap.integrable for gap in log.gaps) == (rows <= 5)
+
+
+SET_BACK: dict[str, Change] = {
+    "a clock that is set back": lambda table: [
+        *table[:100],
+        *([f"{float(line[0]) - 0.04:.2f}", *line[1:]] for line in table[100:]),
+    ],
+    "rows there twice": lambda table: [*table[:100], *table[96:100], *table[100:]],
+}
+
+
+@pytest.mark.parametrize("name", SET_BACK)
+@pytest.mark.parametrize("size", [60, 700, 1 << 24])
+def test_nothing_is_integrated_where_a_clock_falls_back(name: str, size: int, tmp_path: Path) -> None:
+    log = csv_log(tmp_path, SET_BACK[name](lines()))
+    with mock.patch.multiple(text_pieces, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+        samples = whole(log)
+    (gap,) = log.gaps
+    assert (gap.row, gap.samples, gap.integrable, gap.why) == (100, 4, False, "the clock falls back in it")
+    assert (gap.time, gap.stop) == (pytest.approx(0.99), pytest.approx(1.0))
+    assert np.diff(samples["time"]).min() > 0.0
 
 
 @pytest.mark.parametrize(

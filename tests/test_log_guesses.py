@@ -179,6 +179,13 @@ def test_clocks_that_are_started_anew_part_a_log() -> None:
     late = np.sort(stamps)
     late[100] -= 0.15
     assert recordings_of(late) is None
+    for single in (0.0, 1e6):
+        wrong = np.sort(stamps)
+        wrong[100] = single
+        assert recordings_of(wrong) is None
+        wrong = stamps.copy()
+        wrong[100] = single
+        assert recordings_of(wrong) == [(0, 300), (300, 500)]
 
 
 def test_a_log_whose_clock_starts_anew_becomes_files(read: Array, tmp_path: Path) -> None:

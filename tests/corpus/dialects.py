@@ -319,6 +319,15 @@ def lost(rows: Lines) -> Lines:
     return [row for row, kept in zip(rows, keep, strict=True) if kept]
 
 
+def out_of_line(rows: Lines) -> Lines:
+    """Stamps that fall back, to nothing too, or have a digit too many, and pairs of rows in the wrong order."""
+    for k, change in ((211, -0.3), (602, -1e9), (1003, 1e4), (1404, -0.05)):
+        rows[k][0] = f"{max(float(rows[k][0]) + change, 0.0):.6f}"
+    for k in (305, 906, 1507):
+        rows[k], rows[k + 1] = rows[k + 1], rows[k]
+    return rows
+
+
 def doubled(rows: Lines) -> Lines:
     out = []
     for k, row in enumerate(rows):
@@ -358,6 +367,12 @@ def gap_in_a_rest(log: pl.DataFrame, folder: Path) -> str:
 
 def gap_in_a_turn(log: pl.DataFrame, folder: Path) -> str:
     return blemished(gap(_turns(log)[5]))(log, folder)
+
+
+def set_back_in_a_turn(log: pl.DataFrame, folder: Path) -> str:
+    """A clock that is set back by 0.2 s in the third turn."""
+    k = _turns(log)[2] + 1
+    return blemished(lambda rows: [*rows[:k], *([f"{float(r[0]) - 0.2:.6f}", *r[1:]] for r in rows[k:])])(log, folder)
 
 
 def moving(log: pl.DataFrame) -> Array:

@@ -65,6 +65,7 @@ Text = Annotated[str, AfterValidator(_is_plain)]
 Number = Annotated[float, AfterValidator(_is_sized)]
 Size = Annotated[float, AfterValidator(_is_size)]
 Rate = Annotated[float, Field(gt=0.0), AfterValidator(_is_size)]
+Spread = Annotated[float, Field(gt=0.0), AfterValidator(_is_size)]
 Date = Annotated[str, AfterValidator(_is_date)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
 Vector = Annotated[list[Number], Field(max_length=MOST_PARAMETERS)]
@@ -96,7 +97,7 @@ class _ParameterKeys(_Keys):
     deviation: Number | None = None
     run_to_run: Size | None = None
     dof: Size | None = None
-    prior: Size | None = None
+    prior: Spread | None = None
     learned: Number | None = None
 
     @model_validator(mode="after")

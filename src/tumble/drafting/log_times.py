@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.recording.timed_rows import leaping
 from tumble.units import TIME_UNITS, Array
 
 ASSUMED_RATE = 100.0
@@ -141,12 +142,16 @@ def overflow_of(values: Array) -> float | None:
 
 def recordings_of(values: Array) -> list[tuple[int, int]] | None:
     """First and last + 1 row of recordings that follow each other in a log, each with a clock that was started anew;
-    None for one, and where stamps fall by little, or a stretch between falls is no recording."""
-    steps = np.diff(values)
+    None for one, and where stamps fall by little, or a stretch between falls is no recording. Single stamps that leap
+    or fall back are no falls."""
+    alone = leaping(values, -math.inf, 0.0)
+    alone[1:-1] |= (values[1:-1] < values[:-2]) & (values[2:] > values[:-2])
+    rows = np.flatnonzero(~alone)
+    steps = np.diff(values[rows])
     falls = np.flatnonzero(steps < 0.0)
     if not 0 < len(falls) <= _MOST_RECORDINGS or (steps[falls] > -_LATE * np.median(steps)).any():
         return None
-    edges = list(pairwise([0, *(falls + 1).tolist(), len(values)]))
+    edges = list(pairwise([0, *rows[falls + 1].tolist(), len(values)]))
     return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
 
 

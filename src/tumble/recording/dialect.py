@@ -146,8 +146,35 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
         at, names = at - 1, tuple(f"{name} [{_bare(unit)}]" for name, unit in zip(above_it, names, strict=True))
         names = tuple(name.removesuffix(" []") for name in names)
         used.add(at)
+    grouped = _grouped(names, dialect.cells(above[at - 1][1])) if at else None
+    if grouped is not None:
+        names = grouped
+        used.add(at - 1)
     rest = [line for i, line in enumerate(lines[:first]) if i not in used]
     return Top(names=names, lines=first, remarks=_said(rest, dialect))
+
+
+def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
+    """Names of which some come again, x, y, z, x, y, z, with what stands above them, over the first of each group; None
+    where that does not tell them apart."""
+    plain = [_plain(name) for name in names]
+    again = [bool(name) and plain.count(name) > 1 for name in plain]
+    if not any(again) or len(above) != len(names):
+        return None
+    group, found = "", []
+    for name, own, shared in zip(names, above, again, strict=True):
+        group = own or group
+        if shared:
+            found.append(f"{group} {name}".strip())
+        else:
+            found.append(f"{own} [{_bare(name)}]" if own and name and _are_units([name]) else name or own)
+    every = [_plain(name) for name in found if name]
+    return tuple(found) if len(set(every)) == len(every) else None
+
+
+def _plain(name: str) -> str:
+    """A name without its unit."""
+    return re.sub(r"\s*[\[(].*", "", name).lower()
 
 
 def _first_row(rows: Mapping[int, int]) -> int | None:

@@ -8,10 +8,9 @@ A lost sample is a row that is not there, one that cannot be read, or one with a
 * More are left out, and the samples go on behind them. A rest does not mind. A turn that was not recorded as a whole
   cannot be integrated: its `Gap` is not `integrable`, and `observations` leaves the turn out.
 
-A row whose time cannot be read, or is that of the row before, is left out, and is a missing one unless the next row
-follows in time. In a log without times a row is a sample whatever it holds; where it may have been none, the gap is not
-integrable. Everything is reported as `Gap`; more gaps than a fiftieth of the rows are an error, and so are times that
-run backwards.
+A row that has no time of its own is left out (`timed_rows`), and is a missing one unless the next row follows in time.
+In a log without times a row is a sample whatever it holds; where it may have been none, the gap is not integrable.
+Everything is reported as `Gap`; more gaps than a fiftieth of the rows are an error.
 
 Nothing depends on how the stream is cut: rows that cannot be judged before the next table are held back.
 """
@@ -20,30 +19,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.log_source import Kind, LogSource, Unread, unread_error
+from tumble.recording.log_source import LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
 from tumble.units import Array, BoolArray, IntArray
 
-_JUMP = 1.5
+JUMP = 1.5
 """A step in time longer than this many intervals is a gap."""
 
 _BRIDGED_SAMPLES = 5
-_SHARE = 2e-2
-_FREE = 3
-_MOST = 100_000
+SHARE = 2e-2
+FREE = 3
+MOST = 100_000
 """A gap of so many samples is bridged; in a file there may be as many gaps as 2 % of its rows and 3, and never more
 than 100 000."""
 REGULAR_HINT = "if the rows are equally spaced whatever their time stamps say, put regular = true in [log]"
 _SHORTEST_TIME = 2.0
 _LARGEST, _LARGEST_LIKELY = 1e300, 1e30
-_HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,24 +81,21 @@ def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array)
     steps = np.diff(time)
     if steps.min(initial=1.0) <= 0.0:
         at = int(np.argmax(steps <= 0.0)) + 1
-        what = "again" if steps[at - 1] == 0.0 else "running backwards"
-        advice = REGULAR_HINT if steps[at - 1] == 0.0 else "list recordings whose time restarts as separate files"
+        if steps[at - 1] < 0.0:
+            raise runs_backwards(source, spec, int(numbers[at]), float(time[at - 1]), float(time[at]))
         raise LogError(
             f"{source.place(int(numbers[at]), spec.time)}: expected a time after {time[at - 1]:.9g} s, "
-            f"found {time[at]:.9g} s {what}; {advice}"
+            f"found {time[at]:.9g} s again; {REGULAR_HINT}"
         )
     return steps
 
 
-def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
-    """The first times of a file without those that cannot be read or are repeated, if these are few."""
-    found = is_reading(time)
-    kept = time[found]
-    again = np.concatenate([[False], np.diff(kept) == 0.0])
-    if np.count_nonzero(again) > _FREE + _SHARE * len(time) or np.count_nonzero(found) < 2:
-        check_time(source, spec, np.arange(1, len(time) + 1), time)
-    check_time(source, spec, np.arange(1, len(time) + 1)[found][~again], kept[~again])
-    return np.asarray(kept[~again])
+def runs_backwards(source: LogSource, spec: LogSpec, row: int, before: float, time: float) -> LogError:
+    """Of a file whose time, s, falls back in a row, and stays behind."""
+    return LogError(
+        f"{source.place(row, spec.time)}: expected a time after {before:.9g} s, found {time:.9g} s running backwards; "
+        "list recordings whose time restarts as separate files"
+    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -155,103 +150,6 @@ class Grid:
         return np.asarray(self.start + self.interval * np.rint((time - self.start) / self.interval))
 
 
-def rows_of(source: LogSource, spec: LogSpec, file: int, grid: Grid | None, gaps: list[Gap]) -> Iterator[LogRows]:
-    """The rows of a file that have a time; on a grid, row k, counted from 0, has its k-th time, or the one nearest to
-    its stamp. Lines that are left out are added to `gaps`."""
-    groups = [spec.accel.columns]
-    groups += [spec.gyro.columns] if spec.gyro else []
-    groups += [spec.magnetometer.columns] if spec.magnetometer else []
-    groups += [spec.temperature.columns] if spec.temperature else []
-    sieve = _Sieve(source=source, spec=spec, file=file, grid=grid, gaps=gaps)
-    first = 1
-    for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
-        numbers = np.arange(first, first + table.height)
-        time = table[spec.time].to_numpy() * spec.time_factor if spec.time is not None else np.empty(table.height)
-        values = tuple(side_by_side(table, group) for group in groups)
-        rows = LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread})
-        yield sieve.kept(rows)
-        first += table.height
-    sieve.check_end(first - 1)
-
-
-@dataclass(kw_only=True, slots=True)
-class _Sieve:
-    """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
-    the last of them; `shift`: what midnights have added to a clock, s."""
-
-    source: LogSource
-    spec: LogSpec
-    file: int
-    grid: Grid | None
-    gaps: list[Gap]
-    count: int = 0
-    last: float = -math.inf
-    shift: float = 0.0
-    left_out: int = 0
-    first: Gap | None = None
-
-    def kept(self, rows: LogRows) -> LogRows:
-        lines = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or self._untimed(u)]
-        if lines:
-            keep = np.ones(len(rows.numbers), dtype=bool)
-            keep[np.array([u.row for u in lines]) - rows.numbers[0]] = False
-            rows = rows.part(keep)
-        rows = self._timed(rows)
-        for u in lines:
-            if u.row == 1 and u.kind in (Kind.ROW, Kind.VALUE):
-                raise unread_error(self.source, u)
-            if u.kind is not Kind.NO_ROW:
-                self._leave_out(u.row, u.what, rows)
-        self.count += len(rows.time)
-        self.last = float(rows.time[-1]) if len(rows.time) else self.last
-        return rows
-
-    def _untimed(self, unread: Unread) -> bool:
-        """Whether a row has lost the time that it had."""
-        return (self.grid is None or self.grid.rounded) and (unread.column is None or unread.column == self.spec.time)
-
-    def _timed(self, rows: LogRows) -> LogRows:
-        if self.grid is not None and not self.grid.rounded:
-            number = np.arange(self.count, self.count + len(rows.time), dtype=float)
-            return replace(rows, time=np.asarray(self.grid.start + self.grid.interval * number, dtype=float))
-        if self.spec.clock and len(rows.time):
-            time = rows.time + self.shift
-            passed = np.cumsum(np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0]) < -_HALF_DAY)
-            self.shift += 2.0 * _HALF_DAY * float(passed[-1])
-            rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
-        if self.grid is not None:
-            rows = replace(rows, time=self.grid.nearest(rows.time))
-        again = np.diff(rows.time, prepend=self.last) == 0.0
-        if not again.any():
-            return rows
-        for number in rows.numbers[again].tolist():
-            self._leave_out(number, "the time stamp of the row before", rows)
-        return rows.part(~again)
-
-    def _leave_out(self, row: int, what: str, rows: LogRows) -> None:
-        self.left_out += 1
-        before = int(np.searchsorted(rows.numbers, row)) - 1
-        time = float(rows.time[before]) if before >= 0 else max(self.last, 0.0)
-        gap = Gap(file=self.file, row=row, time=time, samples=0, what=f"{what}: left out")
-        self.first = self.first or gap
-        if self.left_out > _MOST:
-            raise self._too_many(self.count)
-        self.gaps.append(gap)
-
-    def check_end(self, rows: int) -> None:
-        """Whether few rows were left out."""
-        if self.left_out > _FREE + _SHARE * rows:
-            raise self._too_many(rows)
-
-    def _too_many(self, rows: int) -> LogError:
-        assert self.first is not None
-        advice = f"; {REGULAR_HINT}" if "stamp" in self.first.what else "; look at the file, or record again"
-        return LogError(
-            f"{self.source.place(self.first.row)}: expected at most {_SHARE:.0%} of the rows and {_FREE} to be left "
-            f"out, found {self.left_out} of {rows}, the first here ({self.first.what}){advice}"
-        )
-
-
 def side_by_side(table: pl.DataFrame, columns: Sequence[str]) -> Array:
     """Columns of a table side by side, column after column in memory."""
     out = np.empty((len(columns), table.height))
@@ -303,7 +201,7 @@ class Bridge:
         number, time = (rows.numbers, rows.time) if before is None else before.times_followed_by(rows)
         steps = check_time(self.source, self.spec, number, time)
         values, broken = rows.values, None
-        if lost.any() or steps.max(initial=0.0) > _JUMP * self.interval:
+        if lost.any() or steps.max(initial=0.0) > JUMP * self.interval:
             time, filled, broken = self._filled(rows if before is None else before.followed_by(rows), steps)
             steps = np.diff(time)
             values = tuple(v[before is not None :] for v in filled)
@@ -333,7 +231,7 @@ class Bridge:
     def _missing(self, steps: Array) -> IntArray:
         """How many samples are missing before rows 1, 2, …, by their steps in time; of too many to be bridged, one more
         than are."""
-        missing = np.where(steps > _JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
+        missing = np.where(steps > JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
         return np.minimum(missing, _BRIDGED_SAMPLES + 1).astype(np.int64)
 
     def _report(self, rows: LogRows, place: IntArray, time: Array, start: int, stop: int) -> None:
@@ -356,8 +254,8 @@ class Bridge:
         self.found += 1
         self.first = self.first or gap
         self.gaps.append(gap)
-        if self.found > _MOST:
-            raise self._too_many(f"{_MOST}", "a file")
+        if self.found > MOST:
+            raise self._too_many(f"{MOST}", "a file")
 
     def _doubtful(self, lost: LogRows) -> bool:
         """Whether rows without times may have been no samples."""
@@ -405,9 +303,9 @@ class Bridge:
         length = float(self.last.time[0]) - self.start + self.interval
         if length < _SHORTEST_TIME * (1.0 - 1e-9):
             raise LogError(f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s")
-        allowed = _FREE + math.floor(_SHARE * self.rows)
+        allowed = FREE + math.floor(SHARE * self.rows)
         if self.found > allowed:
-            raise self._too_many(f"{allowed}", f"{self.rows} rows ({_SHARE:.0%} and {_FREE})")
+            raise self._too_many(f"{allowed}", f"{self.rows} rows ({SHARE:.0%} and {FREE})")
 
     def _too_many(self, allowed: str, where: str) -> LogError:
         assert self.first is not None

@@ -17,11 +17,12 @@ import numpy as np
 from tumble.errors import LogError, did_you_mean
 from tumble.recording.circumstances import date_of_unix
 from tumble.recording.even_times import regular_grid, rounded_grid
-from tumble.recording.gaps import Bridge, Gap, Grid, check_head, rows_of
+from tumble.recording.gaps import Bridge, Gap, Grid
 from tumble.recording.log_source import LogSource, readable
 from tumble.recording.readers import source_of
 from tumble.recording.samples import Samples
 from tumble.recording.session import LogSpec, Session
+from tumble.recording.timed_rows import check_head, rows_of
 from tumble.units import ZERO_CELSIUS, Array
 
 _HEAD_ROWS = 1000
@@ -109,7 +110,7 @@ class Log:
         spec = self.session.log
         source, grid = self._sources[file], self._grids[file]
         bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=self._gaps)
-        rows = rows_of(source, spec, file, grid if spec.unstamped or grid.rounded else None, self._gaps)
+        rows = rows_of(source, spec, file, grid, self._gaps, on_grid=spec.unstamped or grid.rounded)
         for time, dt, values in bridge.samples(rows):
             yield Chunk(
                 file=file,
