@@ -35,6 +35,11 @@ G = 1.0 / G_STANDARD
 WORDS = ("--latitude", LATITUDE, "--serial", "mems-3")
 PHYPHOX = ["Time (s)", *(f"Acceleration {a} (m/s^2)" for a in "xyz"), *(f"Gyroscope {a} (rad/s)" for a in "xyz")]
 WIT = ["Time(s)", *(f"Acc{a}(g)" for a in "XYZ"), *(f"As{a}(deg/s)" for a in "XYZ")]
+VEHICLE = [
+    "Time [s]",
+    *(f"{a} acceleration [g]" for a in ("Longitudinal", "Lateral", "Vertical")),
+    *(f"{a} rate [deg/s]" for a in ("Roll", "Pitch", "Yaw")),
+]
 WIT_CN = ["时间(秒)", *(f"加速度{a}(g)" for a in "XYZ"), *(f"角速度{a}(°/s)" for a in "XYZ")]
 VECTORNAV = ["TimeStartup [ns]", *(f"Accel{a} [m/s^2]" for a in "XYZ"), *(f"Gyro{a} [rad/s]" for a in "XYZ")]
 SBG = [
@@ -170,6 +175,9 @@ CASES: dict[str, Case] = {
         said=("m/s (", "in rad, not rad/s"),
     ),
     "SBG": Case(write=d.named(SBG, time=1e6), said=("in us (by its name)",)),
+    "vehicle": Case(
+        write=d.named(VEHICLE, accel=G, gyro=DEG), said=("Longitudinal acceleration", "Yaw rate", GOOD), worth=(G, DEG)
+    ),
     "OpenAXES": Case(write=d.named(OPENAXES, gyro=DEG, time=1e3), said=("in ms",), worth=(1.0, DEG)),
     "Arduino, AVR": Case(
         write=d.raw(16384.0, 131.0, names=AVR),

@@ -211,6 +211,28 @@ def test_rates_have_the_names_of_the_mechanics_of_flight() -> None:
 
 
 @pytest.mark.parametrize(
+    "names",
+    [
+        ["longitudinal_acc", "lateral_acc", "vertical_acc", "roll_rate", "pitch_rate", "yaw_rate"],
+        ["AccLong", "AccLat", "AccVert", "GyroRoll", "GyroPitch", "GyroYaw"],
+        ["Surge acceleration", "Sway acceleration", "Heave acceleration", "rollspeed", "pitchspeed", "yawspeed"],
+    ],
+)
+def test_sensors_have_the_names_of_a_vehicle(names: list[str]) -> None:
+    found = columns_by_name(["roll", "yaw", *reversed(names), "pitch", "t"])
+    assert found.triads[ACCEL].columns == tuple(names[:3])
+    assert found.triads[GYRO].columns == tuple(names[3:])
+
+
+def test_angles_and_set_points_of_a_vehicle_are_no_sensors() -> None:
+    for word in ("", "_setpoint", "_rate_setpoint", "_error", "_acceleration"):
+        names = ["ax", "ay", "az", *(f"{axis}{word}" for axis in ("roll", "pitch", "yaw"))]
+        assert set(columns_by_name(names).triads) == {ACCEL}
+    names = ["lat_accuracy", "long_accuracy", "vert_accuracy", "lateral_error", "longitudinal_error", "vertical_error"]
+    assert not columns_by_name(names).triads
+
+
+@pytest.mark.parametrize(
     ("names", "time"),
     [
         (["server_time", "device_timestamp_ms"], "device_timestamp_ms"),

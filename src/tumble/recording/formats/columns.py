@@ -66,8 +66,21 @@ _TEMPERATURE_UNITS = {
     "raw": "raw", "count": "raw", "counts": "raw", "lsb": "raw", "adc": "raw",
 }  # fmt: skip
 
-_RATES_OF_FLIGHT = ("p", "q", "r")
-"""The names of a body's rates about x, y and z in the mechanics of flight."""
+_DIRECTIONS: Mapping[str, tuple[re.Pattern[str], ...]] = {
+    ACCEL: tuple(
+        re.compile(rf"({words})_(imu_)?acc(el(eration|erometer)?)?")
+        for words in ("longitudinal|long|longit|forward|surge", "lateral|lat|transverse|sway", "vertical|vert|heave")
+    ),
+    GYRO: tuple(
+        re.compile(rf"{letter}|{word}_((imu|body)_)?((ang(ular)?_?)?(rate|vel(ocity)?|speed)|gyro?(scope)?)")
+        for letter, word in zip("pqr", ("roll", "pitch", "yaw"), strict=True)
+    ),
+}
+"""Names of sensors along x, y and z by what these are in a vehicle, the direction first; p, q, r are a body's rates in
+the mechanics of flight."""
+_DIRECTION = re.compile(
+    r"roll|pitch|yaw|longitudinal|long|longit|forward|surge|lateral|lat|transverse|sway|vertical|vert|heave"
+)
 
 _LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _COUNTED = {"1": "x", "2": "y", "3": "z"}
@@ -135,10 +148,10 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         else:
             three = axes["x"], axes["y"], axes["z"]
             triads[kind] = Sensors(columns=three, unit=_UNITS[kind].get(_split(three[0])[1]))
-    flight = {words[0]: name for name in names if (words := _split(name)[0])[1:] == [] and words}
-    if GYRO not in triads and set(_RATES_OF_FLIGHT) <= set(flight):
-        p, q, r = (flight[letter] for letter in _RATES_OF_FLIGHT)
-        triads[GYRO] = Sensors(columns=(p, q, r), unit=_UNITS[GYRO].get(_split(p)[1]))
+    for kind, patterns in _DIRECTIONS.items():
+        x, y, z = (next((n for n in names if pattern.fullmatch(_direction_first(n))), None) for pattern in patterns)
+        if kind not in triads and x is not None and y is not None and z is not None:
+            triads[kind] = Sensors(columns=(x, y, z), unit=_UNITS[kind].get(_split(x)[1]))
     taken = {column for triad in triads.values() for column in triad.columns}
     free = [name for name in names if name and name not in taken]
     times = [name for name in free if name != "T" and _TIME.search("_".join(_split(name)[0]))]
@@ -227,6 +240,12 @@ def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
                 found.setdefault((kind, stem), {}).setdefault(axis, name)
                 break
     return found
+
+
+def _direction_first(name: str) -> str:
+    """The words of a name with the direction, where there is one, before the others: roll_rate of `RateRoll`."""
+    words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_split(name)[0])).split("_")
+    return "_".join(sorted(words, key=lambda word: not _DIRECTION.fullmatch(word)))
 
 
 def _axes(words: list[str]) -> list[tuple[str, str]]:
