@@ -1,6 +1,6 @@
 """Text logs that are no table, as one: `ax=0.01 ay=-0.02 …`, `acc: 0.1, 0.2, 9.8; gyro: …`, sentences `$VNYMR,…`,
-objects of JSON, samples of several lines, rows in brackets or behind the clock of a serial monitor, and lines that
-end in a carriage return alone.
+objects of JSON, samples of several lines, lists in cells, units behind the numbers, rows in brackets or behind the
+clock of a serial monitor, and lines that end in a carriage return alone.
 
 What is written is a CSV file in the session's folder, a row for each line, with the names before the signs. A name with
 three numbers behind it is three columns. A line with other names is left as it is, for the reader to report.
@@ -19,6 +19,7 @@ from tumble.drafting.novatel import novatel
 from tumble.drafting.sentences import sentences
 from tumble.drafting.several_lines import several_lines
 from tumble.drafting.spelling import Spelling, most_common, of_named_values
+from tumble.drafting.units_in_cells import units_in_cells
 from tumble.errors import InputError
 from tumble.files import not_there, whole_file
 from tumble.recording.dialect import encoding_of
@@ -39,9 +40,10 @@ def respelled(file: Path, seen: bytes, folder: Path) -> tuple[Path, str] | None:
     text = seen.decode(encoding, errors="replace")
     lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
     try:
-        spelling = sentences(lines) or novatel(lines) or json_lines(lines) or several_lines(lines) or list_cells(lines)
+        spelling = sentences(lines) or novatel(lines) or json_lines(lines) or several_lines(lines)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+    spelling = spelling or list_cells(lines) or units_in_cells(lines)
     spelling = spelling or of_named_values(cells, lines, "names before the numbers") or _framed(lines)
     if spelling is None and sum(_without_thousands(line) != line for line in lines) > 1:
         spelling = Spelling(
