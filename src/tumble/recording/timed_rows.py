@@ -161,7 +161,14 @@ class _Sieve:
             rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
         if self.on_grid:
             rows = replace(rows, time=self.grid.nearest(rows.time))
-        return self._in_order(self._without_leaps(rows))
+        return rows if self._grow(rows.time) else self._in_order(self._without_leaps(rows))
+
+    def _grow(self, time: Array) -> bool:
+        """Whether times (m,) follow those before, and each other, and the last does not leap."""
+        if self.held is not None or self.behind is not None or len(time) < 2 or not time[0] > self.last:
+            return False
+        steps = np.diff(time)
+        return bool(steps.min() > 0.0 and steps[-1] <= JUMP * self.grid.interval)
 
     def _without_leaps(self, rows: LogRows) -> LogRows:
         """Without single rows that leap; a last one that may is held back until the next is known."""
