@@ -361,6 +361,8 @@ def damaged(change: Callable[[Any], None]) -> bytes:
             "axes.accel: expected 3 sensors, as accel.b",
         ),
         (damaged(lambda c: c["covariance"][0].__setitem__(0, -1.0)), "covariance[1][1]: expected no variance below 0"),
+        (damaged(lambda c: c["covariance"][0].__setitem__(0, 1e-300)), "covariance[1][1]: expected zero or a variance"),
+        (damaged(lambda c: c["parameters"][0].__setitem__("prior", 0.0)), "a larger number at parameters[1].prior"),
     ],
 )
 def test_a_file_that_is_none_is_refused_in_one_line(tmp_path: Path, text: bytes, said: str) -> None:

@@ -284,9 +284,13 @@ class _ResultKeys(_Keys):
             shape = f"({len(rows)}, {len(rows[0])}) for {len(self.parameters)} parameters"
             raise PydanticCustomError("shape", "a covariance of shape {shape}", {"shape": shape})
         for number, row in enumerate(rows, 1):
-            if row[number - 1] < 0.0:
+            variance = row[number - 1]
+            if variance < 0.0:
+                raise ValueError(f"covariance[{number}][{number}]: expected no variance below 0, found {variance:g}")
+            if 0.0 < variance < LEAST**2:
                 raise ValueError(
-                    f"covariance[{number}][{number}]: expected no variance below 0, found {row[number - 1]:g}"
+                    f"covariance[{number}][{number}]: expected zero or a variance of at least {LEAST**2:g}, "
+                    f"found {variance:g}"
                 )
         for name, count in Counter(parameter.name for parameter in self.parameters).items():
             if count > 1:

@@ -40,14 +40,10 @@ _PASSED = 0.5
 
 def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
     """The first times of a file without those that cannot be read, are repeated, leap or fall back, if they are few."""
-    number = np.flatnonzero(is_reading(time))
-    again = np.diff(time[number], prepend=-math.inf) == 0.0
-    number = number[~again]
-    alone = leaping(time[number], -math.inf, 0.0)
-    number = number[~alone]
+    read = np.flatnonzero(is_reading(time))
+    number = read[~leaping(time[read], -math.inf, 0.0)]
     kept = number[~_no_later(time[number], -math.inf)]
-    few = FREE + SHARE * len(time)
-    if np.count_nonzero(again) > few or len(time) - len(kept) > 2.0 * few or len(kept) < 2:
+    if len(read) - len(kept) > FREE + SHARE * len(time) or len(kept) < 2:
         check_time(source, spec, np.arange(1, len(time) + 1), time)
     return np.asarray(time[kept])
 

@@ -339,7 +339,8 @@ def correlations(calibration: Calibration, name: str) -> Section | None:
         return None
     names = [p.name for p in calibration.parameters]
     u = np.sqrt(np.diag(calibration.covariance))
-    r = calibration.covariance / np.where(u > 0.0, np.outer(u, u), 1.0)
+    scale = np.where(u > 0.0, u, 1.0)
+    r = np.clip(calibration.covariance / scale[:, None] / scale, -1.0, 1.0)
     p, q = np.tril_indices(len(names), -1)
     order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_STRONGEST]
     rows = tuple((names[p[i]], names[q[i]], fixed(float(r[p[i], q[i]]), 3)) for i in order)
