@@ -229,6 +229,21 @@ def test_numbers_of_more_bits_than_others_hold_are_lost(record: Array, tmp_path:
     assert lost.sum() == lost[7].sum() > 0
 
 
+def test_structures_that_are_not_alike_are_left_aside(record: Array, tmp_path: Path) -> None:
+    runs = np.zeros((1, 3), dtype=[("t", object), ("name", object)])
+    for i in range(3):
+        runs[0, i]["t"], runs[0, i]["name"] = np.arange(5.0 + i), "a" * i
+    savemat(tmp_path / "r.mat", {"acc": record[:, :3], "gyro": record[:, 3:], "runs": runs})
+    accel, gyro = sensors(messages(tmp_path / "r.mat"))
+    assert accel is gyro
+
+
+def test_an_array_without_sensors_is_called_so(tmp_path: Path) -> None:
+    np.save(tmp_path / "imu.npy", np.random.default_rng(1).normal(scale=50.0, size=(310, 6)))
+    with pytest.raises(InputError, match="expected messages with accelerometers, found no arrays named as"):
+        messages(tmp_path / "imu.npy")
+
+
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_recording_comes_back_as_it_was_written(name: str, record: Array, tmp_path: Path) -> None:
     WRITERS[name](tmp_path / name, record)

@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 from tumble.drafting.found_log import samples_in
+from tumble.drafting.gyro_unit_by_readings import step_in_deg_s
 from tumble.drafting.log_times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.drafting.named_values import cells
 from tumble.drafting.new_session import Given, new_session
@@ -402,3 +403,112 @@ def test_a_time_that_is_written_as_words_is_none(tmp_path: Path) -> None:
     table.hstack(pl.DataFrame(rows, schema=names)).write_csv(tmp_path / "esf.csv")
     draft, _ = new_session(tmp_path / "session", tmp_path / "esf.csv")
     assert draft.content["log"]["time"] == "iTOW"
+
+
+@pytest.mark.parametrize(
+    ("accel", "gyro"),
+    [
+        ("accel_{}", "anglvel_{}"),
+        ("acc_{}", "angular_{}"),
+        ("top_accel_{}", "top_gy_{}"),
+        ("{}la", "{}av"),
+        ("{} (m/s^2)", "{} (rad/s)"),
+        ("{} [mg]", "{} [dps]"),
+    ],
+)
+def test_names_of_sensors_that_others_write(accel: str, gyro: str) -> None:
+    forces, rates = ([name.format(a) for a in "xyz"] for name in (accel, gyro))
+    found = columns_by_name(["t", *rates, *forces])
+    assert found.triads[ACCEL].columns == tuple(forces)
+    assert found.triads[GYRO].columns == tuple(rates)
+
+
+def test_tenths_of_degrees_a_second_are_a_unit(read: Array, tmp_path: Path) -> None:
+    names = ["t (s)", *(f"acc {a} (m/s^2)" for a in "xyz"), *(f"gyroscope {a} (0.1 deg/s)" for a in "xyz")]
+    table = np.column_stack([0.01 * np.arange(600), read[:, :3], np.round(100.0 * read[:, 3:])])
+    pl.DataFrame(table, schema=names).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
+    assert (draft.content["log"]["gyro"]["scale"], draft.content["log"]["gyro"]["scale_per"]) == (10.0, "deg/s")
+
+
+@pytest.mark.parametrize("decimals", [2, 3, 4])
+def test_quaternions_that_are_rounded_are_no_accelerometers(decimals: int) -> None:
+    angle = np.cumsum(np.full((600, 4), [0.02, 0.031, 0.013, 0.007]), axis=0)
+    quaternion = np.sin(angle)
+    quaternion = np.round(quaternion / np.linalg.norm(quaternion, axis=1)[:, None], decimals)
+    assert triads_of(quaternion) == {}
+
+
+def test_columns_of_other_names_are_no_sensor_by_their_numbers(read: Array) -> None:
+    for names in (["RSSI (dB)", "LQ (%)", "SNR (dB)"], ["sitting", "standing", "walking"], ["room", "y", "z"]):
+        assert columns_by_data(names, read[:, :3]).triads == {}
+    for names in (["fz1", "fz2", "fz3"], ["Kanal X", "Kanal Y", "Kanal Z"], ["9", "10", "11"]):
+        assert columns_by_data(names, read[:, :3]).triads[ACCEL].columns == tuple(names)
+    assert is_no_sensor("seconds_elapsed")
+
+
+def test_steps_of_six_digits_are_those_of_data_sheets() -> None:
+    counts = np.random.default_rng(5).normal(scale=900.0, size=(3000, 3)).round()
+    written = np.array([[float(f"{value:.6g}") for value in row] for row in (0.00875 * counts).tolist()])
+    assert step_in_deg_s(written) == 0.00875
+    assert step_in_deg_s(written * 1.0003) is None
+
+
+def test_names_are_those_of_the_first_columns_where_the_others_are_empty() -> None:
+    text = ("a,t,ax,ay,az", *(f"0,{0.01 * k:.2f},0.1,0.2,9.8,,," for k in range(20)))
+    top = top_of(text, Dialect())
+    assert top is not None
+    assert top.names == ("a", "t", "ax", "ay", "az", "", "", "")
+
+
+def test_a_line_of_the_numbers_of_columns_is_no_row() -> None:
+    text = (",0,1,2,3,4,5", *(f"{k},0.1,0.2,9.8,0,0,{k % 3}" for k in range(20)))
+    top = top_of(text, Dialect())
+    assert top is not None
+    assert (top.lines, top.names) == (1, ("1", "2", "3", "4", "5", "6", "7"))
+
+
+def test_a_quantity_has_the_word_before_it() -> None:
+    line = "[IMU] Orientation: (0, 0.1, -0.7, 0.6), Angular Velocity: (0.1, 0.2, 0.3), Linear Acceleration: (1, 2, 9.1)"
+    assert list(cells(line)) == [f"{name}_{a}" for name in ("Angular Velocity", "Linear Acceleration") for a in "xyz"]
+
+
+@pytest.mark.parametrize(("first", "taken"), [("Timestamp", "Milliseconds"), ("received time", "device time")])
+def test_of_several_times_that_is_taken_which_grows_from_row_to_row(
+    first: str, taken: str, read: Array, tmp_path: Path
+) -> None:
+    passed = 10.0 * np.arange(600)
+    coarse = np.floor(passed / 1000.0) if first == "Timestamp" else np.full(600, 1.57e18)
+    names = [first, taken, *(f"a{a}" for a in "xyz"), *(f"g{a}" for a in "xyz")]
+    pl.DataFrame(np.column_stack([coarse, passed, read]), schema=names).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
+    assert draft.content["log"]["time"] == taken
+    assert "regular" not in draft.content["log"]
+
+
+def test_what_a_filter_has_left_without_gravity_is_said(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    table = np.column_stack([0.01 * np.arange(2000), rng.normal(scale=0.7, size=(2000, 3)), rng.normal(size=(2000, 3))])
+    names = ["t", *(f"a{a}" for a in "xyz"), *(f"g{a}" for a in "xyz")]
+    pl.DataFrame(table, schema=names).write_csv(tmp_path / "log.csv")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
+    assert any("gravity is not in them" in said for said in draft.said)
+
+
+def test_rows_of_sensors_whose_names_stand_in_comments(read: Array, tmp_path: Path) -> None:
+    """Logs of the app GetSensorData, as the competitions of IPIN have them."""
+    head = (
+        "% LogFile created by the 'GetSensorData' App.\n"
+        "% ACCE data: \t'ACCE;AppTimestamp(s);SensorTimestamp(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2);Accuracy'\n"
+        "% GYRO data: \t'GYRO;AppTimestamp(s);SensorTimestamp(s);Gyr_X(rad/s);Gyr_Y(rad/s);Gyr_Z(rad/s);Accuracy'\n"
+    )
+    rows = []
+    for k, row in enumerate(read.tolist()):
+        for word, values, late in (("ACCE", row[:3], 0.0), ("GYRO", row[3:], 0.002)):
+            t = 0.01 * k + late
+            rows.append(f"{word};{t:.3f};{t + 1000.0:.3f};" + ";".join(f"{v:.5f}" for v in values) + ";3\n")
+        rows += [f"WIFI;{0.01 * k:.3f};{0.01 * k:.3f};Net;aa:bb;2412;-70\n"] if k % 100 == 0 else []
+    (tmp_path / "log.txt").write_text(head + "".join(rows))
+    draft, _ = new_session(tmp_path / "session", tmp_path / "log.txt")
+    assert [draft.content["log"][kind]["unit"] for kind in (ACCEL, GYRO)] == ["m/s^2", "rad/s"]
+    assert any("one log at the times of the gyros" in said for said in draft.said)

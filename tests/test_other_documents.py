@@ -88,6 +88,7 @@ def sbet(records: int) -> bytes:
         ("mission.out", sbet(60), "a trajectory \\(SBET\\), which a filter has made"),
         ("0000000007.txt", " ".join(["49.0", "8.4", *28 * ["0.1"]]).encode(), "one sample of a vehicle .*KITTI"),
         ("flight.bbl", b"H Product:Blackbox flight data\nH version:2\n" + 99 * b"\1", "blackbox_decode"),
+        ("tests.tar", b"a.txt" + 252 * b"\0" + b"ustar" + 99 * b"\0", r"an archive of several files \(tar\); unpack"),
         ("GX010017.MP4", b"\0\0\0\x14ftypmp41" + 99 * b"\0", "a video; .*GoPro"),
         ("imu.imr", b"$IMURAW\0" + 99 * b"\0", "IMR of Waypoint"),
         ("MT.mtb", b"\xfa\xff\x36" + 99 * b"\0", "MTB of Xsens"),

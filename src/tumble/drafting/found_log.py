@@ -23,7 +23,7 @@ LONGEST = 2_000_000
 """Rows that are looked at."""
 
 SAMPLE_ROWS = 200
-_FUSED = re.compile(r"grav|user_?acc|linear_?acc|\blacc", re.IGNORECASE)
+_FUSED = re.compile(r"grav|user_?acc|linear_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
 _FILLED = 50
 """Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""

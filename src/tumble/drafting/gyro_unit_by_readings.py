@@ -18,6 +18,7 @@ _STEPS = (
 _DECIMALS = range(9)
 _ROUNDED, _FEWEST, _SHARE = 0.2, 20, 0.99
 _SINGLE = 1e-6  # of the largest: what numbers of 32 bits are rounded to
+_DIGITS = 6  # that programs write of a number, unless they are told otherwise
 
 
 def too_fast_for_rad_s(read: Array) -> bool:
@@ -34,10 +35,17 @@ def step_in_deg_s(read: Array) -> float | None:
         return None
     whole = np.concatenate(values)
     decimals = (d for d in _DECIMALS if np.abs(whole - whole.round(d)).max() < 1e-3 * 10.0**-d)
-    rounding = max(10.0 ** -next(decimals, 9), _SINGLE * float(np.abs(whole).max()))
+    rounding = max(10.0 ** -next(decimals, 9), _SINGLE * float(np.abs(whole).max()), _last_digit(whole))
     apart = [column[1:] - column[0] for column in values]
     fits = (step for step in sorted(_STEPS, reverse=True) if rounding < _ROUNDED * step)
     return next((step for step in fits if all(_share(a / step, rounding / step) >= _SHARE for a in apart)), None)
+
+
+def _last_digit(numbers: Array) -> float:
+    """What the last of six digits of the largest number counts, if all have no more; 0 else."""
+    last = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(numbers), 1e-300))) + 1 - _DIGITS)
+    digits = numbers / last
+    return float(last.max()) if np.abs(digits - np.rint(digits)).max() < 1e-3 else 0.0
 
 
 def _share(counts: Array, rounding: float) -> float:

@@ -13,6 +13,8 @@ import polars as pl
 
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, check_has_accelerometers, samples_in
 from tumble.drafting.json_document import tables_of_json
+from tumble.drafting.log_times import times_of_column
+from tumble.drafting.mended_log import nanoseconds_of
 from tumble.drafting.other_formats import check_is_log
 from tumble.drafting.respelled import respelled
 from tumble.drafting.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
@@ -35,6 +37,7 @@ from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text_pieces import opened
 
 _SEEN_BYTES = 1 << 18
+_GROWING = 0.9  # of the steps of stamps that are those of rows
 
 
 def files_of(log: Path) -> list[Path]:
@@ -67,6 +70,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
     """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
     logs, left = _those_with_rows(files, folder)
+    logs = [_with_finest_time(log) if len(log.columns.times) > 1 else log for log in logs]
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
         return replace(apart, said=(*apart.said, *left))
@@ -139,9 +143,9 @@ def _found(file: Path, folder: Path) -> list[FoundLog]:
     if not seen:
         raise _NoRowsError(f"{file}: expected a log, found an empty file")
     check_is_log(file, seen)
-    kinds = headed_kinds(seen)
+    delimiter, kinds = headed_kinds(seen)
     if kinds:
-        return [log for part in split_by_header(file, kinds, folder) for log in _found(part, folder)]
+        return [log for part in split_by_header(file, kinds, delimiter, folder) for log in _found(part, folder)]
     copied = respelled(file, seen, folder)
     if copied is not None:
         return [replace(log, said=(copied[1], *log.said)) for log in _found(copied[0], folder)]
@@ -257,6 +261,21 @@ def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Columns:
 def _with_unit(kind: str, sensors: Sensors) -> Sensors:
     """Sensors with the unit that the names of their columns say."""
     return replace(sensors, unit=unit_of_name(kind, sensors.columns[0]))
+
+
+def _with_finest_time(log: FoundLog) -> FoundLog:
+    """A log with several times: with the first whose stamps grow from row to row, else the first that grows at all."""
+    growing: list[FoundLog] = []
+    first = log.columns.time
+    for name in (first, *(name for name in log.columns.times if name != first)):
+        trial = replace(log, columns=replace(log.columns, time=name, time_unit=time_unit(name or "")))
+        stamps = trial.stamps()
+        if stamps is None or times_of_column(stamps) is None:
+            continue
+        if np.mean(np.diff(stamps.values) > 0.0) > _GROWING or nanoseconds_of(trial) is not None:
+            return trial
+        growing.append(trial)
+    return next(iter(growing), log)
 
 
 def _with_time(log: FoundLog) -> FoundLog:

@@ -97,7 +97,7 @@ def _with_time(mending: _Mending, log: FoundLog, rate: float | None) -> _Mending
         said.append(f"time: none, but column {counter!r} counts the samples and shows some to be missing")
         per_second = rate or times_without_column(None, log.remarks).rate
         return replace(mending, time=(counter, 1.0 / per_second), said=tuple(said))
-    nanoseconds = _nanoseconds(log) if rate is None else None
+    nanoseconds = nanoseconds_of(log) if rate is None else None
     if nanoseconds is not None:
         said.append(f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added")
         return replace(mending, time=(column, 1.0), nanoseconds=nanoseconds, said=tuple(said))
@@ -186,7 +186,7 @@ def _overflow(log: FoundLog) -> float | None:
     return None if column is None or log.is_clock(column) else overflow_of(log.read([column])[:, 0])
 
 
-def _nanoseconds(log: FoundLog) -> str | None:
+def nanoseconds_of(log: FoundLog) -> str | None:
     """The column of the nanoseconds, where that of the time has the whole seconds alone: header.stamp.nsecs beside
     header.stamp.secs."""
     column = log.columns.time

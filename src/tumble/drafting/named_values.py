@@ -19,6 +19,7 @@ _WHEN = re.compile(r"[\s\[\]()>,;|:-]*$")
 _WORD = re.compile(r"([^\W\d]\w*)\s+$")
 _UNIT = re.compile(r"(?<![^\W\d])\s*(m/s\^?2|rad/s|deg/s|dps|mdps|m?g)\s*$")
 _TIME = "time"
+_QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
 
 def cells(line: str) -> dict[str, str]:
@@ -35,8 +36,15 @@ def cells(line: str) -> dict[str, str]:
         if len(numbers) == 1:
             found[name + unit] = numbers[0]
         elif len(numbers) == 3:
+            name = _qualified(line[: key.start()], name)
             found |= {f"{name}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
     return found
+
+
+def _qualified(before: str, name: str) -> str:
+    """A name of a quantity with the word before it, as in `Angular Velocity: (…)`."""
+    word = _WORD.search(before) if name.lower() in _QUANTITIES else None
+    return f"{word[1]} {name}" if word else name
 
 
 def _names(line: str, keys: Sequence[re.Match[str]], groups: Sequence[re.Match[str]]) -> list[str]:

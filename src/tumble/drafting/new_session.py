@@ -44,12 +44,15 @@ from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS,
 _HEAD = 20_000
 _TOLERANCE, _TOLERANCE_MG = 0.3, 0.12  # 800 and 1200 are counts per g of data sheets
 _SOFT = 0.03
+_SECONDS, _FEWEST_MEANS, _STEADY = 2.0, 3, 0.4
+"""Of accelerometers that turn slowly the mean over so long is most of gravity."""
 _FIELDS = {
     "uT": (15.0, 150.0),
     "nT": (15e3, 150e3),
     "gauss": (0.15, 1.5),
     "T": (15e-6, 150e-6),
 }  # with iron about
+_PARTS_OF_DEG_S = {"mdps": (1000.0, "thousandths"), "0.1 deg/s": (10.0, "tenths")}
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 
 
@@ -136,6 +139,7 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
     said += [f"also there, and not used: {', '.join(found.others)}"] if found.others else []
     magnitude = _magnitude(log, found.triads[ACCEL])
     content, more, unknown = _content(log, times, found, magnitude)
+    more += _without_gravity(log, found.triads[ACCEL], times.rate)
     magnetometer, most = _magnetometer(log, found.triads.get(MAGNETOMETER))
     return Draft(
         content=content,
@@ -149,6 +153,24 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
         accel_whole=_is_whole(log.read(found.triads[ACCEL].columns, rows=_HEAD)),
         accel_magnitude=magnitude,
     )
+
+
+def _without_gravity(log: FoundLog, accel: Sensors, rate: float) -> list[str]:
+    """A remark where what accelerometers read is nearly nothing at the mean over two seconds, as without gravity."""
+    read = log.read(accel.columns, rows=_HEAD)
+    read = read[np.isfinite(read).all(axis=1)]
+    rows = max(int(_SECONDS * rate), 2)
+    whole = len(read) // rows * rows
+    if whole < _FEWEST_MEANS * rows:
+        return []
+    means = np.linalg.norm(read[:whole].reshape(-1, rows, 3).mean(axis=1), axis=1)
+    share = float(np.median(means) / max(np.median(np.linalg.norm(read, axis=1)), 1e-300))
+    if share > _STEADY:
+        return []
+    return [
+        f"accelerometers: at the mean over {_SECONDS:g} s they read {share:.0%} of what they read at a time: gravity "
+        "is not in them; what a filter has left of the readings cannot be calibrated"
+    ]
 
 
 def _is_whole(read: Array) -> bool:
@@ -304,7 +326,10 @@ def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, 
     if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
         said = [f"accelerometers: {named} in {sensors.unit} (from the name or the format), magnitude {magnitude:.6g}"]
         if abs(magnitude * ACCEL_UNITS[sensors.unit].per_second(times.rate) / G_STANDARD - 1.0) > _TOLERANCE:
-            said.append(f"accelerometers: their magnitude is not that of gravity in {sensors.unit}: is the unit right?")
+            asked = "is the unit right?"
+            if "lin" in columns[0].lower():
+                asked = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
+            said.append(f"accelerometers: their magnitude is not that of gravity in {sensors.unit}: {asked}")
         return {"columns": columns, "unit": sensors.unit}, said
     for name, unit in ACCEL_UNITS.items():
         named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
@@ -323,10 +348,11 @@ def _gyro(sensors: Sensors, read: Array, *, raw: bool) -> tuple[dict[str, Any], 
     which no gyro reads in rad/s."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
-    if sensors.unit == "mdps":
+    if sensors.unit in _PARTS_OF_DEG_S:
+        scale, part = _PARTS_OF_DEG_S[sensors.unit]
         return (
-            {"columns": columns, "unit": "count", "scale": 1000.0, "scale_per": "deg/s"},
-            [f"gyros: {named} in thousandths of deg/s (from the name)"],
+            {"columns": columns, "unit": "count", "scale": scale, "scale_per": "deg/s"},
+            [f"gyros: {named} in {part} of deg/s (from the name)"],
             False,
         )
     if sensors.unit is not None and GYRO_UNITS[sensors.unit].kind != "raw":

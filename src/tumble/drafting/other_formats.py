@@ -28,6 +28,10 @@ def check_is_log(file: Path, seen: bytes) -> None:
     for start, mark, name, advice in _BINARY:
         if seen[start : start + len(mark)] == mark:
             raise InputError(f"{file}: expected a log, found {name}; {advice}")
+    if seen[257:262] == b"ustar":
+        raise InputError(
+            f"{file}: expected a log, found an archive of several files (tar); unpack it, and give its files"
+        )
     if _is_sbet(file, seen):
         raise InputError(
             f"{file}: expected readings of accelerometers and gyros, found a trajectory (SBET), which a filter has "

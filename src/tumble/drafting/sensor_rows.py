@@ -3,6 +3,7 @@ sensor, which are logs of sensors in files of their own."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -18,6 +19,7 @@ from tumble.recording.text_pieces import opened
 
 _MOST_SENSORS = 20
 _LONGEST_LINE = 4096
+_STATED = re.compile(r"^[#%\s]*(?:[^'#%]*')?")
 _UNNAMED = ("time", "x", "y", "z")
 
 
@@ -43,18 +45,22 @@ def are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
     )
 
 
-def headed_kinds(seen: bytes) -> dict[str, list[str]]:
-    """The names of the columns of rows of each sensor, where comments state them, `# UncalAccel,utcTimeMillis,…`: of
-    those with accelerometers and gyros, by the word that their rows begin with. None where they are not apart so."""
+def headed_kinds(seen: bytes) -> tuple[str, dict[str, list[str]]]:
+    """The names of the columns of rows of each sensor, where comments state them, `# UncalAccel,utcTimeMillis,…` or
+    `% ACCE data: 'ACCE;AppTimestamp(s);…'`: of those with accelerometers and gyros, by the word that their rows begin
+    with, and the delimiter before. None where they are not apart so."""
     lines = seen.decode(errors="replace").splitlines()
-    words = {line.partition(",")[0] for line in lines if not line.startswith("#")}
-    headers = [line.lstrip("# ").split(",") for line in lines if line.startswith("#")]
-    named = {word: names for word, *names in headers if word in words}
-    of_sensors = {word: names for word, names in named.items() if {ACCEL, GYRO} & set(columns_by_name(names).triads)}
-    return of_sensors if len(of_sensors) > 1 else {}
+    stated = [_STATED.sub("", line).rstrip("' ") for line in lines if line.startswith(("#", "%"))]
+    for delimiter in (",", ";"):
+        words = {line.partition(delimiter)[0] for line in lines if not line.startswith(("#", "%"))}
+        named = {word: names for word, *names in (line.split(delimiter) for line in stated) if word in words}
+        found = {word: names for word, names in named.items() if {ACCEL, GYRO} & set(columns_by_name(names).triads)}
+        if len(found) > 1:
+            return delimiter, found
+    return "", {}
 
 
-def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
+def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], delimiter: str, folder: Path) -> list[Path]:
     """The rows of each sensor in a file of its own, with the names that comments state of it."""
     folder.mkdir(parents=True, exist_ok=True)
     parts = {word: folder / f"{file.name.partition('.')[0]}-{plain_name(word)}.csv" for word in kinds}
@@ -63,9 +69,9 @@ def split_by_header(file: Path, kinds: Mapping[str, Sequence[str]], folder: Path
         for word, names in kinds.items():
             outs[word].write(f"{','.join(names)}\n".encode())
         for line in stream:
-            word, _, rest = line[:_LONGEST_LINE].decode(errors="replace").partition(",")
+            word, _, rest = line[:_LONGEST_LINE].decode(errors="replace").partition(delimiter)
             if word in outs:
-                outs[word].write(rest.rstrip("\r\n").encode() + b"\n")
+                outs[word].write(rest.rstrip("\r\n").replace(delimiter, ",").encode() + b"\n")
     return list(parts.values())
 
 

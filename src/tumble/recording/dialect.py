@@ -125,6 +125,8 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     """What stands above the first row of numbers in the first lines of a file; None where no such row is. Remembered,
     because a file is opened several times on the way to a calibration."""
     rows = {i: len(cells) for i, line in enumerate(lines) if dialect.is_row(cells := dialect.cells(line))}
+    if 0 in rows and _are_numbers_of_columns(dialect.cells(lines[0])):
+        del rows[0]
     first = _first_row({i: width for i, width in rows.items() if not dialect.is_comment(lines[i])})
     if first is None:
         return None
@@ -152,6 +154,11 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
         used.add(at - 1)
     rest = [line for i, line in enumerate(lines[:first]) if i not in used]
     return Top(names=names, lines=first, remarks=_said(rest, dialect))
+
+
+def _are_numbers_of_columns(cells: Sequence[str]) -> bool:
+    """Whether a first line has the numbers of the columns, above those of the rows: `,0,1,2,…`, as pandas writes it."""
+    return not cells[0] and cells[1:] == [str(k) for k in range(len(cells) - 1)]
 
 
 def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
@@ -209,6 +216,8 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
     while len(names) > width and not names[-1]:
         names = names[:-1]
+    if len(names) < width - 1 and not any("".join(cells[len(names) :]) for cells in rows):
+        return (*names, *[""] * (width - len(names)))
     if len(names) != width - 1:
         return tuple(names)
     wider = [cells for cells in rows if len(cells) == width]

@@ -32,8 +32,8 @@ def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
         return []
     return [
         f"the accelerometers leap by {leap:.2g} m/s^2 from sample to sample, most of the time: columns "
-        f"{', '.join(map(repr, log.accel.columns))} have rows of several sensors; give each its own columns, or "
-        "let `tumble new` take them apart"
+        f"{', '.join(map(repr, log.accel.columns))} have rows of several sensors, or the device was shaken throughout; "
+        "give each sensor its own columns, and let the device rest"
     ]
 
 

@@ -71,7 +71,7 @@ def messages(path: Path) -> list[Message]:
 
 def _check_no_tables(path: Path) -> None:
     """Raises InputError for a MATLAB file with tables or timetables, which only MATLAB reads."""
-    if h5py.is_hdf5(path):
+    if path.suffix.lower() != ".mat" or h5py.is_hdf5(path):
         return
     with warnings.catch_warnings(action="ignore", category=MatReadWarning):
         opaque = [v for v in loadmat(path).values() if isinstance(v, MatlabOpaque)]
@@ -202,8 +202,9 @@ def _of_objects(value: Any) -> bool:
 
 
 def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Structures of one sample each as arrays of all samples, by their names."""
-    return {name: np.array([np.asarray(s.get(name, np.nan)) for s in samples]) for name in samples[0]}
+    """Structures of one sample each as arrays of all samples, by their names; without what is not alike in all."""
+    found = {name: [np.asarray(sample.get(name, np.nan)) for sample in samples] for name in samples[0]}
+    return {name: np.array(parts) for name, parts in found.items() if len({part.shape for part in parts}) == 1}
 
 
 def _datasets(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:

@@ -19,12 +19,12 @@ ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 _KINDS: Mapping[str, re.Pattern[str]] = {
     ACCEL: re.compile(
         r"^(?!.*(angular|(?<!including_)grav|free|user|bias|variance|(^|_)lacc)).*(acc|force|delta_?vel)|"
-        r"(^|_)(a|fb?|d(el(ta)?_?)?v|a_rs_s)\d*$"
+        r"(^|_)(a|fb?|la|d(el(ta)?_?)?v|a_rs_s)\d*$"
     ),
     GYRO: re.compile(
-        r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|ang_?vel|ang(ular)?_?rate|rate_of_(rotation|turn)|omega|"
+        r"^(?!.*(bias|drift|variance)).*(gyr|angular_?vel|angl?_?vel|ang(ular)?_?rate|rate_of_(rotation|turn)|omega|"
         r"delta_?ang|dtheta)|"
-        r"(^|_)(wb?|g|as|rate|d(el(ta)?_?)?th(eta)?|w_rs_s)\d*$"
+        r"(^|_)(wb?|gy?|av|as|rate|angular|d(el(ta)?_?)?th(eta)?|w_rs_s)\d*$"
     ),
     MAGNETOMETER: re.compile(r"mag|compass|(^|_)(m|h|b)$"),
 }
@@ -43,7 +43,7 @@ _WITHOUT_GRAVITY = re.compile(r"lin|world|earth|motion")
 
 _TIME = re.compile(
     r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
-    r"micros(econds)?|device_?time_?stamp|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|up_?time(_[a-z]+)?|(sensor|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?fine)?|sample_?time_?fine)$|"
+    r"micros(econds)?|device_?time_?stamp|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|up_?time(_[a-z]+)?|(sensor|imu|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?stamp)?(_?fine)?|sample_?time_?fine)$|"
     r"^time_(since|elapsed|from)|^elapsed_time"
 )
 _OF_THE_SAMPLE = re.compile(
@@ -96,7 +96,8 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
         "deg/s": "deg/s", "°/s": "deg/s", "degs-1": "deg/s", "degree/s": "deg/s", "degrees/s": "deg/s", "dps": "deg/s",
         "radians/s": "rad/s", "radian/s": "rad/s",
         "deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "deg/h": "deg/h", "°/h": "deg/h", "dph": "deg/h",
-        "mdps": "mdps", "mdeg/s": "mdps", "rad": "rad", "deg": "deg", "arcsec": "arcsec", "count": "count",
+        "mdps": "mdps", "mdeg/s": "mdps", "0.1deg/s": "0.1 deg/s", "0.1dps": "0.1 deg/s",
+        "rad": "rad", "deg": "deg", "arcsec": "arcsec", "count": "count",
         "counts": "count", "lsb": "count", "raw": "count", "adc": "count", "v": "V",
     },
     MAGNETOMETER: {
@@ -107,8 +108,11 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
 }  # fmt: skip
 
 
-_RATES = ("rad/s", "deg/s", "mdps", "deg/h")
-"""Units that nothing but gyros has."""
+_RATES = ("rad/s", "deg/s", "mdps", "0.1 deg/s", "deg/h")
+_FORCES = ("m/s^2", "g", "mg")
+"""Units that nothing but gyros, or but accelerometers, has."""
+_OTHER_UNITS = re.compile(r"dbm?|%|m?ah?|[kcm]?m|km/h|kmh|kph|kts|mph|ft|[hk]?pa|m?bar|m?w|lux|lx|hz|bpm|ppm|kg")
+"""Units that neither has."""
 
 
 def _unit(text: str) -> str:
@@ -123,7 +127,7 @@ def _unit(text: str) -> str:
 class Columns:
     """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
     the `temperatures` as [log.temperature] has them, and a column that counts the samples. `others` are the names of
-    triads of the same kinds, and of thermometers, that were not taken."""
+    triads of the same kinds, and of thermometers, that were not taken, `times` those of all times."""
 
     time: str | None
     time_unit: str | None
@@ -131,6 +135,7 @@ class Columns:
     temperatures: tuple[str, ...]
     others: tuple[str, ...]
     counter: str | None = None
+    times: tuple[str, ...] = ()
 
 
 def columns_by_name(names: Iterable[str]) -> Columns:
@@ -165,6 +170,7 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         triads=triads,
         temperatures=temperatures,
         others=(*others, *(name for name in warm if name not in temperatures)),
+        times=tuple(times),
     )
 
 
@@ -201,11 +207,15 @@ def temperature_unit(name: str) -> str | None:
 def is_no_sensor(name: str) -> bool:
     """Whether the name of a column says that it is no accelerometer, and no gyro that a name does not tell already.
 
-    >>> is_no_sensor("attitude_roll(radians)"), is_no_sensor("user_acc_x(G)"), is_no_sensor("ch3")
-    (True, True, False)
+    >>> [is_no_sensor(name) for name in ("attitude_roll(radians)", "user_acc_x(G)", "RSSI (dB)", "ch3")]
+    [True, True, True, False]
     """
     words, unit = _split(name)
-    return bool(_NO_SENSOR.search("_".join(words))) or _UNITS[GYRO].get(unit) in _RATES
+    said = "_".join(words)
+    timed = name != "T" and bool(_TIME.search(said))
+    return (
+        bool(_NO_SENSOR.search(said)) or timed or _UNITS[GYRO].get(unit) in _RATES or bool(_OTHER_UNITS.fullmatch(unit))
+    )
 
 
 def in_order(names: Sequence[str]) -> tuple[str, str, str]:
@@ -232,10 +242,14 @@ def _stems(names: Iterable[str]) -> dict[tuple[str, str], dict[str, str]]:
     """Columns by kind and name without the axis, and then by axis."""
     found: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
-        for axis, stem in _axes(_split(name)[0]):
+        words, unit = _split(name)
+        alone = [(words[0], "")] if len(words) == 1 and words[0] in ("x", "y", "z") else []
+        for axis, stem in _axes(words) or alone:
             kind = next((kind for kind, pattern in _KINDS.items() if pattern.search(stem)), None)
-            if kind is None and _UNITS[GYRO].get(_split(name)[1]) in _RATES:
+            if kind is None and _UNITS[GYRO].get(unit) in _RATES:
                 kind = GYRO
+            if kind is None and not stem and _UNITS[ACCEL].get(unit) in _FORCES:
+                kind = ACCEL
             if kind is not None:
                 found.setdefault((kind, stem), {}).setdefault(axis, name)
                 break

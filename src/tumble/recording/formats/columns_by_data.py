@@ -26,6 +26,9 @@ _FEWEST_ROWS = 200
 _ANEW = 1e-3
 _STILL = 0.05
 _SAME_NORM = 1e-5
+_ROUNDED_NORM, _UNIT_NORM, _TURNED = 3e-3, 5e-3, 0.05
+"""Of quaternions that are rounded: the spread of their length, how far its mean is from 1, and the least spread of
+each of the four."""
 _NEAR, _OFF, _UNSTEADY = 0.06, 0.25, 0.6
 _PLAIN, _STRANGEST = 2, 3
 _THERMOMETER = 5.0
@@ -51,7 +54,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     attitudes = _attitudes(read, numbers)
     numbers = [j for j in numbers if j not in attitudes]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
-    runs = [run for run in runs if len({_array(names[j]) for j in run}) == 1]
+    runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
     runs.sort(key=lambda run: _is_amid(run, numbers))
     found: dict[str, Run] = {}
     if runs and len(read) >= _FEWEST_ROWS:
@@ -63,6 +66,20 @@ def columns_by_data(names: Sequence[str], read: Array) -> Columns:
         temperatures=(),
         others=(),
     )
+
+
+def _are_one_sensor(names: Sequence[str]) -> bool:
+    """Whether three names differ in one word or letter alone, as those of the axes of a sensor do: TRSS, TQly and TSNR
+    do not."""
+    if len({_array(name) for name in names}) > 1:
+        return False
+    parts = [re.findall(r"[^\W\d_]+|\d+", name.lower()) for name in names]
+    if len(set(map(len, parts))) != 1:
+        return False
+    apart = [three for three in zip(*parts, strict=True) if len(set(three)) > 1]
+    if len(apart) != 1 or all(word.isdecimal() for word in apart[0]):
+        return len(apart) <= 1
+    return len(set(map(len, apart[0]))) == 1 and sum(len(set(of)) > 1 for of in zip(*apart[0], strict=True)) == 1
 
 
 def _array(name: str) -> str:
@@ -84,8 +101,8 @@ def _is_amid(run: Run, numbers: Sequence[int]) -> bool:
 
 
 def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
-    """Columns of quaternions, and of vectors of unit length or of gravity that a filter has made: three or four whose
-    length is one and the same in motion too, which no sensor reads."""
+    """Columns of quaternions, rounded ones too, and of vectors of unit length or of gravity that a filter has made:
+    three or four whose length is one and the same in motion too, which no sensor reads."""
     found: set[int] = set()
     for width in (4, 3):
         for first in numbers:
@@ -98,8 +115,12 @@ def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
 def _turns_alone(columns: Array) -> bool:
     """Whether vectors change their direction, and never their length."""
     columns = columns[np.isfinite(columns).all(axis=1)]
-    length = np.linalg.norm(columns, axis=1)
-    return bool(len(length) and length.std() < min(_SAME_NORM * length.mean(), 0.1 * columns.std(axis=0).max()))
+    if not len(columns):
+        return False
+    length, spread = np.linalg.norm(columns, axis=1), columns.std(axis=0)
+    four = columns.shape[1] == len("wxyz") and abs(length.mean() - 1.0) < _UNIT_NORM and spread.min() > _TURNED
+    alike = _ROUNDED_NORM if four else _SAME_NORM
+    return bool(length.std() < min(alike * length.mean(), 0.1 * spread.max()))
 
 
 def _sensors(read: Array, runs: Sequence[Run], quiet: BoolArray, *, fused: bool) -> dict[str, Run]:

@@ -89,5 +89,5 @@ def _messages(path: Path) -> list[Message]:
         raise InputError(f"{path}: expected a readable file, found: {error.strerror or error}") from None
     except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
         said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: expected a sound recording, found it damaged or incomplete: {said}") from None
+        raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {said}") from None
     return found
