@@ -343,6 +343,19 @@ def test_a_wrong_unit_of_the_gyros_is_named_with_the_one_that_fits(
     assert f'the unit of [log.gyro] is not "{stated}", "{true}" would fit' in said
 
 
+def test_a_device_that_was_put_back_as_it_lay_shows_no_unit(tmp_path: Path) -> None:
+    """Gyros that turn while the vertical ends where it was, as where samples are lost: in deg/h they would read nothing,
+    and carry it as well as any."""
+    rng, k = np.random.default_rng(7), np.arange(6000)
+    moving = k % 600 > 450
+    forces = rng.normal([0.0, 0.0, G_STANDARD], np.where(moving, 2.0, 0.02)[:, None], size=(6000, 3))
+    rates = moving[:, None] * (np.sin(k / 9.0)[:, None] + [1.0, 0.5, -0.4]) + rng.normal(scale=2e-3, size=(6000, 3))
+    columns = {"t": 0.01 * k, **dict(zip((*ACCEL, *GYRO), np.hstack([forces, rates]).T, strict=True))}
+    said = reason(Recording(content=_content(), log=pl.DataFrame(columns)), tmp_path / "session")
+    assert "the gyros do not carry the vertical from rest to rest" in said
+    assert "no other unit, scale, sign or order of columns explains it" in said
+
+
 def test_increments_stated_as_rates_are_named(hand: Recording, tmp_path: Path) -> None:
     said = reason(hand.times(ACCEL, 1.0 / SAMPLE_RATE), tmp_path / "accel")
     assert 'the unit of [log.accel] is not "m/s^2"; "m/s" would fit' in said

@@ -77,9 +77,19 @@ class _Carrying:
         )
 
     def explained(self, matrix: Array) -> float:
-        """Mean miss, rad, of gyros with another matrix; infinite where it does not explain what is missed."""
+        """Mean miss, rad, of gyros with another matrix; infinite where it does not explain what is missed, or where it
+        is no less than that of gyros which read nothing: a device that was shaken and put back."""
         trial = _misses(self.observations, SensorModel(matrix=matrix, bias=self.stated.bias), self.vertical)
-        return float(trial.mean()) if self._explains(trial) else np.inf
+        informed = trial.mean() < 0.5 * self.moved.mean()
+        return float(trial.mean()) if informed and self._explains(trial) else np.inf
+
+    @property
+    def moved(self) -> Array:
+        """Angles (K,), rad, by which the vertical moves in the body from the rest before each turn to the one after."""
+        turns = self.observations.turns
+        assert turns is not None
+        cosine = np.einsum("ki,ki->k", self.vertical[turns.first], self.vertical[turns.last])
+        return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def _explains(self, trial: Array) -> bool:
         """Whether what a trial misses (K,) is so little that it explains what is missed."""
