@@ -344,8 +344,8 @@ def test_a_wrong_unit_of_the_gyros_is_named_with_the_one_that_fits(
 
 
 def test_a_device_that_was_put_back_as_it_lay_shows_no_unit(tmp_path: Path) -> None:
-    """Gyros that turn while the vertical ends where it was, as where samples are lost: in deg/h they would read nothing,
-    and carry it as well as any."""
+    """Gyros that turn while the vertical ends where it was, as where samples are lost: in deg/h they would read
+    nothing, and carry it as well as any."""
     rng, k = np.random.default_rng(7), np.arange(6000)
     moving = k % 600 > 450
     forces = rng.normal([0.0, 0.0, G_STANDARD], np.where(moving, 2.0, 0.02)[:, None], size=(6000, 3))
