@@ -270,9 +270,12 @@ def _with_finest_time(log: FoundLog) -> FoundLog:
     for name in (first, *(name for name in log.columns.times if name != first)):
         trial = replace(log, columns=replace(log.columns, time=name, time_unit=time_unit(name or "")))
         stamps = trial.stamps()
+        steps = np.zeros(1) if stamps is None else np.diff(stamps.values)
+        if np.mean(steps >= 0.0) > _GROWING and np.any(steps > 0.0) and nanoseconds_of(trial) is not None:
+            return trial
         if stamps is None or times_of_column(stamps) is None:
             continue
-        if np.mean(np.diff(stamps.values) > 0.0) > _GROWING or nanoseconds_of(trial) is not None:
+        if np.mean(steps > 0.0) > _GROWING:
             return trial
         growing.append(trial)
     return next(iter(growing), log)
