@@ -111,7 +111,7 @@ def _sphere(points: Array) -> tuple[float, Array] | None:
 @np.errstate(invalid="ignore", over="ignore")  # rates without measure carry nothing
 def gyro_factor(observations: Observations) -> float | None:
     """What the gyros of observations read for one rad/s: the factor with which they carry the vertical best, where that
-    is well. None where it is not, or where there are fewer than three turns."""
+    is well, and better than gyros would which read nothing. None where it is not, or with fewer than three turns."""
     from scipy.optimize import minimize_scalar
 
     turns, block = observations.turns, observations.gyro_block
@@ -146,7 +146,10 @@ def gyro_factor(observations: Observations) -> float | None:
         ),
         key=lambda found: float(found.fun),
     )
-    return float(np.exp(best.x)) if np.median(misses(float(best.x))) < _MISS and best.fun < _MISS else None
+    cosine = np.einsum("ki,ki->k", vertical[turns.last], vertical[turns.first])
+    moved = float(np.minimum(np.arccos(np.clip(cosine, -1.0, 1.0)), _MOST_MISSED).mean())
+    carried = np.median(misses(float(best.x))) < _MISS and best.fun < min(_MISS, 0.5 * moved)
+    return float(np.exp(best.x)) if carried else None
 
 
 def counts_per_g(radius: float) -> Scale:
