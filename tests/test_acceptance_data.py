@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import rq
 
-from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibrate import Method, calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.cli import main
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
@@ -257,7 +257,7 @@ PSINS_GYRO_ANGLES = {"xy": 10, "xz": 20, "yx": 30, "yz": 40, "zx": 50, "zy": 60}
 PSINS_QUADRATIC = np.array([10e-6, 20e-6, 30e-6])
 
 
-def psins(data: Path, folder: Path, *, compensated: bool, method: str = "joint") -> Calibration:
+def psins(data: Path, folder: Path, *, compensated: bool, method: Method = "joint") -> Calibration:
     """Increments, 100 Hz; the quadratic terms of the accelerometers, which 21 parameters do not contain, taken out or
     not. A float32 cannot count hundredths of a second: the rate stands for the time."""
     source = data / "psins-systematic" / "log.parquet"

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from test_ellipsoid import cube, placed
 
 from tumble.calibration.apply import apply_to_session
-from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibrate import Method, calibrate
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.launches import Run, mean_of_launches
 from tumble.cli import main
@@ -118,7 +118,7 @@ def test_a_session_with_a_magnetometer_gives_its_parameters(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("method", ["staged", "ellipsoid"])
-def test_the_accelerometers_are_calibrated_as_without_it(tmp_path: Path, method: str) -> None:
+def test_the_accelerometers_are_calibrated_as_without_it(tmp_path: Path, method: Method) -> None:
     with_it = calibrate(write(tmp_path / "a"), method=method)
     without = calibrate(write(tmp_path / "b", changes={"log.magnetometer": None, "site.field": None}), method=method)
     assert without.parameters == tuple(p for p in with_it.parameters if not p.name.startswith("mag."))

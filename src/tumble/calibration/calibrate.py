@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any, Literal, overload
+from typing import Any, Literal, get_args, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +37,8 @@ from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import usual_sizes
 
-DEFAULT_METHOD = "joint"
+Method = Literal["joint", "staged", "sequential", "scalar", "ellipsoid"]
+DEFAULT_METHOD: Method = "joint"
 Terms = Literal["full", "linear"]
 """Which parameters: all groups of the table, or bias, scale factor and axis angles alone."""
 METHODS: Mapping[str, Callable[[Observations], Estimate]] = {"joint": joint, "staged": staged, "ellipsoid": ellipsoid}
@@ -51,7 +52,7 @@ ITERATED_METHODS: Mapping[str, Callable[[Observations, int], Estimate]] = {"sequ
 def calibrate(
     session: Session | FilePath,
     *,
-    method: str = ...,
+    method: Method = ...,
     iterations: int | None = ...,
     frame: Frame = ...,
     terms: Terms = ...,
@@ -76,7 +77,7 @@ def calibrate(
     gyro_axes: npt.ArrayLike | None = ...,
     programme: str | Sequence[str] | None = ...,
     serial: str = ...,
-    method: str = ...,
+    method: Method = ...,
     iterations: int | None = ...,
     frame: Frame = ...,
     terms: Terms = ...,
@@ -87,7 +88,7 @@ def calibrate(
 def calibrate(
     session: Session | FilePath | None = None,
     *,
-    method: str = DEFAULT_METHOD,
+    method: Method = DEFAULT_METHOD,
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     terms: Terms = "full",
@@ -107,6 +108,8 @@ def calibrate(
     >>> tumble.calibrate(folder)
     <Calibration of mems-1: joint, 60 parameters, accepted>
     """
+    if terms not in get_args(Terms):
+        raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
     session = _given(session, readings).without(without)
     estimator = _estimator(method, iterations)
     Convention(frame=frame, block=session.accel_block)

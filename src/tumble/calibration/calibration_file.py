@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -65,9 +65,10 @@ SensingAxes = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
-class Calibration:
-    """The result for one device. `covariance` is in the order of `parameters`; `accel` and `gyro` are None where
-    a parameter they need is unobservable. `fits` are chi-square, degrees of freedom and estimated scatter; `programme`
+class Calibration(Mapping[str, Parameter]):
+    """The result for one device, a mapping of the names of its parameters to them. `covariance` is in the order of
+    `parameters`; `accel` and `gyro` are None where a parameter they need is unobservable. Two are equal whose files
+    are. `fits` are chi-square, degrees of freedom and estimated scatter; `programme`
     is the name of the programme, `readings` what the readings of "accel" and "gyro" are."""
 
     serial: str
@@ -162,11 +163,36 @@ class Calibration:
         return (low, high) if low <= high else None
 
     def __getitem__(self, name: str) -> Parameter:
-        """The parameter of that name."""
+        """The parameter of that name. Raises KeyError, which says of a calibration without any why it has none."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        raise KeyError(f"no parameter {name!r}; there are {', '.join(p.name for p in self.parameters)}")
+        names = ", ".join(self)
+        raise KeyError(
+            f"no parameter {name!r}; there are {names}"
+            if names
+            else f"no parameter {name!r}: not calibrated: {'; '.join(self.outcome.reasons)}"
+        )
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of the parameters."""
+        return (parameter.name for parameter in self.parameters)
+
+    def __len__(self) -> int:
+        """How many parameters there are."""
+        return len(self.parameters)
+
+    def __bool__(self) -> bool:
+        """True, also without parameters."""
+        return True
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the calibration files of both are the same."""
+        return self.content() == other.content() if isinstance(other, Calibration) else NotImplemented
+
+    def __hash__(self) -> int:
+        """Of the device, the method and where it is from."""
+        return hash((self.serial, self.method, self.frame, *sorted(self.provenance.items())))
 
     def __repr__(self) -> str:
         """The device, the method, how many parameters, and whether it was accepted."""
@@ -211,10 +237,14 @@ class Calibration:
         their own a mapping of "accel" and "gyro", (...) or (..., n); without it they are those of the reference
         temperature. Lever arms and delays, which need the motion, are not applied: see `apply_to_session`.
 
-        Raises InputError for another number of sensors than the calibration has, numbers that are not finite, columns
-        of a frame whose names say another unit, and temperatures that are not in kelvin."""
-        compensator = self.compensator if self.accel is not None else None
-        return corrected_readings(compensator, accel, gyro, dt=dt, temperature=temperature)
+        Raises CalibrationError where these sensors were not accepted (what is there all the same corrects by the
+        `compensator`), and InputError for another number of sensors than the calibration has, numbers that are not
+        finite, intervals that are not positive, columns of a frame whose names say another unit, and temperatures that
+        are not in kelvin."""
+        for kind, given, judged in (("accelerometers", accel, self.outcome.accel), ("gyros", gyro, self.outcome.gyro)):
+            if given is not None and not judged:
+                raise CalibrationError(f"calibration: expected accepted {kind}, found: {'; '.join(judged.reasons)}")
+        return corrected_readings(self.compensator, accel, gyro, dt=dt, temperature=temperature)
 
     def in_frame(self, frame: str) -> Calibration:
         """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
@@ -243,10 +273,10 @@ class Calibration:
                 raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
             if not force:
                 self._check_replaceable(path)
-        text = json.dumps(self.content(), indent=1, ensure_ascii=False, allow_nan=False)
+        text = self.text()
         try:
             with whole_file(path) as temporary:
-                temporary.write_text(text + "\n", encoding="utf-8")
+                temporary.write_text(text, encoding="utf-8")
         except OSError as error:
             raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 
@@ -265,6 +295,10 @@ class Calibration:
     def content(self) -> dict[str, Any]:
         """What the calibration file holds."""
         return content_of(self)
+
+    def text(self) -> str:
+        """The text of the calibration file."""
+        return json.dumps(self.content(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _nominal_axes(model: SensorModel) -> Array:
@@ -291,13 +325,19 @@ def read_calibration(path: FilePath) -> Calibration:
 
 def calibration_from(given: Calibration | FilePath) -> Calibration:
     """A calibration as it is, or that of a file. Raises InputError for anything else."""
+    return given if isinstance(given, Calibration) else calibration_of(*text_and_name(given))
+
+
+def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
+    """The text of a calibration file, or that a calibration in memory would have, and what it is called in messages.
+    Raises InputError for anything else."""
     if isinstance(given, Calibration):
-        return given
+        return given.text(), f"calibration of {given.serial}"
     if not isinstance(given, str | os.PathLike):
         raise InputError(
             f"calibration: expected a Calibration or the path of a calibration file, found {type(given).__name__}"
         )
-    return read_calibration(given)
+    return text_of(Path(given)), str(given)
 
 
 def text_of(path: Path) -> str:

@@ -19,6 +19,7 @@ from pydantic_core import PydanticCustomError
 from tumble.documents import dotted, is_plain, shown
 from tumble.errors import CalibrationError
 from tumble.recording.session_keys.device import LONGEST_NAME, ImuTable
+from tumble.sensors.parameters import is_parameter
 
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LONGEST_TEXT = 10_000
@@ -102,6 +103,11 @@ class _ParameterKeys(_Keys):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if not is_parameter(self.name):
+            raise ValueError(
+                f"expected parameters that this version of tumble knows, found {shown(self.name)}: without it readings "
+                "would be corrected wrongly; read the file with the version that wrote it"
+            )
         if not isfinite(self.value) or not 0.0 <= (self.u or 0.0) < inf:
             raise ValueError(
                 f"{self.name}: expected a finite value and a u of 0 or more, found {self.value} and {self.u}"

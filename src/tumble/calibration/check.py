@@ -29,6 +29,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from tumble import __version__
+from tumble.brief import Brief
 from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
@@ -58,8 +59,8 @@ USUAL_DEGREES = 4.0
 """Degrees of freedom for which what is usual of a grade counts: it is known to a third."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class FieldCheck:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class FieldCheck(Brief):
     """What a session of `rests` rests and `turns` turns says of a calibration: the `result`, in SI, what was supposed,
     in sentences, and the calibration in the frame `accelerometer` with the instrument it was taken for."""
 

@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import chdtrc, fdtrc, stdtr
 
+from tumble.brief import Brief
 from tumble.calibration.calibration_file import Calibration, calibration_from, text_of
 from tumble.calibration.coverage import UNLEARNED, apart, expanded_of, remarks, welch_satterthwaite
 from tumble.calibration.foreign import IMU_TK, KALIBR, foreign_calibration, is_foreign
@@ -72,8 +73,8 @@ class Difference:
         return float(2.0 * stdtr(inf if self.dof is None else self.dof, -abs(self.value) / self.u))
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Comparison(Brief):
     """All that two calibrations have in common, in the frame of both. `covariance` (m, m) is that of the differences;
     `chi_square` with its `degrees` of freedom and the `probability` that chance alone exceeds it; all three are None
     without covariances. `missing` are parameters of one calibration only; `remarks` what a user should know."""

@@ -15,17 +15,15 @@ from tumble.units import Array
 
 
 def corrected_readings(
-    compensator: Compensator | None,
+    compensator: Compensator,
     accel: npt.ArrayLike,
     gyro: npt.ArrayLike | None,
     *,
     dt: npt.ArrayLike | None,
     temperature: Temperatures | None,
 ) -> tuple[Array, Array | None]:
-    """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`; there is no compensator
-    without accelerometers. Raises InputError."""
-    force_readings = _checked(None if compensator is None else compensator.accel, "accel", accel, dt)
-    assert compensator is not None
+    """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`. Raises InputError."""
+    force_readings = _checked(compensator.accel, "accel", accel, dt)
     shape = force_readings.shape[:-1]
     steps, celsius = _intervals(dt, shape), given_temperatures(temperature, compensator, shape)
     flat = force_readings.reshape(-1, compensator.accel.size)
@@ -49,7 +47,9 @@ def corrected_readings(
 def _checked(block: Block | None, kind: str, given: npt.ArrayLike, dt: npt.ArrayLike | None) -> Array:
     """Readings of a kind of sensors, one number for each sensor and sample."""
     readings = numbers_of(kind, given, increments=dt is not None)
-    sensors = 0 if block is None else block.size
+    if block is None:
+        raise InputError(f"{kind} readings: expected none, for the calibration has no {kind}, found some")
+    sensors = block.size
     if readings.shape[-1:] != (sensors,):
         raise InputError(
             f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found an "
@@ -65,4 +65,6 @@ def _intervals(given: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array | N
     numbers = numbers_of("dt", given)
     if numbers.shape not in ((), shape):
         raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {numbers.shape}")
+    if not (numbers > 0.0).all():
+        raise InputError(f"dt: expected intervals above 0 s, found {numbers.min():g}")
     return np.ravel(np.broadcast_to(numbers, shape))

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from tumble import __version__
+from tumble.brief import Brief
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import welch_satterthwaite
 from tumble.calibration.readings_table import Nominal, ReadingsTable, Sensor, plain_units, read_table, sizes_seen
@@ -50,8 +51,8 @@ BAD_CHANCE = 1e-3
 _FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ReadingsCalibration:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class ReadingsCalibration(Brief):
     """A calibration from a table; `fit` is None where it was refused."""
 
     calibration: Calibration

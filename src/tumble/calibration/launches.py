@@ -17,7 +17,7 @@ from typing import TypeVar, get_args
 
 import numpy as np
 
-from tumble.calibration.calibrate import DEFAULT_METHOD, Terms, calibrate
+from tumble.calibration.calibrate import DEFAULT_METHOD, Method, Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.calibration.observed import Progress
@@ -55,7 +55,7 @@ class Run:
 def calibrate_launches(
     sessions: Sequence[Session | FilePath],
     *,
-    method: str = DEFAULT_METHOD,
+    method: Method = DEFAULT_METHOD,
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     terms: Terms = "full",

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.estimation.diagnosis.accelerometer_unit import accelerometer_faults
 from tumble.estimation.diagnosis.carried_vertical import sense_faults
 from tumble.estimation.diagnosis.channels import channel_faults, mixed_rows
@@ -40,8 +41,8 @@ Progress = Callable[[Log], Iterable[Chunk]]
 """Gives the chunks of a log, to show how far reading is or to keep samples on the way."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Observed:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Observed(Brief):
     """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
     the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
     `faults`, in sentences, are what is wrong with the recording.

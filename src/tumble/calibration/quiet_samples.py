@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.calibration.observed import Progress, inspect_session
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath
@@ -39,8 +40,8 @@ class QuietRecord:
     gyro_columns: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class RecordedNoise:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class RecordedNoise(Brief):
     """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, and where
     they are from in words."""
 

@@ -34,6 +34,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.case import Verticals, verticals_of
@@ -86,8 +87,8 @@ class Positions:
     grade: str | None = None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Verification:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Verification(Brief):
     """Δg (N,) of every position with standard uncertainty `u` (N,), m/s², both without the position where
     `left_out`; `sigmas` (N,) is |Δg|/u (of positions left out studentised), `limit` what it may be; whether what
     turning on again usually changes explains them all, `by_turn_on`."""

@@ -22,12 +22,12 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 import polars as pl
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from tumble.calibration.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS
+from tumble.calibration.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS, Method
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.campaigns.trial import NAMES, Cell, Source, session_rows, statics_rows
 from tumble.documents import text_of_document, toml_of
@@ -72,7 +72,7 @@ class Campaign:
     source: Source
     seed: int
     trials: int
-    methods: tuple[str, ...]
+    methods: tuple[Method, ...]
     cells: tuple[Cell, ...]
     definition: Mapping[str, Any]
 
@@ -151,7 +151,7 @@ def campaign_of(content: Mapping[str, Any]) -> Campaign:
         source=document.source,
         seed=document.seed,
         trials=document.trials,
-        methods=tuple(grid.method),
+        methods=tuple(cast("list[Method]", grid.method)),
         cells=_cells(grid),
         definition={"campaign": document.model_dump()},
     )

@@ -20,7 +20,7 @@ from typing import Any
 
 import polars as pl
 
-from tumble.calibration.calibrate import calibrate
+from tumble.calibration.calibrate import Method, calibrate
 from tumble.calibration.calibration_file import Calibration
 from tumble.campaigns.engine import Executor, Job, Progress, Row, run
 from tumble.documents import text_of_document
@@ -54,7 +54,7 @@ def run_fleet(
     sessions: Sequence[str],
     folder: Path,
     *,
-    method: str,
+    method: Method,
     executor: Executor | None = None,
     progress: Progress = lambda _done, _all: None,
 ) -> Path:
@@ -197,7 +197,7 @@ def _file_system(url: str) -> tuple[Any, str]:
 # One session
 
 
-def calibrated(method: str, _number: int, session: str) -> list[Row]:
+def calibrated(method: Method, _number: int, session: str) -> list[Row]:
     """The row of a session."""
     with _at_hand(session) as folder:
         try:

@@ -6,6 +6,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
+from tumble.brief import Brief
+from tumble.calibration.calibrate import Method
 from tumble.campaigns.campaign import Campaign, read_campaign, run_campaign
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Executor, Progress
@@ -16,8 +18,8 @@ from tumble.files import FilePath
 SUMMARY_FILE = "summary.csv"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class CampaignResult:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class CampaignResult(Brief):
     """The rows of a campaign, a Parquet file, their summary in lines, and the CSV file it is in."""
 
     rows: Path
@@ -25,8 +27,8 @@ class CampaignResult:
     summary: Path
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class FleetResult:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class FleetResult(Brief):
     """The rows of a fleet, a Parquet file, its sessions, and how they ended."""
 
     rows: Path
@@ -64,7 +66,7 @@ def fleet(
     sessions: FilePath,
     out: FilePath,
     *,
-    method: str = "joint",
+    method: Method = "joint",
     serial: bool = False,
     cluster: str | None = None,
     workers: int | None = None,

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, calibrate
+from tumble.calibration.calibrate import ITERATED_METHODS, METHODS, Method, calibrate
 from tumble.campaigns.engine import Row
 from tumble.campaigns.triads import fit_statics
 from tumble.errors import InputError
@@ -75,7 +75,7 @@ def stream(seed: int, number: int) -> np.random.Generator:
 # Sessions
 
 
-def session_rows(seed: int, source: Source, methods: Sequence[str], number: int, cell: Cell) -> list[Row]:
+def session_rows(seed: int, source: Source, methods: Sequence[Method], number: int, cell: Cell) -> list[Row]:
     """A row for each method: whether the calibration was accepted, if not why, and for every parameter p of the
     instrument `error.p`, its value less the truth, `u.p`, its standard uncertainty, and, without a log, `bound.p`, the
     Cramér–Rao bound of the observations; nothing where there is none."""
@@ -122,12 +122,12 @@ def _has_prior(estimate: Estimate, i: int) -> bool:
     return estimate.instrument is not None and i >= estimate.instrument.linear_count
 
 
-def _through_a_log(scenario: Scenario, methods: Sequence[str], rng: np.random.Generator) -> list[Row]:
+def _through_a_log(scenario: Scenario, methods: Sequence[Method], rng: np.random.Generator) -> list[Row]:
     session = session_in_memory(scenario, rng)
     return [_from_session(scenario, session, method) for method in methods]
 
 
-def _from_session(scenario: Scenario, session: Session, method: str) -> Row:
+def _from_session(scenario: Scenario, session: Session, method: Method) -> Row:
     try:
         calibration = calibrate(session, method=method)
     except InputError as error:

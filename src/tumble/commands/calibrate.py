@@ -15,7 +15,7 @@ from tumble.commands.arguments import EXISTING_FOLDER, FILE, FRAMES, JSON, METHO
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.calibration.calibrate import Terms
+    from tumble.calibration.calibrate import Method, Terms
     from tumble.calibration.calibration_file import Calibration
     from tumble.calibration.type_spread import TypeSpread
     from tumble.recording.session import Session
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 @click.option("--all", "every", is_flag=True, help="Show every parameter, not a line for each further group.")
 def calibrate(
     sessions: tuple[Path, ...],
-    methods: tuple[str, ...],
+    methods: tuple[Method, ...],
     iterations: int | None,
     frame: Frame,
     terms: Terms,
@@ -123,7 +123,7 @@ def calibrate(
 class CalibrationRequest:
     """What is asked of the calibration of some sessions. Raises InputError for --together with what it has not."""
 
-    methods: tuple[str, ...]
+    methods: tuple[Method, ...]
     iterations: int | None
     frame: Frame
     terms: Terms

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from tumble.commands.arguments import JSON, METHOD_NAMES, SHOWN, cluster_options, say, task_progress, warn
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibrate import Method
 
 
 @click.command()
@@ -18,7 +22,7 @@ from tumble.commands.arguments import JSON, METHOD_NAMES, SHOWN, cluster_options
 @JSON
 @cluster_options
 def fleet(
-    sessions: str, method: str, as_json: bool, serial: bool, cluster: str | None, workers: int | None, out: Path
+    sessions: str, method: Method, as_json: bool, serial: bool, cluster: str | None, workers: int | None, out: Path
 ) -> None:
     """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.
 

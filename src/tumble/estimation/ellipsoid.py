@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.estimation.estimate import SCATTER_PROBABILITY, Fit, Solution, chance_of, least_squares, scatter_of, sigmas
 from tumble.estimation.gauss_newton import gauss_newton, negligible
 from tumble.estimation.observability import Refusal, undetermined
@@ -70,8 +71,8 @@ class WorstPosition:
     rivals: tuple[int, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class EllipsoidFit:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class EllipsoidFit(Brief):
     """Parameter values (9,) in the order of the block's names with their covariance (9, 9), None where there are no
     more positions than unknowns and the noise is not known, and the `model` they give. Of each position (N,):
     `residual` |M⁻¹(y − b)| − m; its `leverage`, the part of itself that it explains; `leave_one_out`, the residual

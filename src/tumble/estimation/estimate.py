@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy import special
 
+from tumble.brief import Brief
 from tumble.estimation.prediction import Prediction
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel
@@ -62,6 +63,10 @@ class Judgement:
     def accepted(self) -> bool:
         """No reason against it."""
         return not self.reasons
+
+    def __bool__(self) -> bool:
+        """Whether it is accepted."""
+        return self.accepted
 
     def content(self) -> dict[str, Any]:
         """As the calibration file has it."""
@@ -167,8 +172,8 @@ class OwnEstimate:
     priors: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Estimate:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Estimate(Brief):
     """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
     only these mean anything; `null` (q, m) are the combinations they do not, in units of the spreads.
     `converged` says whether the last step was negligible. `rest_residual` (N,) is |corrected reading| − g, m/s²;

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.estimation.components import Scatter
@@ -66,8 +67,8 @@ class Course:
     seconds: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Bound:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Bound(Brief):
     """Least possible covariance (m, m) of the parameters, SI, in the order of `names`, of which the first `linear`
     are those of the linear model. `observable` marks the parameters that are determined, and only these mean
     anything; those of further groups are by their priors at least, and `further` says what the programme adds.

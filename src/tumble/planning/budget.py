@@ -29,6 +29,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.estimation.methods.paper.accuracy_formulas import turn_bias_error
 from tumble.planning.error_propagation import (
@@ -113,8 +114,8 @@ class BudgetRow:
         return self.terms[0].name if self.terms else "nothing"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Budget:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Budget(Brief):
     """The rows of a set-up: by method, then by iteration, then by group; `remarks` say, in sentences, where the set-up
     is outside what the formulas hold for."""
 

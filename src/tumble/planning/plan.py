@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from tumble.brief import Brief
 from tumble.planning.best_positions import (
     Aim,
     Compared,
@@ -23,8 +24,8 @@ FOR_ALL = Aim()
 """The mean uncertainty of all parameters in units of their spreads, gyros included."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PlanResult:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class PlanResult(Brief):
     """What a set-up's programme can show at best, of the linear model alone and of the `whole` instrument. `following`
     are the positions it would gain most by, where it was given; `programmes` the programme that was found and those of
     the literature, where one was to be found."""

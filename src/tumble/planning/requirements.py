@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
+from tumble.brief import Brief
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import InputError
 from tumble.planning.budget import (
@@ -55,8 +56,8 @@ class Requirement:
     reason: str
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Requirements:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Requirements(Brief):
     """All requirements, and what meets those that can be met: the smallest tolerances and the longest rest."""
 
     setup: Setup

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Literal
 
+from tumble.brief import Brief
 from tumble.earth import normal_gravity
 from tumble.errors import InputError
 from tumble.programme.positions import Programme, duration
@@ -43,8 +44,8 @@ Terms = Literal["linear", "full"]
 _programme = cache(built_in)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Setup:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Setup(Brief):
     """An instrument, a programme on a table, or so many rests `by_hand` in any attitude instead of it, and
     a site.
 

@@ -23,6 +23,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.errors import ProgrammeError, did_you_mean
 from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, Array
@@ -60,8 +61,8 @@ class Move:
     angle: float | None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Programme:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Programme(Brief):
     """Positions and the moves between them, one fewer. If not `ordered`, the positions may come in any order
     and each may be turned about the vertical in any way: only `vertical_b` counts."""
 

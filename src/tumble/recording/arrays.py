@@ -58,6 +58,8 @@ def session_of_arrays(
             f"time, rate: expected one of them, the times of the samples, s, or their rate, Hz, found "
             f"{'none' if time is None else 'both'}"
         )
+    if accel is None:
+        raise InputError("accel: expected readings of accelerometers (samples, sensors), m/s^2, found none")
     log: dict[str, Any] = {"rate_hz": _number("rate", rate)} if rate is not None else {"time": "time"}
     data: dict[str, Array] = {}
     kinds = (("accel", accel, accel_axes), ("gyro", gyro, gyro_axes))
@@ -92,7 +94,7 @@ def readings_of(kind: str, given: npt.ArrayLike) -> Array:
     """Readings (N, n) in SI of an array or a frame. Raises InputError for another shape, and as `numbers_of`."""
     readings = numbers_of(kind, given)
     if readings.ndim != 2 or not len(readings) or readings.shape[1] < 3 or readings.shape[1] > max(len(readings), 3):
-        turned = "; transpose it" if readings.ndim == 2 and readings.shape[0] >= 3 else ""
+        turned = "; transpose it" if readings.ndim == 2 and 3 <= readings.shape[0] < readings.shape[1] else ""
         raise InputError(
             f"{kind}: expected an array of shape (samples, sensors) with three sensors or more, found the shape "
             f"{readings.shape}{turned}"
@@ -131,6 +133,13 @@ def check_finite(what: str, numbers: Array) -> None:
 
 
 def _numbers(what: str, given: npt.ArrayLike) -> Array:
+    masked = int(np.ma.getmaskarray(given).sum()) if isinstance(given, np.ma.MaskedArray) else 0
+    if masked:
+        raise InputError(f"{what}: expected numbers, found {masked} that are masked; cut or fill them")
+    if isinstance(given, np.ndarray) and given.dtype.kind in "mM":
+        raise InputError(
+            f"{what}: expected numbers, found {given.dtype}; give seconds: (t - t[0]) / np.timedelta64(1, 's')"
+        )
     try:
         return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.errors import LogError, did_you_mean
 from tumble.recording.circumstances import date_of_unix
 from tumble.recording.even_times import regular_grid, rounded_grid
@@ -48,8 +49,8 @@ class Chunk:
     magnetometer: Array | None = None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Log:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Log(Brief):
     """The log of a session, open for reading. `rate`: nominal sample rate, Hz, of the first file."""
 
     session: Session

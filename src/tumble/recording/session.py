@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.circumstances import UNKNOWN, Circumstances
@@ -194,8 +195,8 @@ class Exclusion:
     by: Literal["session.toml", "request"] = "session.toml"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Session:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Session(Brief):
     """What session.toml, or the description of samples in memory, says. `programme` is None for a free session:
     orientations are not assumed. `folder` is None in memory.
 
@@ -243,7 +244,7 @@ class Session:
         itself. Raises InputError for what is no such number."""
         more = []
         for number in rests:
-            if not isinstance(number, int) or number < 1:
+            if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
                 raise InputError(f"without: expected numbers of rests, from 1 as results count them, found {number!r}")
-            more.append(Exclusion(rest=number, by="request"))
+            more.append(Exclusion(rest=int(number), by="request"))
         return replace(self, excluded=(*self.excluded, *more))

@@ -30,6 +30,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaincinv, ndtr
 
+from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.reduction import kernels as _kernels
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, rounded
@@ -54,8 +55,8 @@ FLICKER = 2.0 * np.log(2.0) / np.pi
 IntArray = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class AllanDeviation:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class AllanDeviation(Brief):
     """Overlapping Allan deviation of c channels at k averaging times.
 
     tau (k,) s; deviation (k, c) in the unit of the samples, with its 68 % confidence interval low … high (k, c)

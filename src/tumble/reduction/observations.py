@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
 from tumble.reduction.array_motion import ArrayMoments, MovedArray, array_moments
@@ -62,8 +63,8 @@ class Together:
     number: IntArray
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Observations:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Observations(Brief):
     """All that a method sees of a session. `position` (N,) is the index in the programme of each rest's position,
     where there is one."""
 

@@ -11,10 +11,10 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from tumble.errors import InputError
+from tumble.files import FilePath
 from tumble.recording.session_keys.device import LONGEST_NAME
 
 if TYPE_CHECKING:
@@ -100,14 +100,14 @@ class Record:
     added: datetime
 
 
-def read_submission(path: Path, particulars: Particulars) -> Submission:
-    """The calibration of a file, to be added.
+def read_submission(given: Calibration | FilePath, particulars: Particulars) -> Submission:
+    """A calibration, or that of a file, to be added.
 
     Raises InputError, one line: no calibration file, one that was not accepted, a name that cannot be printed, a number
     that is not finite, a date that is missing or in the future."""
-    from tumble.calibration.calibration_file import text_of
+    from tumble.calibration.calibration_file import text_and_name
 
-    return submission(text_of(path), str(path), particulars)
+    return submission(*text_and_name(given), particulars)
 
 
 def submission(text: str, name: str, particulars: Particulars) -> Submission:

@@ -10,7 +10,6 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Row, Select, func, insert, select
@@ -23,6 +22,8 @@ from tumble.registry.schema import CALIBRATION, LAUNCH, LIMITS, PARAMETER
 
 if TYPE_CHECKING:
     from sqlalchemy import Connection
+
+    from tumble.calibration.calibration_file import Calibration
 
 
 NOTHING_SAID = Particulars()
@@ -61,8 +62,10 @@ def add(registry: Registry, submission: Submission) -> Added:
         return add_within(connection, submission, datetime.now(UTC), lambda model: _number_of_limits(connection, model))
 
 
-def add_calibration(registry: Registry, file: FilePath, particulars: Particulars = NOTHING_SAID) -> Added:
-    """Add the calibration of a file, unless it is there already, with what the file does not say of it. Raises as
+def add_calibration(
+    registry: Registry, calibration: Calibration | FilePath, particulars: Particulars = NOTHING_SAID
+) -> Added:
+    """Add a calibration, or that of a file, unless it is there already, with what it does not say of itself. Raises as
     `read_submission` and `add`.
 
     >>> import tumble
@@ -73,7 +76,7 @@ def add_calibration(registry: Registry, file: FilePath, particulars: Particulars
     >>> added.record.serial, added.new
     ('mems-1', True)
     """
-    return add(registry, read_submission(Path(file), particulars))
+    return add(registry, read_submission(calibration, particulars))
 
 
 def add_within(

@@ -6,24 +6,29 @@ import hashlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tumble.calibration.calibration_file import read_calibration
+from tumble.calibration.calibration_file import Calibration, calibration_of, read_calibration, text_and_name
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath, whole_file
+
+if TYPE_CHECKING:
+    from tumble.report.content import Source
 
 ENDINGS = (".html", ".pdf")
 
 
 def write_report(
-    calibrations: FilePath | Sequence[FilePath],
+    calibrations: Calibration | FilePath | Sequence[Calibration | FilePath],
     out: FilePath,
     *,
     limits: FilePath | None = None,
     certificate: FilePath | None = None,
 ) -> list[str]:
-    """Write the report of a calibration file, or of several of one device, to `out`, HTML or PDF by its ending, and
-    return why it is not accepted: the reasons of the calibrations, and what is not within the acceptance limits of the
-    file `limits`. With the file `certificate` it is the certificate of one calibration, whose limits that file names.
+    """Write the report of a calibration, in memory or a file, or of several of one device, to `out`, HTML or PDF by
+    its ending, and return why it is not accepted: the reasons of the calibrations, and what is not within the
+    acceptance limits of the file `limits`. With the file `certificate` it is the certificate of one calibration, whose
+    limits that file names.
 
     Raises InputError for files that cannot be used, MissingExtraError without the extra `tumble[report]`.
 
@@ -33,13 +38,13 @@ def write_report(
     >>> tumble.write_report("calibration.json", "report.html")
     []
     """
-    files = [calibrations] if isinstance(calibrations, str | os.PathLike) else calibrations
+    given = [calibrations] if isinstance(calibrations, Calibration | str | os.PathLike) else calibrations
     out = Path(out)
     ending = out.suffix.lower()
     if ending not in ENDINGS:
         raise InputError(f"{out}: expected a name that ends in .html or .pdf, found {out.suffix or 'no ending'!r}")
     with needs_extra("a report", "report", "jinja2", "matplotlib", "typst"):
-        from tumble.report.content import Source, document, not_accepted
+        from tumble.report.content import document, not_accepted
         from tumble.report.page import page
         from tumble.report.pdf import pdf
     from tumble.export.certificate import read_certificate
@@ -50,9 +55,7 @@ def write_report(
         limits = stated.limits
     acceptance = None if limits is None else limits_of(Path(limits))
     as_found = None if stated is None or stated.as_found is None else read_calibration(stated.as_found)
-    sources = [
-        Source(file=path.name, sha256=_sha256(path), calibration=read_calibration(path)) for path in map(Path, files)
-    ]
+    sources = list(map(_source, given))
     made = document(sources, acceptance, stated, as_found)
     content = page(made).encode() if ending == ".html" else pdf(made)
     try:
@@ -63,8 +66,11 @@ def write_report(
     return not_accepted(sources, acceptance)
 
 
-def _sha256(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+def _source(given: Calibration | FilePath) -> Source:
+    """A calibration with the name of its file and the SHA-256 of the bytes that are there."""
+    from tumble.report.content import Source
+
+    text, name = text_and_name(given)
+    content = text.encode() if isinstance(given, Calibration) else Path(given).read_bytes()
+    file = name if isinstance(given, Calibration) else Path(given).name
+    return Source(file=file, sha256=hashlib.sha256(content).hexdigest(), calibration=calibration_of(text, name))

@@ -431,6 +431,16 @@ def named_group(name: str) -> ParameterGroup | None:
     return next((group for group in groups() if group.name == name), None)
 
 
+def is_parameter(name: str) -> bool:
+    """Whether a name is that of a parameter of some sensor: of a group of the table, or of a magnetometer."""
+    group = group_name(name)
+    if sensor_kind(name) == "mag":
+        return group in ("mag.bias", "mag.scale", "mag.axis")
+    entry = named_group(group)
+    sensor = within_group(name).removesuffix(f".{_ENDINGS.get(entry.variable, '')}") if entry else ""
+    return entry is not None and bool(sensor or entry.suffixes is _once)
+
+
 def meant_by(name: str, parameter: str) -> bool:
     """Whether a name, of a parameter, of a group or of one sensor in it ("gyro.g_sensitivity.x"), means a parameter:
     "accel.bias" means "accel.bias.x", and not its change "accel.bias.x.t1", which is of a group of its own."""
