@@ -114,11 +114,11 @@ def test_the_list_and_the_pages_by_keyboard_alone(benches: tuple[Bench, Bench], 
 
 def test_benches_that_cannot_be_told_apart_are_refused(tmp_path: Path) -> None:
     folders = [tmp_path / "a", tmp_path / "b"]
-    with pytest.raises(InputError, match="--listen: expected none, or one for each of the 2 sessions, found 1"):
+    with pytest.raises(InputError, match="listen: expected none, or one for each of the 2 sessions, found 1"):
         stations_of(folders, ["simulator:nine"], site=SITE)
     with pytest.raises(InputError, match="expected every session once, found it twice"):
         stations_of([tmp_path / "a"] * 2, ["simulator:nine"] * 2, site=SITE)
-    with pytest.raises(InputError, match="expected a session folder, or --listen"):
+    with pytest.raises(InputError, match="expected a session folder, or listen"):
         stations_of(folders, site=SITE)
 
 

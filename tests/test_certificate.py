@@ -217,7 +217,7 @@ def test_a_logo_that_is_none_and_another_device_as_found_are_refused(tmp_path: P
 
 def test_a_certificate_is_of_one_calibration_with_a_date(tmp_path: Path) -> None:
     path = files(tmp_path)
-    with pytest.raises(InputError, match="--certificate: expected one calibration, found 2"):
+    with pytest.raises(InputError, match="certificate: expected one calibration, found 2"):
         write_report([path, tmp_path / "before.json"], tmp_path / "r.html", certificate=tmp_path / "certificate.toml")
     replace(read_calibration(path), circumstances=Circumstances()).write(tmp_path / "undated.json")
     with pytest.raises(InputError, match="expected the day of the calibration, found none"):

@@ -295,9 +295,7 @@ def test_places_that_cannot_be_are_refused(options: dict[str, Any], said: str, m
 def test_without_distributed_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
-        pytest.raises(
-            MissingExtraError, match=r"install it with: pip install 'tumble\[cluster\]', or give --in-process"
-        ),
+        pytest.raises(MissingExtraError, match=r"install it with: pip install 'tumble\[cluster\]', or give in_process"),
         executor_for(workers=2),
     ):
         pass

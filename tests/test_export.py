@@ -117,13 +117,13 @@ def test_targets_without_a_matrix_refuse_channels_in_another_order(to: str) -> N
 
 
 def test_what_a_format_does_not_need_is_refused() -> None:
-    with pytest.raises(InputError, match="expected --noise with kalibr and only there, found none"):
+    with pytest.raises(InputError, match="expected noise with kalibr and only there, found none"):
         export_calibration(calibration(), "kalibr")
-    with pytest.raises(InputError, match="expected --noise with kalibr and only there, found it with px4"):
+    with pytest.raises(InputError, match="expected noise with kalibr and only there, found it with px4"):
         export_calibration(calibration(), "px4", noise=NOISE)
-    with pytest.raises(InputError, match="expected --certificate with dcc and only there, found none"):
+    with pytest.raises(InputError, match="expected certificate with dcc and only there, found none"):
         export_calibration(calibration(), "dcc")
-    with pytest.raises(InputError, match="expected --sensor-ids with px4-thermal only, found it with px4"):
+    with pytest.raises(InputError, match="expected sensor_ids with px4-thermal only, found it with px4"):
         export_calibration(calibration(), "px4", sensor_ids=(1, 2))
     with pytest.raises(InputError, match="expected one of kalibr"):
         export_calibration(calibration(), "elsewhere")

@@ -114,7 +114,7 @@ def test_a_correction_supersedes_and_what_it_corrects_stays(registry: Registry) 
 @pytest.mark.parametrize("particulars", [Particulars(supersedes=1), Particulars(reason="because")])
 def test_a_correction_needs_a_record_and_a_reason(file_registry: Registry, particulars: Particulars) -> None:
     added(file_registry)
-    with pytest.raises(InputError, match="expected --supersedes NUMBER with --reason TEXT, found one of them"):
+    with pytest.raises(InputError, match="expected supersedes NUMBER with reason TEXT, found one of them"):
         added(file_registry, particulars, log="other")
 
 
@@ -138,7 +138,7 @@ def test_the_database_itself_refuses_changes(registry: Registry) -> None:
 def test_a_log_does_not_count_twice(file_registry: Registry) -> None:
     """Not by another method, not within the mean of several launches, until its record is superseded."""
     added(file_registry, log="one-1")
-    with pytest.raises(InputError, match=r"found that of record 1 .* to correct that record give --supersedes 1"):
+    with pytest.raises(InputError, match=r"found that of record 1 .* to correct that record give supersedes 1"):
         added(file_registry, values={"accel.bias.x": 1.0}, log="one-1")
     with pytest.raises(InputError, match="found that of record 1"):
         added(file_registry, log="one", launches=[{}, {}])  # the log of its first launch is one-1

@@ -63,8 +63,12 @@ if TYPE_CHECKING:
     from tumble.drafting.draft import Draft as Draft
     from tumble.drafting.new_session import new_session as new_session
     from tumble.earth import normal_gravity as normal_gravity
+    from tumble.errors import CalibrationError as CalibrationError
     from tumble.errors import InputError as InputError
+    from tumble.errors import LogError as LogError
     from tumble.errors import MissingExtraError as MissingExtraError
+    from tumble.errors import ProgrammeError as ProgrammeError
+    from tumble.errors import SessionError as SessionError
     from tumble.errors import TumbleError as TumbleError
     from tumble.estimation.ellipsoid import EllipsoidFit as EllipsoidFit
     from tumble.estimation.ellipsoid import fit_ellipsoid as fit_ellipsoid
@@ -98,8 +102,11 @@ if TYPE_CHECKING:
     from tumble.reduction.observations import Observations as Observations
     from tumble.registry.connect import Registry as Registry
     from tumble.registry.connect import open_registry as open_registry
+    from tumble.registry.due import Due as Due
     from tumble.registry.due import due as due
+    from tumble.registry.monitor import Monitored as Monitored
     from tumble.registry.monitor import monitored as monitored
+    from tumble.registry.records import Record as Record
     from tumble.registry.store import add_calibration as add_calibration
     from tumble.registry.store import records as records
     from tumble.registry.type_launches import type_spread as type_spread
@@ -167,7 +174,10 @@ _PUBLIC = {
     "add_calibration": "registry.store",
     "records": "registry.store",
     "due": "registry.due",
+    "Due": "registry.due",
     "monitored": "registry.monitor",
+    "Monitored": "registry.monitor",
+    "Record": "registry.records",
     "TypeSpread": "calibration.type_spread",
     "type_spread": "registry.type_launches",
     "simulate_session": "simulation.session",
@@ -192,6 +202,10 @@ _PUBLIC = {
     "normal_gravity": "earth",
     "TumbleError": "errors",
     "InputError": "errors",
+    "CalibrationError": "errors",
+    "LogError": "errors",
+    "ProgrammeError": "errors",
+    "SessionError": "errors",
     "MissingExtraError": "errors",
 }
 """Where each public name is; type checkers see the imports above."""

@@ -46,7 +46,7 @@ def _in_one_line() -> Iterator[None]:
     try:
         yield
     except TumbleError as error:
-        raise _Refused(str(error)) from error
+        raise _Refused(error.for_command_line) from error
     except click.UsageError as error:
         if isinstance(error, click.exceptions.NoArgsIsHelpError):
             raise

@@ -8,18 +8,31 @@
     │   └── CalibrationError  a calibration file
     └── MissingExtraError     an optional dependency that is not installed
 
-A message is one line: where it is, what was expected, what was found, what to do.
+A message is one line: where it is, what was expected, what was found, what to do. It names arguments as options of the
+command line, `--gravity-u`, which says them so; to who calls the library it says `gravity_u`.
 A poor result is not an exception: it is an `Estimate` whose outcome gives the reasons.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
+_OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
+
 
 class TumbleError(Exception):
-    """Anything tumble raises on purpose. `str()` is one line for the user."""
+    """Anything tumble raises on purpose. `str()` is one line for the user of the library."""
+
+    def __str__(self) -> str:
+        """The message, in which options are arguments."""
+        return _OPTION.sub(lambda option: option[1].replace("-", "_"), self.for_command_line)
+
+    @property
+    def for_command_line(self) -> str:
+        """The message, in which arguments are options."""
+        return super().__str__()
 
 
 class InputError(TumbleError):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import getpass
 import hashlib
 import json
+import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
@@ -92,6 +93,14 @@ def digest(content: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def _user() -> str:
+    """The name of the user, or the number where it has no name, as in a container."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return f"user {os.getuid()}"
+
+
 def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lambda _name: None) -> SelftestRecord:
     """Run all cases, as the user of that name; `progress` is told the name of each before it runs.
 
@@ -105,7 +114,7 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
         progress(run.__doc__)
         cases.extend(run())
     return SelftestRecord(
-        by=by or getpass.getuser(),
+        by=by or _user(),
         date=datetime.now(UTC).isoformat(timespec="seconds"),
         software=f"tumble {__version__}",
         machine={

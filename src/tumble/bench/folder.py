@@ -85,7 +85,7 @@ def leave_out(folder: Path, one: Exclusion, instead_of: Exclusion | None = None)
     """Add a table [[exclude]] at the end of session.toml, or put it in the place of one added before; whatever else is
     in the file stays as it is."""
     path = folder / SESSION_FILE
-    text = path.read_text(encoding="utf-8")
+    text = text_of_document(path)
     if instead_of is not None:
         before, found, after = text.rpartition(_table(instead_of))
         text = before + after if found else text
@@ -95,7 +95,7 @@ def leave_out(folder: Path, one: Exclusion, instead_of: Exclusion | None = None)
 def take_back(folder: Path, one: Exclusion) -> None:
     """Take a table [[exclude]] out of session.toml that was added to it."""
     path = folder / SESSION_FILE
-    before, _, after = path.read_text(encoding="utf-8").rpartition(_table(one))
+    before, _, after = text_of_document(path).rpartition(_table(one))
     _written(path, before + after)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -37,6 +38,7 @@ from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import usual_sizes
 
+_LOG = logging.getLogger(__name__)
 Method = Literal["joint", "staged", "sequential", "scalar", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Terms = Literal["full", "linear"]
@@ -129,6 +131,8 @@ def calibrate(
     else:
         made = result_of(session, *found, systematic, frame, provenance, bridged)
         made = replace(with_magnetometer(made, session, found[1]), sample_rate=observed.rate)
+    for said in (*made.notes, *made.outcome.remarks, *made.outcome.reasons):
+        _LOG.info("%s: %s", session.name, said)
     return replace(made, circumstances=observed.circumstances)
 
 

@@ -283,9 +283,9 @@ class Calibration(Mapping[str, Parameter]):
     def _check_replaceable(self, path: Path) -> None:
         advice = "give --force to replace it, or --out for another file"
         try:
-            old = json.loads(path.read_text(encoding="utf-8"))
+            old = json_of(text_of_document(path))
             same = old["method"] == self.method and old["provenance"]["log_sha256"] == self.provenance["log_sha256"]
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, InputError) as error:
             raise CalibrationError(
                 f"{path}: expected a calibration to replace, found another file; {advice}"
             ) from error

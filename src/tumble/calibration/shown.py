@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tumble.calibration.further import BY_PRIOR, other_factors
+from tumble.calibration.further import BY_PRIOR, by_group, other_factors
 from tumble.errors import MissingExtraError
 from tumble.sensors.parameters import group_name, sensor_kind, shown_in
 from tumble.units import engineering, rounded
@@ -44,7 +45,7 @@ def headings(calibration: Calibration) -> tuple[str, ...]:
 def rows(calibration: Calibration) -> list[tuple[str, ...]]:
     """Name, value, u, U = k u and unit of every parameter, in the field's units, to the digits of the uncertainty; with
     coverage factor, degrees of freedom, prior and learned fraction where there are any."""
-    sizes, wanted = _sizes(calibration), headings(calibration)
+    sizes, wanted = shown_units(calibration.parameters), headings(calibration)
     cells = (_cells(p, *sizes[p.name]) for p in calibration.parameters)
     return [tuple(row[heading] for heading in wanted) for row in cells]
 
@@ -66,17 +67,18 @@ def _cells(parameter: Parameter, size: float, unit: str) -> dict[str, str]:
     }
 
 
-def _sizes(calibration: Calibration) -> dict[str, tuple[float, str]]:
-    """The unit in which each parameter is shown, one for all of a group, as (its size in SI, its name)."""
-    largest: dict[str, float] = {}
-    for p in calibration.parameters:
-        group = group_name(p.name)
-        largest[group] = max(largest.get(group, 0.0), abs(p.value), p.u or 0.0)
-    return {p.name: shown_in(p.name, p.unit, largest[group_name(p.name)]) for p in calibration.parameters}
+def shown_units(parameters: Sequence[Parameter]) -> dict[str, tuple[float, str]]:
+    """The unit in which each parameter is shown, by its name, as (size in SI, unit): one for all of a kind, by their
+    root mean square."""
+    of_kind = {
+        kind: shown_in(kind, alike[0].unit, math.sqrt(sum(p.value**2 for p in alike) / len(alike)))
+        for kind, alike in by_group(parameters).items()
+    }
+    return {p.name: of_kind[group_name(p.name)] for p in parameters}
 
 
 def text_table(calibration: Calibration) -> str:
-    """The rows in columns, under the headline, with the reasons against it and the remarks."""
+    """The rows in columns, under the headline, with the reasons against it, the remarks and the notes."""
     lines = [headings(calibration), *rows(calibration)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     words = {lines[0].index("parameter"), lines[0].index("unit")}
@@ -84,6 +86,7 @@ def text_table(calibration: Calibration) -> str:
     for line in lines:
         cells = [c.ljust(w) if i in words else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=True))]
         said.append("  ".join(cells).rstrip())
+    said += [f"note: {note}" for note in calibration.notes]
     return "\n".join(said)
 
 
@@ -91,7 +94,7 @@ def html(calibration: Calibration) -> str:
     """The same as HTML, everything escaped."""
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings(calibration))
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows(calibration))
-    said = (*calibration.outcome.reasons, *calibration.outcome.remarks)
+    said = (*calibration.outcome.reasons, *calibration.outcome.remarks, *calibration.notes)
     listed = "<ul>" + "".join(f"<li>{escape(each)}</li>" for each in said) + "</ul>" if said else ""
     return (
         f"<div><p><b>{escape(headline(calibration))}</b></p>{listed}"

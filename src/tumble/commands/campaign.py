@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -39,3 +40,6 @@ def campaign(file: Path, serial: bool, cluster: str | None, workers: int | None,
     except TumbleError as error:
         say(f"not drawn: {error}")
     say(f"written to {out}: {', '.join(written)}")
+    if not any(line.accepted for line in result.lines):
+        warn("not accepted: none of the trials")
+        sys.exit(1)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from tumble.commands.arguments import FILE, JSON, say
+from tumble.commands.arguments import FILE, JSON, say, warn
 
 
 @click.command()
@@ -36,4 +36,6 @@ def compare(first: Path, second: Path, gyro: Path | None, as_json: bool) -> None
         say(f"note: {remark}")
     if found.missing:
         say(f"note: only one of them has {', '.join(found.missing)}")
+    if not found.agree:
+        warn("different: by more than chance and their uncertainties make")
     sys.exit(0 if found.agree else 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -31,3 +32,4 @@ def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
         print_report(inspection_report(observed))
     for fault in observed.faults:
         warn(f"fault: {fault}")
+    sys.exit(1 if observed.faults else 0)

@@ -73,7 +73,7 @@ def plan(
     else:
         print_report(plan_report(found, aim))
     for reason in reasons:
-        say(reason)
+        warn(reason)
     sys.exit(1 if reasons else 0)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_options, working
+from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_options, warn, working
 
 if TYPE_CHECKING:
     from tumble.planning.error_propagation import BudgetedMethod
@@ -52,4 +52,6 @@ def require(
         print_data(requirements_data(needs))
     else:
         print_report(requirements_report(needs))
+    if not needs.feasible:
+        warn("not feasible: no table gives everything that is wanted; see what is limited")
     sys.exit(0 if needs.feasible else 1)

@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.brief import Brief
+from tumble.errors import InputError
 from tumble.estimation.estimate import SCATTER_PROBABILITY, Fit, Solution, chance_of, least_squares, scatter_of, sigmas
 from tumble.estimation.gauss_newton import gauss_newton, negligible
 from tumble.estimation.observability import Refusal, undetermined
@@ -124,6 +125,13 @@ def fit_ellipsoid(
     >>> found.values[:3].round(6).tolist()
     [0.1, 0.05, -0.2]
     """
+    if np.ndim(readings) != 2 or np.shape(readings)[1] != len(block.axes) or not np.isfinite(readings).all():
+        raise InputError(
+            f"readings: expected finite numbers of shape (positions, {len(block.axes)}), found the shape "
+            f"{np.shape(readings)}" + ("" if np.isfinite(readings).all() else " with some that are not finite")
+        )
+    if not 0.0 < modulus < np.inf or not 0.0 <= modulus_u < np.inf:
+        raise InputError(f"modulus: expected a length above 0 and its u, found {modulus:g} and {modulus_u:g}")
     refusal = undetermined(readings, block=block)
     if refusal is not None:
         return refusal

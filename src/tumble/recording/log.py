@@ -8,6 +8,7 @@ samples are bridged (`bridging`). Only then come intervals, units and SI.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.errors import LogError, did_you_mean
+from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.circumstances import date_of_unix
 from tumble.recording.even_times import regular_grid, rounded_grid
 from tumble.recording.gaps import Bridge, Gap, Grid
@@ -29,6 +30,8 @@ from tumble.units import ZERO_CELSIUS, Array
 _HEAD_ROWS = 1000
 """LogRows from which the interval of a file is taken, their median."""
 
+_READ_BY: dict[str, int] = {}
+"""The number of the process that has read logs first."""
 _SHORTEST_ROWS = 50
 _RATE_TOLERANCE = 0.1
 _SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # beyond, nothing can be computed
@@ -138,7 +141,13 @@ def open_log(session: Session) -> Log:
     >>> [chunk.accel.shape for chunk in log.chunks(rows=200)]
     [(200, 3), (100, 3)]
 
-    Raises LogError for a format that cannot be read, a damaged or empty file, missing or repeated columns."""
+    Raises LogError for a format that cannot be read, a damaged or empty file, missing or repeated columns, and
+    TumbleError in a process forked from one that has read logs: the threads that read them are not there."""
+    if _READ_BY.setdefault("process", os.getpid()) != os.getpid():
+        raise TumbleError(
+            "this process was forked from one that had read logs, whose threads it lacks: it would wait for ever; "
+            "start workers anew: multiprocessing.get_context('spawn') or 'forkserver'"
+        )
     sources = tuple(source_of(file, session.log.dialect) for file in session.log.files)
     for source in sources:
         _check_columns(source, session.log)

@@ -117,6 +117,11 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     >>> bool(abs(found.deviation[0, 0] * np.sqrt(found.tau[0]) - 0.1) < 0.01)
     True
     """
+    if not 0.0 < rate < np.inf or np.ndim(samples) not in (1, 2):
+        raise InputError(
+            f"Allan deviation: expected samples of shape (m,) or (m, c) and a rate above 0 Hz, found the shape "
+            f"{np.shape(samples)} and {rate:g} Hz"
+        )
     columns = samples if samples.ndim == 2 else samples[:, None]
     count = len(columns)
     if count < MIN_SAMPLES:

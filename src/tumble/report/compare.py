@@ -9,11 +9,11 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.further import further_parameters, linear_parameters
 from tumble.calibration.results import Parameter
+from tumble.calibration.shown import shown_units
 from tumble.errors import CalibrationError
 from tumble.report import figures
 from tumble.report.blocks import Block, Figure, ReportTable, Section, Text
 from tumble.report.numbers import NONE, as_value, with_expanded
-from tumble.terminal.text import shown_units
 
 
 def compared(titles: Sequence[str], calibrations: Sequence[Calibration], name: str) -> Section:

@@ -18,11 +18,11 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import expanded
 from tumble.calibration.further import by_group, linear_parameters
 from tumble.calibration.results import Parameter, RestResult, SensorsAtRest, TurnResult
+from tumble.calibration.shown import shown_units
 from tumble.estimation.estimate import FIT_SIGMAS
 from tumble.report.characters import drawable
 from tumble.report.numbers import raised
 from tumble.sensors.parameters import within_group
-from tumble.terminal.text import shown_units
 from tumble.units import G_STANDARD, Array, engineering
 
 if TYPE_CHECKING:

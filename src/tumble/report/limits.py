@@ -7,11 +7,11 @@ from collections.abc import Mapping
 
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
+from tumble.calibration.shown import shown_units
 from tumble.registry.conformity import verdicts
 from tumble.registry.limits import AGREED_RULE, RULE, LimitJudgement, Limits
 from tumble.report.blocks import Block, Items, ReportTable, Section, Text, Tone
 from tumble.report.numbers import NONE, minus
-from tumble.terminal.text import shown_units
 from tumble.units import engineering, rounded
 
 OVER_TEMPERATURE = (

@@ -19,6 +19,7 @@ from tumble.calibration.further import (
     verdicts,
 )
 from tumble.calibration.results import Launch, Parameter
+from tumble.calibration.shown import shown_units
 from tumble.report import drawings, figures
 from tumble.report.blocks import (
     Block,
@@ -36,7 +37,6 @@ from tumble.report.blocks import (
 from tumble.report.numbers import NONE, as_value, factor, fixed, significant, with_expanded, with_standard
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind, within_kind
-from tumble.terminal.text import shown_units
 from tumble.units import Array, engineering
 
 _BLOCKS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}

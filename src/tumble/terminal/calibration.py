@@ -27,9 +27,9 @@ from tumble.calibration.further import (
 )
 from tumble.calibration.launches import difference_percent
 from tumble.calibration.results import Parameter
+from tumble.calibration.shown import shown_units
 from tumble.estimation.diagnosis.site_gravity import gravity_said
 from tumble.terminal.table import add_numbers, plain_table
-from tumble.terminal.text import shown_units
 from tumble.units import G_STANDARD, engineering, rounded
 
 WHAT_AN_INCREMENT_SAYS = (

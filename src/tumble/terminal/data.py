@@ -1,7 +1,8 @@
 """Results as JSON: what the tables of the command line say, in SI and by name, for other programs.
 
-Keys are those of the result's dataclasses and of the calibration file; an angle is in rad, a rate in rad/s, what is not
-known is null. Rests, turns and files are counted from 0, as in the calibration file.
+Keys are those of the result's dataclasses and of the calibration file; an angle is in rad, a rate in rad/s, the
+temperature of a rest in °C, what is not known is null; `format` is that of the keys. Rests, turns and files are counted
+from 0, as in the calibration file.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from tumble.calibration.quiet_samples import RecordedNoise
 from tumble.calibration.results import fits_content
 from tumble.calibration.verify import Verification
 from tumble.reduction.observations import Observations
+from tumble.units import ZERO_CELSIUS
 
 
 def print_data(content: dict[str, Any]) -> None:
     """Print a result as JSON on standard output, in characters that every terminal has."""
-    click.echo(json.dumps(_plain(content), indent=1, allow_nan=False))
+    click.echo(json.dumps({"format": 1} | _plain(content), indent=1, allow_nan=False))
 
 
 def calibration_data(calibration: Calibration, *others: Calibration) -> dict[str, Any]:
@@ -62,7 +64,7 @@ def _rests(observations: Observations) -> list[dict[str, Any]]:
             "start": rests.start[i],
             "stop": rests.stop[i],
             "vertical": vertical[i],
-            "temperature": None if rests.temperature is None else rests.temperature[i],
+            "temperature": None if rests.temperature is None else rests.temperature[i] - ZERO_CELSIUS,
         }
         | {
             kind: {

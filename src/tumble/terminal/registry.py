@@ -12,6 +12,7 @@ from rich.text import Text
 
 from tumble.calibration.coverage import expanded_of as expanded_uncertainty
 from tumble.calibration.results import Parameter
+from tumble.calibration.shown import shown_units
 from tumble.registry.due import Due
 from tumble.registry.forecast import Forecast
 from tumble.registry.limits import RULE, LimitJudgement, Verdict
@@ -23,7 +24,6 @@ from tumble.registry.trend import Change, Trend
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.terminal.comparison import chi_square_of
 from tumble.terminal.table import plain_table
-from tumble.terminal.text import shown_units
 from tumble.units import rounded, two_digits
 
 _BARS = "▁▂▃▄▅▆▇█"

@@ -1,0 +1,65 @@
+"""The types that stand in public signatures and are made by the library alone: for annotations and documentation.
+
+from tumble.types import Device, Site
+"""
+
+from __future__ import annotations
+
+from tumble.calibration.apply import RestResidual as RestResidual
+from tumble.calibration.compare import Difference as Difference
+from tumble.calibration.readings_table import Nominal as Nominal
+from tumble.calibration.readings_table import ReadingsTable as ReadingsTable
+from tumble.calibration.results import Readings as Readings
+from tumble.calibration.results import SensorsAtRest as SensorsAtRest
+from tumble.calibration.type_spread import KnownLaunches as KnownLaunches
+from tumble.campaigns.campaign import Campaign as Campaign
+from tumble.campaigns.fleet import Tally as Tally
+from tumble.campaigns.summary import SummaryLine as SummaryLine
+from tumble.drafting.new_session import Given as Given
+from tumble.estimation.ellipsoid import WorstPosition as WorstPosition
+from tumble.estimation.estimate import GroupFinding as GroupFinding
+from tumble.estimation.estimate import Judgement as Judgement
+from tumble.estimation.field_check import CheckResult as CheckResult
+from tumble.estimation.likelihood import Linearised as Linearised
+from tumble.estimation.observability import Refusal as Refusal
+from tumble.estimation.prediction import Prediction as Prediction
+from tumble.planning.best_positions import Aim as Aim
+from tumble.planning.best_positions import Compared as Compared
+from tumble.planning.best_positions import Next as Next
+from tumble.planning.budget import BudgetRow as BudgetRow
+from tumble.planning.reachable_attitudes import TurnTable as TurnTable
+from tumble.planning.requirements import Requirement as Requirement
+from tumble.programme.positions import Move as Move
+from tumble.programme.positions import Position as Position
+from tumble.recording.autopilot import AutopilotSensor as AutopilotSensor
+from tumble.recording.circumstances import Circumstances as Circumstances
+from tumble.recording.gaps import Gap as Gap
+from tumble.recording.gaps import Grid as Grid
+from tumble.recording.log_source import LogSource as LogSource
+from tumble.recording.session import Device as Device
+from tumble.recording.session import Exclusion as Exclusion
+from tumble.recording.session import LogSpec as LogSpec
+from tumble.recording.session import ProgrammeSpec as ProgrammeSpec
+from tumble.recording.session import Site as Site
+from tumble.reduction.allan_deviation import AllanDeviation as AllanDeviation
+from tumble.reduction.allan_deviation import Panel as Panel
+from tumble.reduction.array_motion import ArrayMoments as ArrayMoments
+from tumble.reduction.blocks import Reduction as Reduction
+from tumble.reduction.moments import Compensation as Compensation
+from tumble.reduction.moments import Moments as Moments
+from tumble.reduction.moments import OwnAxes as OwnAxes
+from tumble.reduction.observations import Together as Together
+from tumble.reduction.rests import Rests as Rests
+from tumble.reduction.rounding import Rounding as Rounding
+from tumble.reduction.segmentation import Segmentation as Segmentation
+from tumble.reduction.thermometer import Thermometers as Thermometers
+from tumble.reduction.turn_samples import TurnSamples as TurnSamples
+from tumble.reduction.turns import TurnReadings as TurnReadings
+from tumble.reduction.turns import Turns as Turns
+from tumble.selftest import SelftestRecord as SelftestRecord
+from tumble.sensors.compensation import Compensator as Compensator
+from tumble.sensors.grades import NoiseModel as NoiseModel
+from tumble.sensors.grades import Spread as Spread
+from tumble.sensors.instrument import Instrument as Instrument
+from tumble.simulation.scenario import Vibration as Vibration
+from tumble.simulation.temperature_profile import TemperatureProfile as TemperatureProfile
