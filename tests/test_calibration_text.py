@@ -18,6 +18,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.further import decided_by_priors, group_lines, predicted, verdicts
 from tumble.calibration.launches import Run, difference_percent, mean_of_launches
 from tumble.calibration.results import Parameter
+from tumble.calibration.shown import shown_units
 from tumble.cli import main
 from tumble.estimation.estimate import GroupFinding, Outcome
 from tumble.estimation.prediction import Prediction
@@ -32,7 +33,6 @@ from tumble.terminal.calibration import (
     method_table,
 )
 from tumble.terminal.table import plain_table
-from tumble.terminal.text import shown_units
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)

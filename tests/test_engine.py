@@ -278,9 +278,9 @@ def test_everything_listens_on_the_loopback_and_not_at_the_port_of_a_dashboard(p
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"serial": True, "workers": 2}, "--in-process: expected neither --cluster nor --workers"),
-        ({"serial": True, "cluster": "tcp://127.0.0.1:1"}, "--in-process: expected neither"),
-        ({"cluster": "tcp://127.0.0.1:1", "workers": 2}, "--workers: expected none with --cluster"),
+        ({"serial": True, "workers": 2}, "in_process: expected neither cluster nor workers"),
+        ({"serial": True, "cluster": "tcp://127.0.0.1:1"}, "in_process: expected neither"),
+        ({"cluster": "tcp://127.0.0.1:1", "workers": 2}, "workers: expected none with cluster"),
         ({"cluster": "nonsense://x"}, "expected the scheduler of a dask cluster at nonsense://x"),
         ({"cluster": "tcp://127.0.0.1:1"}, "found none that answers"),
     ],

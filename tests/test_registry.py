@@ -202,8 +202,8 @@ def change(path: str, value: object) -> Callable[[dict[str, Any]], None]:
         (change("device/model", "\ud800"), "device.model: expected 1 to 200 printable characters"),
         (change("device/serial", 7), "expected a calibration file of tumble, found 7 in place of a text"),
         (change("provenance/created", "yesterday"), "provenance.created: expected a date such as 2026-03-31, found"),
-        (change("provenance/created", "2999-01-01"), "expected a date that is past, found 2999-01-01; give --date"),
-        (change("provenance", {}), "provenance.created: expected a time, found none; give --date"),
+        (change("provenance/created", "2999-01-01"), "expected a date that is past, found 2999-01-01; give date"),
+        (change("provenance", {}), "provenance.created: expected a time, found none; give date"),
         (change("format", 2), "expected format 1, found 2"),
     ],
 )  # fmt: skip
