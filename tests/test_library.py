@@ -329,9 +329,7 @@ def test_a_parameter_that_is_not_known_is_refused(calibration: tumble.Calibratio
     content = calibration.content()
     content["parameters"][0] |= {"name": "accel.hum.x"}
     (tmp_path / "c.json").write_text(json.dumps(content))
-    with pytest.raises(
-        tumble.CalibrationError, match="parameters that this version of tumble knows, found 'accel.hum.x'"
-    ):
+    with pytest.raises(tumble.CalibrationError, match=r"this version of tumble knows, found 'accel\.hum\.x'"):
         tumble.read_calibration(tmp_path / "c.json")
 
 
