@@ -35,17 +35,21 @@ bench: .venv/test kernels
 	for script in benchmarks/*.py; do $(BIN)/python $$script || exit 1; done
 
 .venv/bin/python:
+	@echo "a virtual environment: .venv (nothing is installed outside this folder)"
 	$(PYTHON) -m venv .venv
 
 .venv/demo: pyproject.toml hatch_build.py | .venv/bin/python
+	@echo "tumble and its libraries (numpy, scipy, polars, pydantic, rich, click: some 400 MB on disk), and its loops compiled: a minute or two"
 	$(INSTALL) -e .
 	touch $@
 
 .venv/bench: pyproject.toml hatch_build.py | .venv/bin/python
+	@echo "tumble with the page at the bench and reports: a minute or two"
 	$(INSTALL) -e '.[bench,report]'
 	touch $@
 
 .venv/test: pyproject.toml hatch_build.py | .venv/bin/python
+	@echo "tumble with all extras and the tools that check it (some 1.4 GB): several minutes"
 	$(INSTALL) -e '.[dev]'
 	touch $@ .venv/demo
 
