@@ -4,14 +4,17 @@ pages link to (studies, benchmarks) go with it."""
 from __future__ import annotations
 
 import re
+from html import unescape
 from pathlib import Path
 from posixpath import dirname, join, normpath, relpath
 from typing import Any
 
+from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
 RENAMED = {"README.md": "start.md"}  # a README would be taken for the index
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.S)
 LINK = re.compile(r"(\]\()([^)#\s:]+)(?=[)#])")
 
 
@@ -38,6 +41,18 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         return match[1] + relpath(_site_uri(match[2], source), dirname(here) or ".")
 
     return LINK.sub(moved, markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Formulas as MathML, which browsers show without a script."""
+
+    def formula(match: re.Match[str]) -> str:
+        display = "block" if match[2] == "[" else "inline"
+        text, tagged, number = unescape(match[3]).partition(r"\tag{")
+        shown = convert(text.strip(), display=display)
+        return f'<div class="formula">{shown}<span>({number.rstrip("} ")})</span></div>' if tagged else shown
+
+    return FORMULA.sub(formula, html)
 
 
 def _site_uri(target: str, source: Path) -> str:
