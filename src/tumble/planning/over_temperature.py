@@ -245,7 +245,7 @@ def _notes(
     yield from _scales(planned)
     if not over_a_range(observations):
         yield (
-            "the temperatures span less than 10 K: neither the lag behind the thermometer nor hysteresis is looked for"
+            "the temperatures span less than 10 K: hysteresis is not looked for"
         )
     elif ramps and (at := problem.lag) is not None and not both_ways(observations):
         yield (

@@ -174,10 +174,11 @@ def observe(
     does not depend on the rests: it is made unless it is given, of the same log with other rests."""
     spans = match.rests
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
-    turns, samples, readings = None, None, None
+    turns, samples, readings, in_turns = None, None, None, ()
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
-        turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, *noises, rounded)
+        turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
+        in_turns = samples.bad.note(turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
         arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
     return Observations(
@@ -192,7 +193,7 @@ def observe(
         turn_readings=readings,
         arrays=arrays or (),
         rounding=rounded,
-        notes=(*_copies(reduction), *blemish_notes(reduction, spans), *rounding_notes(rounded)),
+        notes=(*_copies(reduction), *blemish_notes(reduction, spans), *in_turns, *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else thermometers_of(reduction),
     )
 
