@@ -435,9 +435,7 @@ def test_a_lag_is_in_u_however_little_it_warms(low: float, lag: float) -> None:
     observations = simulate_observations(replace(scenario, climate=climate), np.random.default_rng(1))
     estimate = joint(replace(observations, usual=usual_sizes("mems")))
     assert observations.rests.temperature is not None
-    truth = truth_at(
-        {**scenario.truth, REFERENCE_NAME: REFERENCE}, float(observations.rests.temperature.mean()), None
-    )
+    truth = truth_at({**scenario.truth, REFERENCE_NAME: REFERENCE}, float(observations.rests.temperature.mean()), None)
     off = [(estimate.values[i] - truth[name]) / estimate.u[i] for i, name in enumerate(estimate.names[:21])]
     assert np.abs(off).max() < 5.0
     assert "temperature.lag" in estimate.names

@@ -26,7 +26,7 @@ import numpy as np
 from tumble.reduction.blocks import Blemish, FileBlocks, Reduction
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.segmentation import RestSpan, inner_mean, inner_variance
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 SIDE_SECONDS = 1.0
 LONGEST_SECONDS = 0.3
@@ -198,7 +198,11 @@ class BadSamples:
         named = ", ".join(f"{i} to {i + 1}" for i in turns[:5].tolist())
         named += f" and {len(turns) - 5} more" if len(turns) > 5 else ""
         count = len(self.at)
-        what = "1 bad sample, far off those beside it," if count == 1 else f"{count} bad samples, far off those beside them,"
+        what = (
+            "1 bad sample, far off those beside it,"
+            if count == 1
+            else f"{count} bad samples, far off those beside them,"
+        )
         return (f"{what} replaced by what is between these in the turn{'' if len(turns) == 1 else 's'} {named}",)
 
 
@@ -206,7 +210,12 @@ NO_BAD_SAMPLES = BadSamples(at=np.zeros(0, dtype=np.int64), turn=np.zeros(0, dty
 
 
 def bad_samples_of_turns(
-    samples: MotionSamples, start: IntArray, stop: IntArray, within: tuple[IntArray, IntArray], rate: float, least: Array
+    samples: MotionSamples,
+    start: IntArray,
+    stop: IntArray,
+    within: tuple[IntArray, IntArray],
+    rate: float,
+    least: Array,
 ) -> BadSamples:
     """The bad samples of turns from `start` to `stop` (K,) in files that are `within` these samples (K,) each, at a
     sample rate, Hz; `least` (6,) is what rates, rad/s, and forces, m/s², have to be off by."""
@@ -257,9 +266,7 @@ def _off_cubic(values: Array) -> Array:
     return out
 
 
-def _bad_run(
-    values: Array, dt: Array, among: tuple[int, int], beside: int, least: Array
-) -> tuple[int, Array] | None:
+def _bad_run(values: Array, dt: Array, among: tuple[int, int], beside: int, least: Array) -> tuple[int, Array] | None:
     """The shortest run of bad samples `among` suspects, as its first and what to have in its place; None where there is
     none."""
     for length in range(1, LONGEST_RUN + 1):
@@ -290,7 +297,7 @@ def _between(values: Array, run: slice) -> Array:
     return np.asarray(weights.T @ values[[run.start - 2, run.start - 1, run.stop, run.stop + 1]])
 
 
-def _corrupt(off: Array, dt: Array, beyond: Array, held: bool) -> bool:
+def _corrupt(off: Array, dt: Array, beyond: BoolArray, held: bool) -> bool:
     """Whether rates and forces (k, 6) that are `beyond` their bands (6,) by so much at intervals (k,) are of no motion;
     `held`: all samples of the run are one."""
     size, kind = np.abs(off).max(axis=0), np.repeat([0, 1], 3)

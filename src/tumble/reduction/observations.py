@@ -89,8 +89,8 @@ class Observations:
     """Where these are several sessions."""
     arrays: tuple[ArrayMoments, ...] = ()
     """Of every session, what the accelerometers of an array read in motion, where there are enough of them."""
-    clock_u: float = 0.0
-    """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
+    by_clock: Mapping[str, float] = field(default_factory=dict)
+    """By group of parameters, what one standard uncertainty of the time base changes in them."""
     unstamped: bool = False
     """Whether no time in the log says that samples are missing."""
     usual: Mapping[str, float] = field(default_factory=dict)
@@ -174,7 +174,8 @@ def observe(
     does not depend on the rests: it is made unless it is given, of the same log with other rests."""
     spans = match.rests
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
-    turns, samples, readings, in_turns = None, None, None, ()
+    turns, samples, readings = None, None, None
+    in_turns: tuple[str, ...] = ()
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
