@@ -15,7 +15,7 @@ from tumble.units import Array
 def test_mean_and_spread_of_a_lag_are_those_of_its_likelihood(
     monkeypatch: pytest.MonkeyPatch, centre: float, spread: float
 ) -> None:
-    """The likelihood of a ramp, from a lag that is held at −20 s, be it much narrower than the grid and away from there;
+    """The likelihood of a ramp, from a lag that is held at −20 s, be it much narrower than the grid and away from it;
     the parameters move with the lag."""
 
     def about(_problem: object, _free: object, _at: object, _scatter: object, lags: Array) -> tuple[Array, Array]:

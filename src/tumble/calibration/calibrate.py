@@ -228,8 +228,8 @@ def _time_base(session: Session, by_clock: Mapping[str, float]) -> tuple[str, ..
     if session.log.clock_u is not None or not by_clock:
         return ()
     return (
-        f"no uncertainty of the time base is stated: {1e6 * session.log.time_base_u:.0f} ppm, as of a crystal, are in the "
-        f"u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
+        f"no uncertainty of the time base is stated: {1e6 * session.log.time_base_u:.0f} ppm, as of a crystal, are in "
+        f"the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
     )
 
 

@@ -71,6 +71,6 @@ def _of_gravity(calibration: Calibration) -> Array:
 
 def of_time_base(calibration: Calibration) -> Array:
     """What one standard uncertainty of the time base changes in the parameters (m,) of a calibration."""
-    increments = {kind: False for kind in ("accel", "gyro")}
+    increments = dict.fromkeys(("accel", "gyro"), False)
     increments |= {kind: readings.increments for kind, readings in calibration.readings.items()}
     return by_time_base([p.name for p in calibration.parameters], clocked(calibration.clock_u, increments))

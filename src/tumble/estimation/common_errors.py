@@ -8,8 +8,8 @@ e^(−2π²s²/L²) of it is common, of accelerometers in several attitudes noth
 
 Time base. A clock that is fast by ε makes every turn longer by ε, and with it every scale factor of the gyros larger,
 unless their increments are angles already. Accelerometers are compared with gravity, whatever the time; but what is an
-increment of velocity divided by its interval is less by ε. What ε does to a bias, a delay or a lever is as small as ε in
-parts of them.
+increment of velocity divided by its interval is less by ε. Biases, delays and levers change by ε of themselves, which
+is nothing.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ INNER = 0.8
 SHORTEST = 1e-6  # s: of a turn
 LAG_STEP = 1.0  # s, of the difference for the derivative
 LEVEL = 0.05
-"""K: rests of a session whose temperatures differ by no more are at one level: half of it, of which a lag makes no more,
-times a usual slope is within the usual instability of a bias, in every grade."""
+"""K: rests of a session whose temperatures differ by no more are at one level: half of it, more of which a lag does not
+make, times a usual slope is within the usual instability of a bias, in every grade."""
 RAMP = 1.0
 """K: by what a temperature changes within a session that is to show a hysteresis."""
 BETWEEN = 0.8

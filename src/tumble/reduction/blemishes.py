@@ -6,9 +6,9 @@ without which the block is like its neighbours: a device that was knocked, or tu
 and goes on being two rests with a turn between. A block with bad samples is left out of the mean of the rest, as if it
 had not been recorded, and stands for no movement where rests are looked for.
 
-In a turn, where there is no mean to compare with, a sample is compared with the cubic through the two before and the two
-after it: the difference e of a sample x is its fourth difference over six. The band of a channel is the largest e within
-a quarter of a second of it, once what is judged is replaced, and at least the noise of the rests. What is bad is beyond
+In a turn, where there is no mean to compare with, a sample is compared with the cubic through the two before and the
+two after it: it is off by a sixth of its fourth difference. The band of a channel is the most that others are off in
+a quarter of a second, once what is judged is replaced, and at least the noise of the rests. What is bad is beyond
 that, and its neighbours are not: a sensor follows a blow through its filter and the body rings after it. A blow may
 still be over within a sample. But it is felt by several sensors, along the axis of one only by an unlikely chance, and
 it leaves a velocity. So samples are bad where one channel alone stands out, or where the body would have to change its
