@@ -12,9 +12,11 @@ from tumble.calibration.calibrate import calibrate
 from tumble.calibration.observed import inspect_session
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
-from tumble.reduction.blemishes import blemish_notes, without_blemishes
+from tumble.reduction.blemishes import BadSamples, bad_samples_of_turns, blemish_notes, without_blemishes
 from tumble.reduction.blocks import Reducer, Reduction
+from tumble.reduction.motion_samples import MotionSamples
 from tumble.reduction.segmentation import RestSpan
+from tumble.rotation import unit_vector
 from tumble.sensors.model import Block
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
@@ -76,6 +78,88 @@ def test_of_slow_samples_one_may_be_a_movement() -> None:
 def test_noise_has_no_bad_samples() -> None:
     """17 minutes: by Student's t of 18 degrees of freedom 3e-5 false ones are expected."""
     assert without_blemishes(reduced(quiet(np.random.default_rng(4), 100_000))).blemishes == ()
+
+
+def turned(rng: np.random.Generator, samples: int = 400) -> Array:
+    """Rates and forces (samples, 6) in the hand, of a MEMS unit at 100 Hz: 90° in two seconds, with a tremor."""
+    t = np.arange(samples) / 100.0
+    angle = 0.25 * np.pi * (1.0 - np.cos(np.pi * np.clip((t - 1.0) / 2.0, 0.0, 1.0)))
+    tremor = 0.5 * np.sin(2.0 * np.pi * 9.0 * t) * np.clip(1.0 - (t - 2.0) ** 2, 0.0, 1.0)
+    rates = np.column_stack([np.gradient(angle, t), 0.1 * tremor, 0.0 * t]) + 2e-3 * rng.standard_normal((samples, 3))
+    forces = 9.81 * np.column_stack([0.0 * t, np.sin(angle), np.cos(angle)]) + tremor[:, None] * [1.0, 0.5, 0.2]
+    return np.hstack([rates, forces + 0.015 * rng.standard_normal((samples, 3))])
+
+
+LEAST = np.repeat([9.0 * 2e-3, 9.0 * 0.015], 3)
+
+
+def bad_in(values: Array) -> BadSamples:
+    """The bad samples of a turn that is 100 … 300 of these samples at 100 Hz."""
+    stored, n = MotionSamples(), len(values)
+    stored.append(values[:, :3], values[:, 3:], np.full(n, 0.01))
+    whole = np.zeros(1, dtype=int), np.full(1, n)
+    return bad_samples_of_turns(stored, np.array([100]), np.array([300]), whole, 100.0, LEAST)
+
+
+@pytest.mark.parametrize("size", [5.0, -12.0, 300.0, -2000.0])
+@pytest.mark.parametrize("width", [1, 2, 3])
+@pytest.mark.parametrize("at", [100, 151, 200, 297])
+def test_a_bad_sample_of_a_turn_is_replaced(size: float, width: int, at: int) -> None:
+    """One accelerometer, by half a g and more; 1 to 3 samples."""
+    values = turned(np.random.default_rng(at))
+    sound, places = values.copy(), np.arange(at, at + width)
+    values[places, 4] += size
+    found = bad_in(values)
+    np.testing.assert_array_equal(found.at, places)
+    np.testing.assert_array_equal(found.values[:, [0, 1, 2, 3, 5]], sound[places][:, [0, 1, 2, 3, 5]])
+    assert np.abs(found.values[:, 4] - sound[places, 4]).max() < 0.3
+
+
+def test_a_packet_that_was_misread_and_one_gyro_are_found() -> None:
+    rng = np.random.default_rng(3)
+    values = turned(rng)
+    values[150] = 100.0 * rng.standard_normal(6)
+    values[230, 2] += 1.0
+    found = bad_in(values)
+    np.testing.assert_array_equal(found.at, [150, 230])
+    assert found.note(np.array([6])) == (
+        "2 bad samples, far off those beside them, replaced by what is between these in the turn 7 to 8",
+    )
+
+
+def test_blows_and_jerks_are_no_bad_samples() -> None:
+    """What a body feels in several axes, be it within a sample; what rings; a step of a rate; noise of 17 minutes."""
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        values, at = turned(rng), int(rng.integers(100, 300))
+        values[at, 3:] += rng.uniform(5.0, 25.0) * unit_vector(rng.standard_normal(3)) + [0.5, 0.5, 0.5]
+        assert len(bad_in(values).at) == 0
+        values = turned(rng)
+        ringing = 60.0 * np.exp(-np.arange(20) / 4.0) * np.cos(np.arange(20) * rng.uniform(0.5, 2.0))
+        values[at : at + 20, 3:] += ringing[:, None] * (unit_vector(rng.standard_normal(3)))
+        assert len(bad_in(values).at) == 0
+        values = turned(rng)
+        values[at:, 2] += 0.5
+        assert len(bad_in(values).at) == 0
+    stored, n = MotionSamples(), 100_000
+    stored.append(2e-3 * rng.standard_normal((n, 3)), 0.015 * rng.standard_normal((n, 3)), np.full(n, 0.01))
+    ends = np.zeros(1, dtype=int), np.full(1, n)
+    assert len(bad_samples_of_turns(stored, *ends, ends, 100.0, 0.5 * LEAST).at) == 0
+
+
+def test_a_bad_sample_in_a_turn_costs_nothing(tmp_path: Path) -> None:
+    """A spike of 40 g in one sample: its velocity fixed the cubic terms, and moved a scale factor by 20 u."""
+    folder = simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=9, rest=5.0), seed=1)
+    clean, rests = calibrate(folder), inspect_session(folder).segmentation.rests
+    log = pl.read_parquet(folder / "log.parquet")
+    at = int(np.searchsorted(log["t"].to_numpy(), 0.5 * (rests[3].stop + rests[4].start)))
+    column = log["ax"].to_numpy().copy()
+    column[at] += 400.0
+    log.with_columns(ax=column).write_parquet(folder / "log.parquet")
+    found = calibrate(folder)
+    assert any(note.startswith("1 bad sample") and "turn 4 to 5" in note for note in found.notes)
+    values, u = (np.array([getattr(p, what) for p in clean.parameters]) for what in ("value", "u"))
+    assert np.all(np.abs([p.value for p in found.parameters] - values) < 0.1 * u)
 
 
 def test_a_session_with_bad_samples_keeps_its_rests(tmp_path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tumble
-from tumble.estimation.common_errors import by_time_base, common_rounding
+from tumble.estimation.common_errors import by_time_base, clocked, common_rounding
 from tumble.estimation.likelihood import Problem, noise_of
 from tumble.estimation.linearisation import linearise
 from tumble.estimation.methods.joint.method import joint
@@ -17,12 +18,14 @@ from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.rounding import Rounding
 from tumble.sensors.instrument import Instrument
+from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 from tumble.units import Array
 
 STEP = 1e-3
+ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
 
 
 def rounded(noise: float) -> Rounding:
@@ -64,7 +67,7 @@ def test_the_part_in_common_is_the_correlation_of_the_errors() -> None:
 def test_rounding_and_time_base_are_in_the_covariance_of_the_joint_method() -> None:
     plain = replace(observed(), usual={})
     coarse = replace(plain, rests=replace(plain.rests, gyro=np.round(plain.rests.gyro / 1e-9) * 1e-9))
-    with_errors = replace(coarse, rounding={"gyro": rounded(0.1)}, clock_u=3e-4)
+    with_errors = replace(coarse, rounding={"gyro": rounded(0.1)}, by_clock={"gyro.scale": 3e-4})
     before, after = joint(coarse), joint(with_errors)
     np.testing.assert_array_equal(after.values, before.values)
     change = after.covariance - before.covariance
@@ -80,21 +83,61 @@ def test_rounding_and_time_base_are_in_the_covariance_of_the_joint_method() -> N
     assert (after.prediction.rate_u or 0.0) > (before.prediction.rate_u or 0.0)
 
 
-def test_the_time_base_is_that_of_rates_alone() -> None:
-    """Increments are angles, whatever the clock says."""
-    sensors = {"columns": ["x", "y", "z"], "unit": "m/s^2"}
+@pytest.mark.parametrize(
+    ("accel", "gyro", "changed"),
+    [
+        ("m/s^2", "rad/s", {"gyro.scale": 20e-6}),
+        ("m/s^2", "rad", {}),
+        ("m/s", "rad", {"accel.scale": -20e-6}),
+        ("m/s", "rad/s", {"gyro.scale": 20e-6, "accel.scale": -20e-6}),
+    ],
+)
+def test_the_time_base_is_that_of_rates_and_of_increments_of_velocity(
+    accel: str, gyro: str, changed: dict[str, float]
+) -> None:
+    """Increments of gyros are angles, whatever the clock says; forces are compared with gravity, unless they are
+    increments divided by their intervals."""
+    log = described(accel, gyro, clock_ppm_u=20).log
+    found = clocked(log.time_base_u, log.increments)
+    assert found == pytest.approx(changed)
+    names = Instrument.of(ACCEL, GYRO).names
+    by_name = by_time_base(names, found)
+    assert by_name.tolist() == pytest.approx([changed.get(name.rpartition(".")[0], 0.0) for name in names])
+
+
+def described(accel: str, gyro: str, **log: float) -> tumble.Session:
+    """A session of such units."""
+    sensors = {"columns": ["x", "y", "z"], "unit": accel}, {"columns": ["p", "q", "r"], "unit": gyro}
+    given = {"rate_hz": 100.0, "accel": sensors[0], "gyro": sensors[1], **log}
     samples = dict.fromkeys("xyzpqr", np.zeros(300))
+    return tumble.session_of({"format": 1, "device": {"serial": "A"}, "log": given}, samples)
 
-    def log(unit: str) -> tumble.Session:
-        gyro = {"columns": ["p", "q", "r"], "unit": unit}
-        given = {"rate_hz": 100.0, "clock_ppm_u": 20, "accel": sensors, "gyro": gyro}
-        return tumble.session_of({"format": 1, "device": {"serial": "A"}, "log": given}, samples)
 
-    assert log("rad/s").log.gyro_clock_u == pytest.approx(20e-6)
-    assert log("rad").log.gyro_clock_u == 0.0
-    names = Instrument.of(log("rad/s").accel_block, log("rad/s").gyro_block).names
-    changed = [name for name, change in zip(names, by_time_base(names, 1.0), strict=True) if change]
-    assert changed == [f"gyro.scale.{axis}" for axis in "xyz"]
+def test_a_time_base_that_is_not_stated_is_that_of_a_crystal_and_said(tmp_path: Path) -> None:
+    """30 ppm in the scale factors of the gyros; stated as 0 it is exact, which a simulated session says."""
+    folder = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="tactical", positions=12, rest=5.0), seed=1)
+    text = (folder / "session.toml").read_text()
+    assert "clock_ppm_u = 0\n" in text
+    exact = tumble.calibrate(folder)
+    (folder / "session.toml").write_text(text.replace("clock_ppm_u = 0\n", ""))
+    unsaid = tumble.calibrate(folder)
+    name = "gyro.scale.x"
+    assert (unsaid[name].u or 0.0) ** 2 == pytest.approx((exact[name].u or 0.0) ** 2 + 30e-6**2)
+    assert unsaid["accel.scale.x"].u == pytest.approx(exact["accel.scale.x"].u)
+    assert (exact.clock_u, unsaid.clock_u) == (0.0, 30e-6)
+    said = [note for note in unsaid.notes if "time base" in note]
+    assert len(said) == 1
+    assert "30 ppm" in said[0]
+    assert not any("time base" in note for note in exact.notes)
+
+
+def test_readings_in_memory_have_a_time_base() -> None:
+    still = np.tile([0.0, 0.0, 9.81], (300, 1))
+    for given, u in ((None, 30e-6), (0.0, 0.0), (5.0, 5e-6)):
+        session = tumble.session_of_arrays(accel=still, gyro=0.0 * still, rate=100.0, clock_ppm_u=given)
+        assert session.log.time_base_u == pytest.approx(u)
+        again = tumble.description_of(session)["log"]
+        assert again.get("clock_ppm_u") == (None if given is None else pytest.approx(given))
 
 
 @pytest.mark.parametrize("noise", [(1.0, 1.0, 1.0), (1.0, 1e-3, 1e-3), (1e-3, 1.0, 1e-6)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -16,17 +15,15 @@ from tumble.units import Array
 def test_mean_and_spread_of_a_lag_are_those_of_its_likelihood(
     monkeypatch: pytest.MonkeyPatch, centre: float, spread: float
 ) -> None:
-    """The likelihood of a ramp that is much narrower than the u with which the steps of the estimate end, 190 s, and
-    away from there; the parameters move with the lag."""
+    """The likelihood of a ramp, from a lag that is held at −20 s, be it much narrower than the grid and away from it;
+    the parameters move with the lag."""
 
-    def about(_fitted: object, _free: object, _at: object, lags: Array) -> tuple[Array, Array]:
+    def about(_problem: object, _free: object, _at: object, _scatter: object, lags: Array) -> tuple[Array, Array]:
         return ((lags - centre) / spread) ** 2, np.column_stack([np.zeros_like(lags), 2.0 * lags])
 
     monkeypatch.setattr(of_lag, "_about", about)
-    monkeypatch.setattr(of_lag, "At", SimpleNamespace(of=lambda *_: None))
-    solved = SimpleNamespace(point=None, last=SimpleNamespace(about=None))
-    fitted = cast(Any, SimpleNamespace(problem=None, solved=solved, out=None))
-    lags, weight, moved = of_lag._resolved(fitted, cast(Any, None), -20.0 + 190.0 * of_lag.LAG_GRID)
+    nothing = cast(Any, None)
+    lags, weight, moved = of_lag._resolved(nothing, nothing, nothing, nothing, -20.0 + of_lag.LAGS_ABOUT)
     mean = float(weight @ lags)
     assert mean == pytest.approx(centre, abs=0.03 * spread)
     assert np.sqrt(weight @ (lags - mean) ** 2) == pytest.approx(spread, rel=0.03)

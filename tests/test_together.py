@@ -41,6 +41,7 @@ from tumble.simulation.climate import Climate
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, scenario_of
+from tumble.simulation.temperature_profile import REFERENCE_NAME, truth_at
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
 LONG = 4000.0
@@ -422,6 +423,23 @@ def test_a_ramp_one_way_is_not_taken_for_a_lag_nor_hysteresis_for_a_bias() -> No
     assert np.abs((found.values[:21] - true) / found.u[:21]).max() < 5.0
     usual = usual_sizes("mems")["accel.bias.hysteresis"]
     assert 0.5 * usual < found.u[found.names.index("accel.bias.x")] < 1.5 * usual
+
+
+@pytest.mark.parametrize(("low", "lag"), [(24.0, 60.0), (29.0, 30.0), (31.5, 200.0)])
+def test_a_lag_is_in_u_however_little_it_warms(low: float, lag: float) -> None:
+    """A MEMS unit by hand that warms by 8, 3 and 0.5 K in three minutes: without a lag its biases were 30 u off."""
+    setup = Setup.of(grade="mems", positions=16, rest=5.0, sample_rate=50.0)
+    scenario = device("mems", setup, 5)
+    kelvin = np.array([low, 32.0]) + ZERO_CELSIUS
+    climate = Climate(time=np.array([0.0, 180.0]), kelvin=kelvin[:, None], reference=REFERENCE, lag=lag)
+    observations = simulate_observations(replace(scenario, climate=climate), np.random.default_rng(1))
+    estimate = joint(replace(observations, usual=usual_sizes("mems")))
+    assert observations.rests.temperature is not None
+    truth = truth_at({**scenario.truth, REFERENCE_NAME: REFERENCE}, float(observations.rests.temperature.mean()), None)
+    off = [(estimate.values[i] - truth[name]) / estimate.u[i] for i, name in enumerate(estimate.names[:21])]
+    assert np.abs(off).max() < 5.0
+    assert "temperature.lag" in estimate.names
+    assert "accel.bias.hysteresis" not in {group.name for group in estimate.groups}
 
 
 def test_what_cannot_be_one_estimate_is_refused(made: tuple[Scenario, list[Session], Calibration]) -> None:

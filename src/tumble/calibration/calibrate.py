@@ -19,7 +19,7 @@ from tumble.calibration.notes import bridged_in
 from tumble.calibration.observed import Progress, inspected, observations_for_calibration
 from tumble.calibration.with_magnetometer import with_magnetometer
 from tumble.errors import CalibrationError, InputError
-from tumble.estimation.common_errors import by_time_base
+from tumble.estimation.common_errors import by_time_base, clocked
 from tumble.estimation.diagnosis.linear_model import judged, left_out, taken_as_nothing
 from tumble.estimation.diagnosis.undetermined import one_attitude
 from tumble.estimation.estimate import Estimate, Outcome
@@ -79,6 +79,7 @@ def calibrate(
     gyro_axes: npt.ArrayLike | None = ...,
     programme: str | Sequence[str] | None = ...,
     serial: str = ...,
+    clock_ppm_u: float | None = ...,
     method: Method = ...,
     iterations: int | None = ...,
     frame: Frame = ...,
@@ -209,9 +210,9 @@ def estimated(
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
     usual, said = _usual(session, observations, terms)
-    notes, clock_u = observations.notes + said, session.log.gyro_clock_u
-    unstamped = session.log.unstamped
-    observations = replace(observations, start=start, usual=usual, notes=notes, clock_u=clock_u, unstamped=unstamped)
+    by_clock = clocked(session.log.time_base_u, session.log.increments)
+    notes, unstamped = observations.notes + said + _time_base(session, by_clock), session.log.unstamped
+    observations = replace(observations, start=start, usual=usual, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
             estimate = _with_time_base(method(observations), observations)
@@ -229,9 +230,19 @@ def estimated(
         return Outcome(reasons=(one_attitude(observations) or broken,))
 
 
+def _time_base(session: Session, by_clock: Mapping[str, float]) -> tuple[str, ...]:
+    """That an uncertainty of the time base is in u which nobody has stated, as a note."""
+    if session.log.clock_u is not None or not by_clock:
+        return ()
+    return (
+        f"no uncertainty of the time base is stated: {1e6 * session.log.time_base_u:.0f} ppm, as of a crystal, are in "
+        f"the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
+    )
+
+
 def _with_time_base(estimate: Estimate, observations: Observations) -> Estimate:
     """An estimate with the uncertainty of the time base, which the method joint counts itself."""
-    change = by_time_base(estimate.names, observations.clock_u)
+    change = by_time_base(estimate.names, observations.by_clock)
     if estimate.method == "joint" or not change.any():
         return estimate
     return replace(estimate, covariance=estimate.covariance + np.outer(change, change))

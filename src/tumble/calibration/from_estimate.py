@@ -76,7 +76,7 @@ def result_of(
         thermometers=_thermometers(session, observations),
         references=references_of(observations),
         imu=session.device.imu,
-        clock_u=observations.clock_u,
+        clock_u=session.log.time_base_u,
     )
 
 

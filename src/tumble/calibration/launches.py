@@ -25,7 +25,7 @@ from tumble.calibration.results import Launch, Parameter
 from tumble.calibration.shared_errors import by_priors
 from tumble.calibration.type_spread import TypeSpread, pooled
 from tumble.errors import InputError
-from tumble.estimation.common_errors import by_time_base
+from tumble.estimation.common_errors import by_time_base, clocked
 from tumble.estimation.ellipsoid import TRIAD
 from tumble.estimation.estimate import GroupFinding, Outcome
 from tumble.estimation.methods.magnetometer import NAMES
@@ -289,7 +289,7 @@ def _covariance(
     whole = [move @ _own(run, names) @ move.T for run, move in zip(runs, moves, strict=True)]
     gravity = _gravity_in_common(runs, names, whole)
     by_prior = [_by_prior(run, names, covariance) for run, covariance in zip(runs, whole, strict=True)]
-    clock = by_time_base(names, _clock_u(runs))
+    clock = by_time_base(names, clocked(_clock_u(runs), runs[0].session.log.increments))
     of_site = np.outer(gravity, gravity) + np.outer(clock, clock)
     own = [c - of_site - of_prior for c, of_prior in zip(whole, by_prior, strict=True)]
     common = of_site + np.mean(by_prior, axis=0)
@@ -324,7 +324,7 @@ def _own_variance(parameter: Parameter, whole: float, own: float) -> tuple[float
 
 def _clock_u(runs: Sequence[Run]) -> float:
     """The uncertainty of the time base that all launches have at least."""
-    return min(run.session.log.gyro_clock_u for run in runs)
+    return min(run.session.log.time_base_u for run in runs)
 
 
 def _gravity_in_common(runs: Sequence[Run], names: list[str], covariances: Sequence[Array]) -> Array:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.calibration.coverage import by_gravity, shared_gravity
-from tumble.estimation.common_errors import by_time_base
+from tumble.estimation.common_errors import by_time_base, clocked
 from tumble.sensors.parameters import Variable, variable_of
 from tumble.units import Array
 
@@ -38,7 +38,7 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
     if shared_gravity(first.site, second.site):
         found[GRAVITY] = (_of_gravity(first), _of_gravity(second))
     if first.serial == second.serial and shared_time_base(first.clock_u, second.clock_u):
-        found[TIME_BASE] = (_of_time_base(first), _of_time_base(second))
+        found[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
     if first.serial == second.serial:
         ours, theirs = (by_priors(each.parameters, each.covariance) for each in (first, second))
         names = [name for name in ours if name in theirs]
@@ -69,5 +69,8 @@ def _of_gravity(calibration: Calibration) -> Array:
     return by_gravity(calibration.parameters, calibration.covariance, calibration.site)[:, None]
 
 
-def _of_time_base(calibration: Calibration) -> Array:
-    return by_time_base([p.name for p in calibration.parameters], calibration.clock_u)[:, None]
+def of_time_base(calibration: Calibration) -> Array:
+    """What one standard uncertainty of the time base changes in the parameters (m,) of a calibration."""
+    increments = dict.fromkeys(("accel", "gyro"), False)
+    increments |= {kind: readings.increments for kind, readings in calibration.readings.items()}
+    return by_time_base([p.name for p in calibration.parameters], clocked(calibration.clock_u, increments))

@@ -6,13 +6,15 @@ a turn about another axis: the error is one of the bias. Of rests whose true val
 e^(−2π²s²/L²) of it is common, of accelerometers in several attitudes nothing. Readings scatter by up to
 1 + 2 Σ_k e^(−2π²k²σ²/L²) times as much as the true values, which between two steps they do.
 
-Time base. A clock that is fast by ε makes every turn longer by ε, and with it every scale factor of the gyros larger:
-accelerometers are compared with gravity over the same time, and increments are angles already.
+Time base. A clock that is fast by ε makes every turn longer by ε, and with it every scale factor of the gyros larger,
+unless their increments are angles already. Accelerometers are compared with gravity, whatever the time; but what is an
+increment of velocity divided by its interval is less by ε. Biases, delays and levers change by ε of themselves, which
+is nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -27,7 +29,7 @@ _HARMONICS = np.arange(1, 40)
 
 def common_covariance(observations: Observations, instrument: Instrument) -> Array:
     """Covariance (m, m) of the parameters by rounding and the time base, on top of that by noise."""
-    by_clock, u = by_time_base(instrument.names, observations.clock_u), np.zeros(len(instrument.names))
+    by_clock, u = by_time_base(instrument.names, observations.by_clock), np.zeros(len(instrument.names))
     for block, readings in ((instrument.accel, observations.rests.accel), (instrument.gyro, observations.rests.gyro)):
         if block is not None and block.kind in observations.rounding:
             size = common_rounding(observations.rounding[block.kind], readings)
@@ -43,6 +45,13 @@ def common_rounding(rounding: Rounding, readings: Array) -> Array:
     return np.asarray(rounding.common_u * np.exp(-2.0 * (np.pi * scatter) ** 2))
 
 
-def by_time_base(names: Sequence[str], clock_u: float) -> Array:
-    """What one standard uncertainty of the time base changes in parameters of these names (m,)."""
-    return np.array([clock_u if group_name(name) == "gyro.scale" else 0.0 for name in names])
+def clocked(clock_u: float, increments: Mapping[str, bool]) -> dict[str, float]:
+    """What one standard uncertainty of the time base, relative, changes in parameters, by group; `increments` says of
+    each kind of sensor whether its readings were."""
+    sizes = {"gyro.scale": clock_u * (not increments.get("gyro", True)), "accel.scale": -clock_u * increments["accel"]}
+    return {group: size for group, size in sizes.items() if size != 0.0}
+
+
+def by_time_base(names: Sequence[str], by_clock: Mapping[str, float]) -> Array:
+    """The same in parameters of these names (m,)."""
+    return np.array([by_clock.get(group_name(name), 0.0) for name in names])

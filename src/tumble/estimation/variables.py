@@ -26,8 +26,11 @@ INNER = 0.8
 """Of half the range: beyond, a hysteresis does nothing."""
 SHORTEST = 1e-6  # s: of a turn
 LAG_STEP = 1.0  # s, of the difference for the derivative
-LEVEL = 1.0
-"""K: rests of a session whose temperatures differ by no more are at one level."""
+LEVEL = 0.05
+"""K: rests of a session whose temperatures differ by no more are at one level: half of it, more of which a lag does not
+make, times a usual slope is within the usual instability of a bias, in every grade."""
+RAMP = 1.0
+"""K: by what a temperature changes within a session that is to show a hysteresis."""
 BETWEEN = 0.8
 """Of the range of temperatures: where so much of it has no rest, all are at its two ends."""
 
@@ -82,10 +85,10 @@ def _of_temperature(
     reference, seconds = kelvin.mean(axis=0), np.maximum(_turning(observations)[1], 1.0)[:, None]
     rest, turn, before, after = (_of_warmth(each, reference) for each in _warmth(observations, kelvin, lag))
     out = {name: (rest[name], turn[name], 2.0 * (after[name] - before[name]) / seconds) for name in rest}
-    if not lag_is_sought(observations):
-        del out["hysteresis"]
-    else:
+    if lag_is_sought(observations):
         out["lag"] = np.zeros_like(rest["temperature"]), *np.zeros((2, *turn["temperature"].shape))
+    if not on_a_ramp(observations):
+        del out["hysteresis"]
     return out
 
 
@@ -146,13 +149,23 @@ def over_a_range(observations: Observations) -> bool:
 
 
 def lag_is_sought(observations: Observations) -> bool:
-    """Whether a lag of the sensors behind the thermometer may matter: over a range of temperatures, where they change
-    within a session. At a level there is nothing to follow but the noise of the thermometer."""
+    """Whether a lag of the sensors behind the thermometer may matter: where the temperature changes within a session.
+    At a level there is nothing to follow but the noise of the thermometer."""
+    return _change_within(observations) > LEVEL
+
+
+def on_a_ramp(observations: Observations) -> bool:
+    """Whether a hysteresis may matter: over a range of temperatures, where they change within a session."""
+    return over_a_range(observations) and _change_within(observations) > RAMP
+
+
+def _change_within(observations: Observations) -> float:
+    """By how much, K, the temperatures of the rests of a session differ at most; 0 without a record of them."""
     kelvin, session = observations.rests.temperatures, observations.session
-    if kelvin is None or not over_a_range(observations):
-        return False
+    if kelvin is None or observations.thermometers is None:
+        return 0.0
     each = [kelvin] if session is None else [kelvin[session == s] for s in range(session[-1] + 1)]
-    return max(float(np.ptp(own, axis=0).max()) for own in each) > LEVEL
+    return max(float(np.ptp(own, axis=0).max()) for own in each)
 
 
 def at_two_temperatures(observations: Observations) -> bool:
@@ -175,7 +188,7 @@ def directions(observations: Observations) -> Array:
 def both_ways(observations: Observations) -> bool:
     """Whether enough rests within the range of every thermometer came from below, and from above."""
     kelvin = observations.rests.temperatures
-    if kelvin is None or not lag_is_sought(observations):
+    if kelvin is None or not on_a_ramp(observations):
         return False
     low, high = kelvin.min(axis=0), kelvin.max(axis=0)
     inner: BoolArray = np.abs(kelvin - 0.5 * (low + high)) < INNER * 0.5 * (high - low)

@@ -244,9 +244,7 @@ def _notes(
         yield f"left to what is usual: {', '.join(left)}; {_remedy(planned, ramps)}"
     yield from _scales(planned)
     if not over_a_range(observations):
-        yield (
-            "the temperatures span less than 10 K: neither the lag behind the thermometer nor hysteresis is looked for"
-        )
+        yield ("the temperatures span less than 10 K: hysteresis is not looked for")
     elif ramps and (at := problem.lag) is not None and not both_ways(observations):
         yield (
             "no temperature is passed both ways in a recording: a lag behind the thermometer shows only where a ramp "

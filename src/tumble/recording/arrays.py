@@ -39,12 +39,14 @@ def session_of_arrays(
     gyro_axes: npt.ArrayLike | None = None,
     programme: str | Sequence[str] | None = None,
     serial: str = "unknown",
+    clock_ppm_u: float | None = None,
 ) -> Session:
     """The session of SI readings (N, n) in memory: specific force, m/s², and angular rate, rad/s, as arrays, polars or
     pandas frames; the end times of the samples (N,), s, or their rate, Hz; temperature (N,), K, or where they
     have thermometers of their own those of "accel" and "gyro", (N,) or (N, n); geodetic latitude, rad, height, m,
     gravity and its standard uncertainty, m/s². The nominal axes (n, 3) of more than three sensors are unit vectors in
-    the body. `programme` names a built-in programme or lists attitude codes.
+    the body. `programme` names a built-in programme or lists attitude codes. `clock_ppm_u` is the standard uncertainty
+    of the time base, parts per million, 0 for an exact one; 30 where None.
 
     Raises InputError for another shape, another unit, and numbers that are not finite.
 
@@ -79,6 +81,8 @@ def session_of_arrays(
         data |= {name: celsius_of(kelvin) for name, kelvin in thermometers.items()}
         log["temperature"] = {"columns": columns, "unit": "degC"}
     _check_lengths(data)
+    if clock_ppm_u is not None:
+        log["clock_ppm_u"] = _number("clock_ppm_u", clock_ppm_u)
     description: dict[str, Any] = {
         "format": 1,
         "device": {"serial": serial},

@@ -75,7 +75,7 @@ def _log(spec: LogSpec) -> dict[str, Any]:
         "time_unit": None if spec.time is None or unit == "s" else unit,
         "regular": spec.regular or None,
         "rate_hz": spec.rate,
-        "clock_ppm_u": 1e6 * spec.clock_u or None,
+        "clock_ppm_u": None if spec.clock_u is None else 1e6 * spec.clock_u,
         "accel": _channels(spec.accel, ACCEL_UNITS),
         "gyro": None if spec.gyro is None else _channels(spec.gyro, GYRO_UNITS),
         "temperature": None if spec.temperature is None else _thermometers(spec.temperature),

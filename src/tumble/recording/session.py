@@ -124,12 +124,17 @@ class TemperatureChannels:
         return tuple(self.columns[t] for t in (self.accel if kind == "accel" else self.gyro))
 
 
+USUAL_CLOCK_U = 30e-6
+"""Relative standard uncertainty of a time base of which nothing is said: crystals are off by some 20 to 50 ppm, over
+temperature and with age."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogSpec:
     """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
     `rate`, Hz. `clock`: the times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever
     their times are; `dialect`: how text files are written, None for CSV files with their names in the first line;
-    `clock_u`: the relative standard uncertainty of the time base."""
+    `clock_u`: the relative standard uncertainty of the time base, None where it is not stated."""
 
     files: tuple[Path | Samples, ...]
     time: str | None
@@ -142,7 +147,7 @@ class LogSpec:
     clock: bool = False
     regular: bool = False
     dialect: Dialect | None = None
-    clock_u: float = 0.0
+    clock_u: float | None = None
 
     @property
     def unstamped(self) -> bool:
@@ -150,9 +155,15 @@ class LogSpec:
         return self.rate is not None or self.regular
 
     @property
-    def gyro_clock_u(self) -> float:
-        """The uncertainty of the time base as far as it makes gyros wrong: increments are angles already."""
-        return 0.0 if self.gyro is None or self.gyro.unit.kind == "increment" else self.clock_u
+    def time_base_u(self) -> float:
+        """The relative standard uncertainty of the time base: the usual one where none is stated."""
+        return USUAL_CLOCK_U if self.clock_u is None else self.clock_u
+
+    @property
+    def increments(self) -> dict[str, bool]:
+        """Whether the readings of each kind of sensor there is are increments."""
+        kinds = {"accel": self.accel, "gyro": self.gyro}
+        return {kind: channels.unit.kind == "increment" for kind, channels in kinds.items() if channels is not None}
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -241,7 +241,7 @@ def _log(log: LogTable, folder: Path) -> LogSpec:
         clock=log.time_unit == CLOCK,
         regular=bool(log.regular),
         dialect=log.dialect(),
-        clock_u=1e-6 * (log.clock_ppm_u or 0.0),
+        clock_u=None if log.clock_ppm_u is None else 1e-6 * log.clock_ppm_u,
     )
 
 

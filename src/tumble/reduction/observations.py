@@ -90,8 +90,8 @@ class Observations(Brief):
     """Where these are several sessions."""
     arrays: tuple[ArrayMoments, ...] = ()
     """Of every session, what the accelerometers of an array read in motion, where there are enough of them."""
-    clock_u: float = 0.0
-    """Relative standard uncertainty of the time base, where the gyros were logged as rates."""
+    by_clock: Mapping[str, float] = field(default_factory=dict)
+    """By group of parameters, what one standard uncertainty of the time base changes in them."""
     unstamped: bool = False
     """Whether no time in the log says that samples are missing."""
     usual: Mapping[str, float] = field(default_factory=dict)
@@ -176,9 +176,11 @@ def observe(
     spans = match.rests
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
     turns, samples, readings = None, None, None
+    in_turns: tuple[str, ...] = ()
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
-        turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, *noises, rounded)
+        turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
+        in_turns = samples.bad.note(turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
         arrays = _arrays(reduction, rests, accel, gyro) if arrays is None else arrays
     return Observations(
@@ -193,7 +195,7 @@ def observe(
         turn_readings=readings,
         arrays=arrays or (),
         rounding=rounded,
-        notes=(*_copies(reduction), *blemish_notes(reduction, spans), *rounding_notes(rounded)),
+        notes=(*_copies(reduction), *blemish_notes(reduction, spans), *in_turns, *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else thermometers_of(reduction),
     )
 

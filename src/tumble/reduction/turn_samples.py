@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tumble.reduction.blemishes import NO_BAD_SAMPLES, BadSamples
 from tumble.reduction.moments import Pieces
 from tumble.reduction.motion_samples import MotionSamples
 from tumble.units import IntArray
@@ -21,12 +22,13 @@ AHEAD = 2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnSamples:
-    """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`; those of further
-    sessions are `others`, after so many turns."""
+    """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`, the `bad` ones among
+    them replaced; those of further sessions are `others`, after so many turns."""
 
     samples: MotionSamples
     start: IntArray
     stop: IntArray
+    bad: BadSamples = NO_BAD_SAMPLES
     others: tuple[tuple[int, TurnSamples], ...] = ()
     _kept: list[Pieces] = field(default_factory=list, repr=False)
 
@@ -71,6 +73,9 @@ class TurnSamples:
         for turn, first, at, end in parts:
             into = slice(done, done + end - first)
             rates[into], forces[into], intervals[into] = self.samples.read(first, end)
+            bad = slice(*np.searchsorted(self.bad.at, [first, end]))
+            places = done + self.bad.at[bad] - first
+            rates[places], forces[places] = np.hsplit(self.bad.values[bad], 2)
             pieces.append((turn, done + at - first, done + end - first))
             done += end - first
         turns, start, stop = np.array(pieces).T

@@ -9,6 +9,7 @@ from itertools import accumulate, pairwise
 import numpy as np
 
 from tumble.recording.gaps import Gap
+from tumble.reduction.blemishes import BEYOND_REST, BEYOND_STEP, bad_samples_of_turns
 from tumble.reduction.blocks import Reduction
 from tumble.reduction.coloured_noise import ColouredNoise
 from tumble.reduction.moments import (
@@ -19,7 +20,7 @@ from tumble.reduction.moments import (
     moments_of,
 )
 from tumble.reduction.motion_samples import MotionSamples
-from tumble.reduction.rests import gyro_of
+from tumble.reduction.rests import Rests, gyro_of
 from tumble.reduction.rounding import Rounding
 from tumble.reduction.segmentation import RestSpan
 from tumble.reduction.turn_samples import TurnSamples
@@ -87,6 +88,7 @@ def reduced_turns(
     reduction: Reduction,
     stored: MotionSamples,
     spans: tuple[RestSpan, ...],
+    rests: Rests,
     accel_noise: tuple[Block, ColouredNoise],
     gyro_noise: tuple[Block, ColouredNoise],
     rounded: Mapping[str, Rounding],
@@ -98,8 +100,12 @@ def reduced_turns(
     start = np.array([by_file[spans[i].file].sample_at(spans[i].last) for i in first], dtype=int)
     stop = np.array([by_file[spans[j].file].sample_at(spans[j].first) for j in last], dtype=int)
     duration = np.array([spans[j].start - spans[i].stop for i, j in zip(first, last, strict=True)])
-    samples = TurnSamples(samples=stored, start=start, stop=stop)
     (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
+    files = [by_file[spans[i].file] for i in first]
+    within = tuple(np.array([f.sample_at(k * len(f.accel)) for f in files], dtype=int) for k in (0, 1))
+    least = _least_off(reduction, rests)
+    bad = bad_samples_of_turns(stored, start, stop, (within[0], within[1]), reduction.rate, least)
+    samples = TurnSamples(samples=stored, start=start, stop=stop, bad=bad)
     moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
     long = np.maximum(duration, block_seconds)
     of_forces, of_rates = (
@@ -124,6 +130,20 @@ def reduced_turns(
         aliased=aliased_rotations(samples, covariance),
     )
     return turns, samples
+
+
+def _least_off(reduction: Reduction, rests: Rests) -> Array:
+    """What the samples (6,) of rates and forces in the body are off by at least where they are bad, by what they do at
+    rest and their resolution. More than three gyros are not judged: their readings go another way too."""
+    least = np.empty(6)
+    kinds = (reduction.gyro_channels, rests.gyro_noise), (reduction.accel_channels, rests.accel_noise)
+    for part, (channels, noise) in zip((slice(3), slice(3, 6)), kinds, strict=True):
+        steps = [channel.step for channel in channels if np.isfinite(channel.step)]
+        of_sample = float(np.median(noise)) * np.sqrt(reduction.rate)
+        least[part] = max(BEYOND_REST * of_sample, BEYOND_STEP * max(steps, default=0.0))
+    if rests.gyro.shape[1] > 3:
+        least[:3] = np.inf
+    return least
 
 
 def _by_rounding(samples: TurnSamples, block: Block, rounded: Rounding) -> Array:

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 
 from tumble.calibration.compare import Comparison, compare_calibrations
 from tumble.calibration.coverage import by_gravity
-from tumble.calibration.shared_errors import by_priors
+from tumble.calibration.shared_errors import by_priors, of_time_base
 from tumble.errors import InputError
-from tumble.estimation.common_errors import by_time_base
 from tumble.recording.session import Site
 from tumble.registry.conformity import over_temperature
 from tumble.registry.connect import Registry
@@ -77,7 +76,7 @@ def _points(name: str, unit: str, found: Iterable[Record], alike: Mapping[int, C
     for record in found:
         calibration = alike[record.number]
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
-        changes = by_priors(calibration.parameters, calibration.covariance)
+        changes, by_clock = by_priors(calibration.parameters, calibration.covariance), of_time_base(calibration)
         for i, own in enumerate(calibration.parameters):
             if (own.name, own.unit) == (name, unit):
                 launches = [p for x in calibration.launches for p in x.parameters if (p.name, p.unit) == (name, unit)]
@@ -92,7 +91,7 @@ def _points(name: str, unit: str, found: Iterable[Record], alike: Mapping[int, C
                     site=calibration.site,
                     by_gravity=float(change[i]),
                     clock_u=calibration.clock_u,
-                    by_clock=float(by_time_base([name], calibration.clock_u)[0]),
+                    by_clock=float(by_clock[i]),
                     by_priors={of: float(each[i]) for of, each in changes.items()},
                 )
 

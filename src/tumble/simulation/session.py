@@ -185,6 +185,7 @@ def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
         "log": {
             "file": f"log.{log_format}",
             "time": "t",
+            "clock_ppm_u": 0,
             "accel": _block_content(scenario.accel, "m/s^2"),
             "gyro": _block_content(scenario.gyro, "rad/s"),
         },

@@ -83,7 +83,7 @@ GROUPS = (
 )
 
 
-BESIDE = {"accel": ("accel_wandering",), "gyro": ("gyro_wandering",), "turn": ("apart",)}
+BESIDE = {"turn": ("apart",)}
 """Components of scatter whose residuals belong to the group of another."""
 
 
@@ -136,11 +136,14 @@ def _of_all(found: list[tuple[str, Misfit]]) -> Misfit:
 def _of_session(linearised: Linearised, share: float = 1.0) -> Misfit:
     """What the residuals of a session say, which has this share of the false alarms."""
     observations, limit = linearised.problem.observations, share * CAUSE_PROBABILITY
-    alone = Projection(linearised, Scatter())
+    scatter = linearised.scatter  # that of sensors which are named is part of the noise
+    alone = Projection(
+        linearised, Scatter(accel_wandering=scatter.accel_wandering, gyro_wandering=scatter.gyro_wandering)
+    )
     chances = group_chances(linearised, alone)
     larger = [group for group, chance in zip(GROUPS, chances, strict=True) if chance < share * GROUP_PROBABILITY]
-    scatters = bool(np.any(linearised.scatter.variances > 0.0))
-    projection = Projection(linearised, linearised.scatter) if scatters else alone
+    scatters = bool(np.any(scatter.variances > 0.0))
+    projection = Projection(linearised, scatter) if scatters else alone
     alike = tuple(neighbours(linearised, projection))
     found = causes(linearised, (alone, projection), alike)
     named = [cause for cause in found if cause.probability < limit]
@@ -188,7 +191,7 @@ def _settled(linearised: Linearised) -> Iterator[tuple[Concerns, str]]:
 
 
 def _wandering(linearised: Linearised, observations: Observations) -> Iterator[tuple[Concerns, str, bool]]:
-    """The sensors of an array that wander more than the others of their kind, where the estimate has such, and whether
+    """The sensors that wander more than the others of their kind, where the estimate has such, and whether
     they do so beyond use."""
     problem, first = linearised.problem, 0
     for block, group in zip(problem.instrument.blocks, GROUPS, strict=False):
@@ -232,7 +235,7 @@ def _likely(
 
 def group_chances(linearised: Linearised, alone: Projection) -> list[float]:
     """Probability, by group, that chance alone makes residuals as large, by the projection with the noise within rests
-    alone."""
+    alone, and the scatter of sensors that wander."""
     noise = linearised.noise
     (rest, of_rest), (merged, of_merged), r = noise.rest_directions, noise.merged_directions, noise.rest.shape[1]
     found = []

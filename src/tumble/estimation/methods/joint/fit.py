@@ -48,6 +48,12 @@ class Fitted:
         """What was left out."""
         return self.solved.last.out
 
+    @property
+    def evidence(self) -> float:
+        """−2 log of the likelihood with what is not known of the parameters by their priors, less a constant."""
+        priors = np.concatenate([self.problem.measured[1][1:], self.problem.own_known])
+        return self.solved.step.deviance + 2.0 * float(np.log(priors[priors > 0.0]).sum())
+
 
 def fit_of(problem: Problem, start: At, most: int = ALL_STEPS, guess: Scatter | None = None) -> Fitted:
     """The solution with the scatter that it shows, after so many steps at most; a `guess` of the scatter saves time."""

@@ -62,8 +62,8 @@ def joint(
     instrument = instrument or usual
     problem = Problem.of(observations, prior, instrument=instrument, own=own, usual=observations.usual)
     at, first = start_of(problem)
-    at = with_lag(problem, at)
-    everything = fit_with_lag(problem, at, QUICK_STEPS if quick else ALL_STEPS)
+    held, at = with_lag(problem, at)
+    everything = fit_with_lag(problem, held, at, QUICK_STEPS if quick else ALL_STEPS)
     if not quick and own is None:
         everything = with_warm_up(everything, problem)
     most = (QUICK_LEFT_OUT if everything.settled else 0) if quick else MOST_LEFT_OUT

@@ -47,7 +47,7 @@ def with_warm_up(fitted: Fitted, problem: Problem) -> Fitted:
     first = _time_constant(fitted, problem)
     straight = None if first is None else _warmed(fitted, problem, WARMING[:1], first)
     longest = WARM_UPS[-1] * np.ptp(problem.observations.rests.start)
-    if straight is None or straight.settling > longest or _evidence(fitted) - straight.evidence < EVIDENT:
+    if straight is None or straight.settling > longest or fitted.evidence - straight.evidence < EVIDENT:
         return with_wandering(fitted)
     curved = _curved(straight, problem)
     if curved is None or straight.evidence - curved.evidence < CURVED:
@@ -67,7 +67,7 @@ class _Warmed:
     @property
     def evidence(self) -> float:
         """−2 log of the likelihood of the session."""
-        return _evidence(self.fitted)
+        return self.fitted.evidence
 
     @property
     def spread(self) -> Fitted:
@@ -119,7 +119,7 @@ def _warmed(
     while True:
         warm = replace(settling_with(problem, tried[-1], variables), wandering=wandering)
         found = fit_of(warm, without_own(warm, found.solved), guess=found.scatter)
-        if not closest and _evidence(found) > hopeless:
+        if not closest and found.evidence > hopeless:
             return None
         likeliest = _closest(_time_constants(found, problem), tried[-1], found.problem, (first, known))
         if likeliest is None:
@@ -182,10 +182,3 @@ def _closest(
             break
     shorter_by, longer_by = (of_all.values(last * float(np.exp(h)), warm) for h in (-NEAR, NEAR))
     return settling, u, u * (longer_by - shorter_by) / (2.0 * NEAR)
-
-
-def _evidence(fitted: Fitted) -> float:
-    """−2 log of the likelihood with what is not known of the parameters by their priors, less a constant."""
-    problem = fitted.problem
-    priors = np.concatenate([problem.measured[1][1:], problem.own_known])
-    return fitted.solved.step.deviance + 2.0 * float(np.log(priors[priors > 0.0]).sum())
