@@ -33,6 +33,7 @@ from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.calibration.from_estimate import readings_of_session, reference_of, references_of
+from tumble.calibration.half import accepted_accelerometers
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers
@@ -126,6 +127,7 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
     (4, True)
     """
     given, session = calibration_from(calibration), session_from(session)
+    given = accepted_accelerometers(given, "a check has its attitudes")
     _check_given(given, session)
     own = given.in_frame("accelerometer")
     observed = inspect_session(replace(session, programme=None))
@@ -152,9 +154,8 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
 
 def _check_given(calibration: Calibration, session: Session) -> None:
     """A calibration that can be checked, and a session of its device."""
-    if not calibration.outcome.accepted or calibration.accel is None or calibration.covariance is None:
-        found = "; ".join(calibration.outcome.reasons) or "no accelerometers, or no uncertainties"
-        raise CalibrationError(f"calibration of {calibration.serial!r}: expected an accepted one, found {found}")
+    if calibration.covariance is None:
+        raise CalibrationError(f"calibration of {calibration.serial!r}: expected one with uncertainties, found none")
     if session.device.serial != calibration.serial:
         raise InputError(
             f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
@@ -189,7 +190,7 @@ def _notes(calibration: Calibration, observations: Observations, grade: str, gue
     """What was supposed."""
     origin = f", guessed from {guessed_from}; [device] grade says another" if guessed_from else ""
     launches = ", or as from launch to launch of the calibration" if calibration.launches else ""
-    notes = [f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
+    notes = [*calibration.absent, f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
     then, now = calibration.reference_temperature, reference_of(observations)
     if then is None or now is None:
         notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")

@@ -15,17 +15,16 @@ from tumble.units import Array
 
 
 def corrected_readings(
-    compensator: Compensator | None,
+    compensator: Compensator,
     accel: npt.ArrayLike,
     gyro: npt.ArrayLike | None,
     *,
     dt: npt.ArrayLike | None,
     temperature: Temperatures | None,
 ) -> tuple[Array, Array | None]:
-    """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`; there is no compensator
-    without accelerometers. Raises InputError."""
-    force_readings = _checked(None if compensator is None else compensator.accel, "accel", accel, dt)
-    assert compensator is not None
+    """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`. Raises
+    InputError."""
+    force_readings = _checked(compensator.accel, "accel", accel, dt)
     shape = force_readings.shape[:-1]
     steps, celsius = _intervals(dt, shape), given_temperatures(temperature, compensator, shape)
     flat = force_readings.reshape(-1, compensator.accel.size)

@@ -37,6 +37,7 @@ import numpy as np
 from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.case import Verticals, verticals_of
+from tumble.calibration.half import accepted_accelerometers
 from tumble.calibration.observed import inspect_session
 from tumble.calibration.readings_table import read_table
 from tumble.calibration.results import Readings
@@ -64,6 +65,8 @@ TURNED_ON = (
     "a usual change from one power-on to the next explains it: if the device was switched off since the calibration, "
     "`tumble check` allows for that"
 )
+
+VERIFIED = "positions at rest verify a calibration"
 
 NOTHING_LEFT = 1e-6
 """1 − h below which nothing but the position itself determines what it is compared with."""
@@ -227,7 +230,7 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     >>> len(found.labels), found.reasons
     (12, ())
     """
-    calibration = calibration_from(calibration)
+    calibration = accepted_accelerometers(calibration_from(calibration), VERIFIED)
     positions = check if isinstance(check, Positions) else positions_of(check, calibration)
     seen = verticals(calibration, positions)
     assert calibration.accel is not None
@@ -332,11 +335,8 @@ def _limit(count: int, degrees: float) -> float:
 def verticals(calibration: Calibration, positions: Positions) -> Verticals:
     """Where the vertical was in the calibration's frame in every position, with its covariance, for the relation of two
     blocks (`case.relate`). Raises as `verify_calibration`."""
-    if calibration.accel is None or not calibration.outcome.accepted:
-        raise CalibrationError(
-            f"calibration of {calibration.serial!r}: expected an accepted one of accelerometers, found "
-            f"{'; '.join(calibration.outcome.reasons) or 'none of accelerometers'}"
-        )
+    calibration = accepted_accelerometers(calibration, VERIFIED)
+    assert calibration.accel is not None
     names = _accelerometer_names(calibration, positions)
     force = _force(calibration, positions)
     change = _change(calibration, positions, force)

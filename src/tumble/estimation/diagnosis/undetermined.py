@@ -54,7 +54,8 @@ def undetermined(
     remedy = _gravity_wanted(estimate, observations, combinations, known)
     if not remedy:
         remedy = _most_helpful(estimate, observations, combinations)
-    return [("both", _and(f"poorly observable in this session: {weak}", remedy))]
+    concerned = _concerned([estimate.names[i] for each in combinations for i in _largest_of(each)])
+    return [(concerned, _and(f"poorly observable in this session: {weak}", remedy))]
 
 
 def one_attitude(observations: Observations) -> str:
@@ -129,10 +130,15 @@ def _resolution(estimate: Estimate, observations: Observations) -> float:
     return max(tilt, typical(observations.turns.covariance, "gyro turns"))
 
 
+def _largest_of(combination: Array) -> list[int]:
+    """Which parameters a combination (m,) consists of for the most part, the largest first."""
+    order = np.argsort(-np.abs(combination))
+    return [int(i) for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+
+
 def _combination_said(combination: Array, names: Sequence[str]) -> str:
     """A combination (m,) of parameters in words, by its largest parts."""
-    order = np.argsort(-np.abs(combination))
-    largest = [i for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+    largest = _largest_of(combination)
     sign = np.sign(combination[largest[0]])
     parts = [f"{'+' if sign * combination[i] > 0 else '−'} {names[i]}" for i in largest]
     return " ".join(parts).removeprefix("+ ")
