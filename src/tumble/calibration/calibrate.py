@@ -120,13 +120,26 @@ def calibrate(
         else:
             known: Terms = terms if method in WITH_ALL_TERMS else "linear"
             found = estimated(session, observations, estimator, systematic, known)
-    provenance, bridged = provenance_of(observed.sha256), bridged_in(observed.gaps)
+    provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
     if isinstance(found, Outcome):
         made = without_result(session, method, found, provenance, bridged)
     else:
         made = result_of(session, *found, systematic, frame, provenance, bridged)
         made = replace(with_magnetometer(made, session, found[1]), sample_rate=observed.rate)
+    if observed.gyro_faults and not isinstance(found, Outcome):
+        made = replace(made, outcome=_without_gyros(made.outcome, session, observed.gyro_faults))
     return replace(made, circumstances=observed.circumstances)
+
+
+def _without_gyros(outcome: Outcome, session: Session, faults: tuple[str, ...]) -> Outcome:
+    """The outcome of accelerometers that were calibrated alone, because something spoils the gyros."""
+    names = () if session.gyro_block is None else session.gyro_block.names
+    return replace(
+        outcome,
+        reasons=(*outcome.reasons, *faults),
+        of_gyro=(*outcome.of_gyro, *faults),
+        unobservable=(*outcome.unobservable, *names),
+    )
 
 
 def _given(session: Session | FilePath | None, readings: Mapping[str, Any]) -> Session:

@@ -29,5 +29,5 @@ def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
         print_data(inspection_data(observed))
     else:
         print_report(inspection_report(observed))
-    for fault in observed.faults:
+    for fault in (*observed.faults, *observed.gyro_faults):
         warn(f"fault: {fault}")
