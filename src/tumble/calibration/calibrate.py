@@ -14,6 +14,7 @@ import numpy.typing as npt
 from tumble import __version__
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.from_estimate import result_of, without_result
+from tumble.calibration.half import accepted_kinds
 from tumble.calibration.notes import bridged_in
 from tumble.calibration.observed import Progress, inspected, observations_for_calibration
 from tumble.calibration.with_magnetometer import with_magnetometer
@@ -110,6 +111,46 @@ def calibrate(
     session = _given(session, readings).without(without)
     estimator = _estimator(method, iterations)
     Convention(frame=frame, block=session.accel_block)
+    known: Terms = terms if method in WITH_ALL_TERMS else "linear"
+    made = _calibrated(session, method, estimator, frame, known, progress)
+    if not session.excluded:
+        return made
+    try:
+        whole = _calibrated(replace(session, excluded=()), method, estimator, frame, known, progress).outcome
+    except InputError as error:  # a rest too many for the programme, such as a knocked one
+        whole = Outcome(reasons=(str(error),))
+    return _beside_all(made, whole)
+
+
+def _beside_all(made: Calibration, whole: Outcome) -> Calibration:
+    """A calibration from a part of a recording beside the outcome of the whole, which counts: what is accepted without
+    some rests only is a choice, and no u contains it."""
+    said = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
+    own = made.outcome
+    chosen = [kind for kind in accepted_kinds(made) if not (whole.accel if kind == "accel" else whole.gyro).accepted]
+    if not chosen:
+        return replace(made, notes=(*made.notes, said))
+    remark = f"accepted without what was left out only, a choice of which u contains nothing; {said}"
+    return replace(
+        made,
+        outcome=replace(
+            own,
+            remarks=(*own.remarks, remark),
+            of_accel=own.of_accel if "gyro" in chosen else (*own.of_accel, remark),
+            of_gyro=own.of_gyro if "accel" in chosen else (*own.of_gyro, remark),
+        ),
+    )
+
+
+def _calibrated(
+    session: Session,
+    method: str,
+    estimator: Callable[[Observations], Estimate],
+    frame: Frame,
+    terms: Terms,
+    progress: Progress,
+) -> Calibration:
+    """The calibration from what a session does not leave out."""
     systematic = systematic_of(session)
     found: tuple[Estimate, Observations] | Outcome
     with ThreadPoolExecutor(max_workers=1) as beside:
@@ -118,8 +159,7 @@ def calibrate(
         if isinstance(observations, Outcome):
             found = observations
         else:
-            known: Terms = terms if method in WITH_ALL_TERMS else "linear"
-            found = estimated(session, observations, estimator, systematic, known)
+            found = estimated(session, observations, estimator, systematic, terms)
     provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
     if isinstance(found, Outcome):
         made = without_result(session, method, found, provenance, bridged)

@@ -106,11 +106,11 @@ def inspected(session: Session, progress: Progress, beside: Executor) -> Observe
         channel_faults(reduction, session.log)
         or accelerometer_faults(reduction, session)
         or mixed_rows(reduction, session.log)
-        or normalised(reduction, onto_body(session.accel_block.axes))
     )
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+        faults = faults or normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))
         segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
         if session.gyro_block is not None and session.log.gyro is not None:
             reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
@@ -120,8 +120,8 @@ def inspected(session: Session, progress: Progress, beside: Executor) -> Observe
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     if trial is not None and not faults:
         faults = sense_faults(trial, session, reduction.rate)
-    of_gyros = list(segmentation.jump)
-    if session.log.gyro is not None:
+    of_gyros = [] if faults else list(segmentation.jumped())
+    if session.log.gyro is not None and not faults:
         of_gyros += dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
         session=session,
@@ -189,7 +189,7 @@ def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | O
     """The rests of a session's programme, or all, the reduction without the turns that are left out, and notes of those
     that were not recorded as a whole."""
     if observed.faults:
-        return Outcome(reasons=(*observed.faults, *observed.gyro_faults))
+        return Outcome(reasons=observed.faults)
     session = observed.session
     match = match_rests(session, observed.reduction, observed.segmentation)
     if not match.rests:

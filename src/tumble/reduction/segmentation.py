@@ -92,6 +92,16 @@ class Rejected:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LevelJump:
+    """Where the first rest begins that has another level of the gyros, by a `size` in rad/s, than those before: its
+    file and the time, s."""
+
+    file: int
+    time: float
+    size: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Segmentation:
     """Rests of a log in the order of time, what was rejected, and the thresholds that were found:
     rate_limit (rad/s; None without gyros) and scatter_limit (m/s²)."""
@@ -100,8 +110,24 @@ class Segmentation:
     rejected: tuple[Rejected, ...]
     rate_limit: float | None
     scatter_limit: float
-    jump: tuple[str, ...] = ()
-    """That the level of the gyros at rest jumps once, where it does, as a sentence."""
+    jump: LevelJump | None = None
+
+    def jumped(self) -> tuple[str, ...]:
+        """That the level of the gyros at rest jumps once between two of the rests, and what to do; nothing where it
+        does not."""
+        if self.jump is None:
+            return ()
+        before = [r for r in self.rests if (r.file, r.start) < (self.jump.file, self.jump.time)]
+        after = self.rests[len(before) :]
+        if not before or not after:
+            return ()
+        last, first = len(before), len(before) + 1
+        return (
+            f"the level of the gyros at rest jumps by {self.jump.size / DEGREE:.2g} °/s between rest {last} (to "
+            f"{before[-1].stop:z.1f} s) and rest {first} (from {after[0].start:z.1f} s) and stays there: a driver that "
+            f"measured the bias anew, or another device; calibrate the {last} rests before it and the {len(after)} "
+            "after it as launches of their own, each with the times of the others in [[exclude]]",
+        )
 
     def passed_over(self) -> tuple[str, ...]:
         """Quiet stretches that were nearly rests, counted, in words: the too short ones, and those discarded for the
@@ -214,20 +240,14 @@ def _found(reduction: Reduction, accel: Block, gyro: Block | None, pace: _Pace) 
     ]
     searched = window, pace
     whole = _assemble(reduction, specific_force, rates, spans, coarse, searched, scatter_limit, rate_limit, restless)
-    return whole if g is None or not np.any(g.step) else replace(whole, jump=(_jump(whole, g, reduction),))
+    return whole if g is None or not np.any(g.step) else replace(whole, jump=_jump(whole, g, reduction))
 
 
-def _jump(found: Segmentation, function: LevelFunction, reduction: Reduction) -> str:
-    """The jump of a level function, and what to do about it."""
+def _jump(found: Segmentation, function: LevelFunction, reduction: Reduction) -> LevelJump:
+    """The jump of a level function: where the first rest after it begins."""
     times = dict(zip((f.file for f in reduction.files), times_of([f.edges for f in reduction.files]), strict=True))
-    before = sum(float(times[r.file][(r.first + r.last) // 2]) <= function.step_at for r in found.rests)
-    last, first = found.rests[before - 1], found.rests[before]
-    return (
-        f"the level of the gyros at rest jumps by {float(np.linalg.norm(function.step)) / DEGREE:.2g} °/s between rest "
-        f"{before} (to {last.stop:z.1f} s) and rest {before + 1} (from {first.start:z.1f} s) and stays there: a driver "
-        f"that measured the bias anew, or another device; calibrate the {before} rests before it and the "
-        f"{len(found.rests) - before} after it as launches of their own, [[exclude]] with start and stop"
-    )
+    after = next(r for r in found.rests if float(times[r.file][(r.first + r.last) // 2]) > function.step_at)
+    return LevelJump(file=after.file, time=after.start, size=float(np.linalg.norm(function.step)))
 
 
 def _off_reason(off: OffLevel, limit: float) -> str:

@@ -68,5 +68,6 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
                 unit=UNITS[kind],
                 sentence=f"biases of the {WORDS[kind]} jump by {{size}} after rest {last + 1} "
                 f"({rests.start[last]:z.1f}–{rests.stop[last]:z.1f} s), as of a driver that measures them anew or of "
-                "another device: calibrate what is before and after apart, [[exclude]] with start and stop",
+                "another device: calibrate what is before and what is after as launches, each with the times of the "
+                "other in [[exclude]]",
             )

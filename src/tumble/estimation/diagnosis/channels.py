@@ -41,21 +41,25 @@ def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
 RADIAL = 0.25
 """Of the noise across gravity: accelerometers whose magnitude is steadier in all attitudes and on the way have it from
 a driver. That of sensors has the same noise along gravity as across, and their errors beside."""
-QUIETEST, RAYLEIGH = 0.1, 0.459
-"""This part of the blocks is quiet in any recording; a Rayleigh variable is below so many σ with that probability."""
+LEAST_FORCE = 1e-9
+"""m/s²: of a shorter vector no direction is known."""
 
 
-def normalised(reduction: Reduction, to_body: Array) -> list[str]:
+def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) -> list[str]:
     """Accelerometers that a driver has divided by their magnitude: it is constant to rounding in motion too, and tells
     nothing of their biases and scale factors. `to_body` (3, n) makes vectors of readings."""
-    samples = np.concatenate([each.accel_end for each in reduction.files]) @ to_body.T
-    off = samples - np.concatenate([each.accel for each in reduction.files]) @ to_body.T
-    length = np.linalg.norm(samples, axis=1)
-    magnitude = float(np.median(length))
-    along = samples / np.maximum(length, 1e-9)[:, None]
-    across = np.linalg.norm(off - (off * along).sum(axis=1)[:, None] * along, axis=1)
-    noise = float(np.quantile(across, QUIETEST)) / RAYLEIGH
+    if not rests:
+        return []
+    length = np.linalg.norm(np.concatenate([each.accel_end for each in reduction.files]) @ to_body.T, axis=1)
+    magnitude, files = float(np.median(length)), {each.file: each for each in reduction.files}
     spread = float(np.sqrt(np.mean((length - magnitude) ** 2)))
+    squares = list[float]()
+    for rest in rests:
+        samples = files[rest.file].accel_end[rest.first : rest.last] @ to_body.T
+        up = samples.mean(axis=0) / max(float(np.linalg.norm(samples.mean(axis=0))), LEAST_FORCE)
+        across = samples - np.outer(samples @ up, up)
+        squares.append(0.5 * float(across.var(axis=0).sum()))
+    noise = float(np.sqrt(np.median(squares)))
     if spread >= RADIAL * noise:
         return []
     return [
