@@ -9,7 +9,7 @@ import numpy as np
 from tumble.estimation.causes.cause import Concerns
 from tumble.estimation.diagnosis.misfit import Misfit, misfit
 from tumble.estimation.diagnosis.site_gravity import gravity_refused
-from tumble.estimation.diagnosis.undetermined import linear_names, undetermined
+from tumble.estimation.diagnosis.undetermined import gravity_wanted, linear_names, undetermined
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.reduction.observations import Observations
 from tumble.reduction.segmentation import STILL_SECONDS, Segmentation
@@ -38,7 +38,8 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     reasons += (("both", said) for said in _misfits(estimate, observations))
     reasons += judged.reasons
     reasons = first + sorted(reasons, key=lambda reason: _ORDER.index(reason[0]))
-    remarks = (*(("both", remark) for remark in estimate.remarks), *judged.remarks)
+    remarks: list[tuple[Concerns, str]] = [("accel", said) for said in gravity_wanted(observations.site)]
+    remarks += [*(("both", remark) for remark in estimate.remarks), *judged.remarks]
     of_accel, of_gyro = (
         tuple(said for concerns, said in (*reasons, *remarks) if concerns == kind) for kind in ("accel", "gyro")
     )
