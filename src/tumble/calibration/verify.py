@@ -367,6 +367,11 @@ def _accelerometer_names(calibration: Calibration, positions: Positions) -> tupl
     block = positions.block
     convention = Convention(frame=frame_of(calibration.frame), block=block)
     linear = {group.name for group in LINEAR}
+    if calibration.outcome.unobservable:
+        raise CalibrationError(
+            f"calibration of {calibration.serial!r}: expected one of all parameters, found no "
+            f"{', '.join(calibration.outcome.unobservable)}; verify one from oblique rests too"
+        )
     found = [p.name for p in calibration.parameters if sensor_kind(p.name) == block.kind]
     if tuple(name for name in found if group_name(name) in linear) != convention.names:
         raise InputError(

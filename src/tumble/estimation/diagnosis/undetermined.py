@@ -57,6 +57,22 @@ def undetermined(
     return [(concerned, _and(f"poorly observable in this session: {weak}", remedy))]
 
 
+def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
+    """Whether a session shows bias and scale factor of every accelerometer of a triad and, as six faces do, no angles
+    between their axes."""
+    angles = all(group_name(name) == "accel.axis" for name in missing)
+    return bool(missing) and angles and estimate.gyro is None and len(estimate.accel.bias) == len("xyz")
+
+
+def as_six_faces_give(estimate: Estimate, observations: Observations, missing: Sequence[str]) -> str:
+    """What a session without oblique rests gives, and which rests would show the rest."""
+    return _and(
+        f"bias and scale factor of each axis alone, as six faces give them: not observable in this session and taken "
+        f"as 0 is {listed(missing)}, of which u contains any usual size",
+        _most_helpful(estimate, observations, estimate.null),
+    )
+
+
 def one_attitude(observations: Observations) -> str:
     """That the device lay in one attitude only, or nothing."""
     rests = observations.rests
