@@ -75,6 +75,8 @@ class FieldCheck:
     instrument: Instrument
     temperature: float | None
     references: Mapping[str, tuple[float, ...]]
+    rests_agree: bool = False
+    """Whether the rests alone find nothing changed, where the session as a whole is not explained."""
 
     @property
     def valid(self) -> bool:
@@ -84,15 +86,17 @@ class FieldCheck:
     @property
     def reasons(self) -> tuple[str, ...]:
         """What has changed, in sentences; none where the calibration holds."""
-        found = [_said(change) for change in self.result.changes]
-        if not self.result.explained:
-            fit = self.result.misfit
-            found.append(
-                f"no change of biases, scale factors or axes explains the session: χ² {fit.chi_square:.1f} for "
-                f"{fit.degrees:.0f}, by chance with probability {fit.probability:.1g}; look at it with "
-                "`tumble inspect`, repeat the check at rest, or calibrate"
-            )
-        return tuple(found)
+        if self.result.explained:
+            return tuple(_said(change) for change in self.result.changes)
+        fit = self.result.misfit
+        turns = (
+            "its rests alone agree with the calibration, so that the turns are to blame; " if self.rests_agree else ""
+        )
+        return (
+            f"no change of biases, scale factors or axes explains the session, so that it says nothing of them: "
+            f"χ² {fit.chi_square:.1f} for {fit.degrees:.0f}, by chance with probability {fit.probability:.1g}; {turns}"
+            "look at it with `tumble inspect`, repeat the check at rest, or calibrate",
+        )
 
     def updated(self) -> Calibration:
         """The calibration with what the check says of the parameters; those that have changed are known by the check
@@ -137,13 +141,19 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
     observations = _seen_by(own, observations)
     grade, guessed_from = grade_of(session, observations)
     known = known_before(own, observations, grade, session.device.prior)
+    result = field_check(observations, known)
+    rests_agree = False
+    if not result.explained and observations.gyro_block is not None:
+        at_rest = observations.of_accelerometers()
+        rests_agree = field_check(at_rest, known_before(own, at_rest, grade, session.device.prior)).valid
     return FieldCheck(
         calibration=own,
         session=session.name,
         sha256=observed.sha256,
         rests=len(observations.rests),
         turns=0 if observations.turns is None else len(observations.turns),
-        result=field_check(observations, known),
+        result=result,
+        rests_agree=rests_agree,
         notes=_notes(own, observations, grade, guessed_from),
         frame=given.frame,
         instrument=known.instrument,

@@ -101,13 +101,15 @@ def level_function(
         if _explains_more(follow, near):
             used, near = more, follow
     in_order = np.sort(at) if len(off) >= FEWEST_BESIDE else np.empty(0)  # else the level was followed to every rest
+    most = near
     for before, after in pairwise(in_order[FEWEST_BESIDE - 1 : len(at) + 1 - FEWEST_BESIDE]):
         stepped = rows.copy()
         stepped[:, 5] = usual[4] * (at > 0.5 * (before + after))
         for more in (_STEP, _G_AND_STEP):
             follow = _near(stepped[:, more], level, limit)
-            if _explains_more(follow, near):
-                used, near, step_at, rows = more, follow, 0.5 * (before + after), stepped
+            if _explains_more(follow, near) and follow.sum() > most.sum():
+                used, most, step_at = more, follow, 0.5 * (before + after)
+    rows[:, 5], near = usual[4] * (at > step_at), most
     if used == [0]:
         return None
     some, fitted = rows[:, used], np.zeros((6, 3))
