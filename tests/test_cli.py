@@ -175,7 +175,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none"),
         (["calibrate", "few/log.parquet"], "expected a session folder or its session.toml, found another file"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
-        (["calibrate", "one", "one", "--out", "x.json"], "holds the same log as one"),
+        (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),
         (["calibrate", "one", "none", "--out", "x.json"], "none/session.toml: expected a session folder"),
         (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes"),

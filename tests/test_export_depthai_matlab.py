@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from calibrated import calibration
 
-from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.export.matlab_imu import part_name
 from tumble.units import Array
@@ -56,7 +55,9 @@ def test_parts_have_names_that_matlab_takes() -> None:
         assert re.fullmatch(r"[A-Za-z]\w*", part_name(serial), flags=re.ASCII)
 
 
-def test_without_gyros_neither_is_written() -> None:
-    for to in ("depthai", "matlab-imu"):
-        with pytest.raises(InputError, match=f"export to {to}: expected gyro parameters"):
-            export_calibration(replace(calibration(), gyro=None), to)
+def test_without_gyros_the_accelerometers_are_written() -> None:
+    made = replace(calibration(), gyro=None)
+    depthai, matlab = (export_calibration(made, to) for to in ("depthai", "matlab-imu"))
+    assert depthai.losses[0] == "gyros: not known, [1 | 0] in this file"
+    assert json.loads(depthai.content)["gyroscope"] == np.eye(3, 4).tolist()
+    assert json.loads(matlab.content)["A_0007"].keys() == {"Accelerometer"}

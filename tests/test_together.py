@@ -446,7 +446,7 @@ def test_what_cannot_be_one_estimate_is_refused(made: tuple[Scenario, list[Sessi
     _, (first, second, *_), _ = made
     with pytest.raises(InputError, match="expected two or more"):
         calibrate_together([first])
-    with pytest.raises(InputError, match="holds the same log as"):
+    with pytest.raises(InputError, match="holds the same recording as"):
         calibrate_together([first, first])
     other = replace(second, device=replace(second.device, serial="B-2"))
     with pytest.raises(InputError, match="expected the device 'A-1' of the first session, found 'B-2'"):

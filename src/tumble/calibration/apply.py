@@ -28,6 +28,7 @@ import polars as pl
 
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.correction import at_one_point, corrected, true_force, true_rate
+from tumble.calibration.half import accepted_accelerometers, accepted_part
 from tumble.calibration.observed import inspect_session
 from tumble.calibration.thermometers import check_thermometers
 from tumble.errors import InputError, LogError
@@ -57,17 +58,19 @@ _SLICE = 1 << 14
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Correction:
-    """The sensors of one kind and what corrects them."""
+    """The sensors of one kind and what corrects them; where they are not in the calibration, they are `copied`, and
+    others feel what they read."""
 
     kind: str
     channels: Channels
     model: SensorModel
+    copied: bool = False
 
     @cached_property
     def written(self) -> Channels:
         """What the corrected columns are: in the log's own unit, with its nominal scale and offset, where the names of
         the columns say it, else in SI."""
-        if self._unit_is_named:
+        if self.copied or self._unit_is_named:
             return self.channels
         sensors, (rate, increment) = len(self.channels.columns), SI.get(self.kind, (self.channels.unit_name,) * 2)
         return replace(
@@ -95,7 +98,9 @@ class _Correction:
     @property
     def added(self) -> tuple[str, ...]:
         """Columns for the vector of a redundant block."""
-        return tuple(f"{self.kind}_{axis}" for axis in "xyz") if len(self.channels.columns) > 3 else ()
+        return (
+            tuple(f"{self.kind}_{axis}" for axis in "xyz") if len(self.channels.columns) > 3 and not self.copied else ()
+        )
 
     def readings(self, table: pl.DataFrame) -> Array:
         """Readings (N, n) of a table, SI; of increments the integrals themselves."""
@@ -104,6 +109,8 @@ class _Correction:
 
     def columns(self, true: Array) -> dict[str, Array]:
         """The columns of corrected vectors (N, 3)."""
+        if self.copied:
+            return {}
         perfect = true if self.along_body else true @ self.channels.axes.T
         out = dict(zip(self.channels.columns, self.written.from_si(perfect).T, strict=True))
         return out | dict(zip(self.added, true.T, strict=False))
@@ -151,6 +158,7 @@ def apply_to_session(calibration: Calibration | FilePath, session: Session | Fil
 
     Every column keeps its name and place; sensors are corrected as `Calibration.apply` does and are in SI, or, where
     the names of their columns say the log's unit, in that; everything else is copied, from CSV as the text it is.
+    Of a calibration whose accelerometers or gyros alone are accepted, the columns of the others are copied too.
     Raises InputError for a calibration that is not accepted, is of another device or lacks a sensor, and for a log
     that cannot be read.
 
@@ -160,7 +168,7 @@ def apply_to_session(calibration: Calibration | FilePath, session: Session | Fil
     >>> description["log"]["gyro"]
     {'columns': ['gx', 'gy', 'gz'], 'unit': 'rad/s'}
     """
-    calibration, session, path = calibration_from(calibration), session_from(session), Path(out)
+    calibration, session, path = accepted_part(calibration_from(calibration)), session_from(session), Path(out)
     parts = _parts(calibration, session)
     log = open_log(session)
     write_tables(path, _tables(session, parts, calibration.compensator, 1.0 / log.rate))
@@ -170,12 +178,13 @@ def apply_to_session(calibration: Calibration | FilePath, session: Session | Fil
 def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
     """In sentences, what of the larger model `apply_to_session` corrects and what it leaves, where the calibration has
     such parameters."""
-    calibration, session = calibration_from(calibration), session_from(session)
+    calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator
     found = positions_by_group(p.name for p in calibration.parameters)
-    out = []
+    out = [f"{absent}; their columns are copied as they are" for absent in calibration.absent]
     if np.any(compensator.levers) and not _is_moved(session, compensator):
-        out.append("lever arms are not corrected: the session has no gyros")
+        without = "the calibration" if session.log.gyro is not None else "the session"
+        out.append(f"lever arms are not corrected: {without} has no gyros")
     elif np.any(compensator.levers):
         out.append("lever arms: the readings of the accelerometers are moved to the place of the last one")
     if np.any(late := 1e3 * compensator.delays):
@@ -198,21 +207,21 @@ def _described(session: Session, parts: tuple[_Correction, ...], out: Path) -> d
     """The description of the corrected log."""
     channels = {part.kind: part.written for part in parts}
     spec = replace(session.log, files=(out.resolve(),), dialect=None)
-    return description_of(replace(session, log=replace(spec, accel=channels["accel"], gyro=channels.get("gyro"))))
+    accel, gyro = channels.get("accel", spec.accel), channels.get("gyro", spec.gyro)
+    return description_of(replace(session, log=replace(spec, accel=accel, gyro=gyro)))
 
 
 def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
     """What is to be corrected; the calibration is that of the session's device."""
-    if not calibration.outcome.accepted:
-        raise InputError(f"calibration: expected an accepted one, found: {'; '.join(calibration.outcome.reasons)}")
     if calibration.serial != session.device.serial:
         raise InputError(
             f"{session.name}: expected the device of the calibration, {calibration.serial!r}, found "
             f"{session.device.serial!r}; calibrate that device"
         )
     check_thermometers(calibration, session)
-    parts = [_part("accel", calibration.accel, session.log.accel, session)]
-    if session.log.gyro is not None:
+    felt = calibration.accel or calibration.compensator.model("accel")
+    parts = [replace(_part("accel", felt, session.log.accel, session), copied=calibration.accel is None)]
+    if session.log.gyro is not None and (calibration.gyro is not None or not calibration.absent):
         parts.append(_part("gyro", calibration.gyro, session.log.gyro, session))
     if session.log.magnetometer is not None and calibration.mag is not None:
         parts.append(_magnetometer_part(calibration, calibration.mag, session.log.magnetometer, session))
@@ -281,7 +290,7 @@ def _with_columns(table: pl.DataFrame, new: Mapping[str, Array]) -> pl.DataFrame
 
 def _is_moved(session: Session, compensator: Compensator) -> bool:
     """Whether accelerometers are moved to one point: they have lever arms, and the session has the rates."""
-    return session.log.gyro is not None and bool(np.any(compensator.levers))
+    return session.log.gyro is not None and compensator.gyro is not None and bool(np.any(compensator.levers))
 
 
 _Window = tuple[pl.DataFrame, _Piece, slice]
@@ -466,7 +475,8 @@ def rest_residuals(calibration: Calibration | FilePath, session: Session | FileP
     >>> max(abs(rest.after) for rest in rests) < max(abs(rest.before) for rest in rests)
     True
     """
-    calibration, session = calibration_from(calibration), session_from(session)
+    calibration = accepted_accelerometers(calibration_from(calibration), "rests show what is corrected")
+    session = session_from(session)
     _parts(calibration, session)
     compensator, seen = calibration.compensator, inspect_session(session)
     observations = seen.observations

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from tumble import __version__
 from tumble.calibration.calibration_file import Calibration, read_calibration
 from tumble.calibration.from_estimate import result_of, without_result
+from tumble.calibration.half import accepted_kinds
 from tumble.calibration.notes import bridged_in
 from tumble.calibration.observed import Progress, inspected, observations_for_calibration
 from tumble.calibration.with_magnetometer import with_magnetometer
@@ -116,6 +117,46 @@ def calibrate(
     session = _given(session, readings).without(without)
     estimator = _estimator(method, iterations)
     Convention(frame=frame, block=session.accel_block)
+    known: Terms = terms if method in WITH_ALL_TERMS else "linear"
+    made = _calibrated(session, method, estimator, frame, known, progress)
+    if not session.excluded:
+        return made
+    try:
+        whole = _calibrated(replace(session, excluded=()), method, estimator, frame, known, progress).outcome
+    except InputError as error:  # a rest too many for the programme, such as a knocked one
+        whole = Outcome(reasons=(str(error),))
+    return _beside_all(made, whole)
+
+
+def _beside_all(made: Calibration, whole: Outcome) -> Calibration:
+    """A calibration from a part of a recording beside the outcome of the whole, which counts: what is accepted without
+    some rests only is a choice, and no u contains it."""
+    said = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
+    own = made.outcome
+    chosen = [kind for kind in accepted_kinds(made) if not (whole.accel if kind == "accel" else whole.gyro).accepted]
+    if not chosen:
+        return replace(made, notes=(*made.notes, said))
+    remark = f"accepted without what was left out only, a choice of which u contains nothing; {said}"
+    return replace(
+        made,
+        outcome=replace(
+            own,
+            remarks=(*own.remarks, remark),
+            of_accel=own.of_accel if "gyro" in chosen else (*own.of_accel, remark),
+            of_gyro=own.of_gyro if "accel" in chosen else (*own.of_gyro, remark),
+        ),
+    )
+
+
+def _calibrated(
+    session: Session,
+    method: str,
+    estimator: Callable[[Observations], Estimate],
+    frame: Frame,
+    terms: Terms,
+    progress: Progress,
+) -> Calibration:
+    """The calibration from what a session does not leave out."""
     systematic = systematic_of(session)
     found: tuple[Estimate, Observations] | Outcome
     with ThreadPoolExecutor(max_workers=1) as beside:
@@ -124,17 +165,29 @@ def calibrate(
         if isinstance(observations, Outcome):
             found = observations
         else:
-            known: Terms = terms if method in WITH_ALL_TERMS else "linear"
-            found = estimated(session, observations, estimator, systematic, known)
-    provenance, bridged = provenance_of(observed.sha256), bridged_in(observed.gaps)
+            found = estimated(session, observations, estimator, systematic, terms)
+    provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
     if isinstance(found, Outcome):
         made = without_result(session, method, found, provenance, bridged)
     else:
         made = result_of(session, *found, systematic, frame, provenance, bridged)
         made = replace(with_magnetometer(made, session, found[1]), sample_rate=observed.rate)
+    if observed.gyro_faults and not isinstance(found, Outcome):
+        made = replace(made, outcome=_without_gyros(made.outcome, session, observed.gyro_faults))
     for said in (*made.notes, *made.outcome.remarks, *made.outcome.reasons):
         _LOG.info("%s: %s", session.name, said)
     return replace(made, circumstances=observed.circumstances)
+
+
+def _without_gyros(outcome: Outcome, session: Session, faults: tuple[str, ...]) -> Outcome:
+    """The outcome of accelerometers that were calibrated alone, because something spoils the gyros."""
+    names = () if session.gyro_block is None else session.gyro_block.names
+    return replace(
+        outcome,
+        reasons=(*outcome.reasons, *faults),
+        of_gyro=(*outcome.of_gyro, *faults),
+        unobservable=(*outcome.unobservable, *names),
+    )
 
 
 def _given(session: Session | FilePath | None, readings: Mapping[str, Any]) -> Session:

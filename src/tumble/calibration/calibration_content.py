@@ -49,6 +49,7 @@ def content_of(calibration: Calibration) -> dict[str, Any]:
         "turns": [asdict(turn) for turn in calibration.turns],
         "fits": fits_content(calibration.fits),
         "notes": list(calibration.notes),
+        "absent": list(calibration.absent),
         "launches": [_launch_content(launch) for launch in calibration.launches],
         "together": [member_content(member) for member in calibration.together],
         "provenance": dict(calibration.provenance),

@@ -116,16 +116,21 @@ class Calibration(Mapping[str, Parameter]):
     """Relative standard uncertainty of the time base as it is in the scale factors of the gyros."""
     together: tuple[Member, ...] = ()
     """The sessions, where several are in one estimate."""
+    absent: tuple[str, ...] = ()
+    """In sentences, the sensors of the device that are not in this calibration, and why."""
 
     @property
     def compensator(self) -> Compensator:
-        """What corrects readings: the whole model. Raises CalibrationError without accelerometers."""
-        if self.accel is None:
-            raise CalibrationError("calibration: expected one with accelerometers, found none")
-        accel = self._block("accel", self.accel)
+        """What corrects readings: the whole model. Gyros alone feel the specific force of accelerometers as they are.
+        Raises CalibrationError without any sensors."""
+        if self.accel is None and self.gyro is None:
+            raise CalibrationError("calibration: expected one with accelerometers or gyros, found none")
+        as_they_are = np.array(self.axes.get("accel", np.eye(3)))
+        perfect = SensorModel(matrix=as_they_are, bias=np.zeros(len(as_they_are)))
+        accel = self._block("accel", perfect if self.accel is None else self.accel)
         gyro = None if self.gyro is None else self._block("gyro", self.gyro)
         values = {p.name: p.value for p in self.parameters if sensor_kind(p.name) != "mag"}
-        models = self.accel, self.gyro
+        models = perfect if self.accel is None else self.accel, self.gyro
         references = {str(block.kind): self._references(block) for block in (accel, gyro) if block is not None}
         known = references if self.reference_temperature is not None else {}
         return Compensator.of((accel, gyro), models, values, known)
@@ -232,19 +237,23 @@ class Calibration(Mapping[str, Parameter]):
         """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
         readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
         squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
-        readings the rate is None. The `temperature` (...), K, of the sensors counts where parameters change with it (in
-        a stream it follows the thermometer with temperature.lag), of accelerometers and gyros with thermometers of
-        their own a mapping of "accel" and "gyro", (...) or (..., n); without it they are those of the reference
-        temperature. Lever arms and delays, which need the motion, are not applied: see `apply_to_session`.
+        readings the rate is None; without accelerometers in the calibration the specific force is not a number, and
+        what the gyros feel of it is as their readings have it. The `temperature` (...), K, of the sensors counts where
+        parameters change with it (in a stream it follows the thermometer with temperature.lag), of accelerometers and
+        gyros with thermometers of their own a mapping of "accel" and "gyro", (...) or (..., n); without it they are
+        those of the reference temperature. Lever arms and delays, which need the motion, are not applied: see
+        `apply_to_session`.
 
-        Raises CalibrationError where these sensors were not accepted (what is there all the same corrects by the
+        Raises CalibrationError where none of these sensors were accepted (what is there all the same corrects by the
         `compensator`), and InputError for another number of sensors than the calibration has, numbers that are not
         finite, intervals that are not positive, columns of a frame whose names say another unit, and temperatures that
         are not in kelvin."""
-        for kind, given, judged in (("accelerometers", accel, self.outcome.accel), ("gyros", gyro, self.outcome.gyro)):
-            if given is not None and not judged:
-                raise CalibrationError(f"calibration: expected accepted {kind}, found: {'; '.join(judged.reasons)}")
-        return corrected_readings(self.compensator, accel, gyro, dt=dt, temperature=temperature)
+        judged = (self.outcome.accel,) if gyro is None else (self.outcome.accel, self.outcome.gyro)
+        if not any(judged):
+            reasons = "; ".join(self.outcome.reasons)
+            raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
+        force, rate = corrected_readings(self.compensator, accel, gyro, dt=dt, temperature=temperature)
+        return (np.full_like(force, np.nan) if self.accel is None else force), rate
 
     def in_frame(self, frame: str) -> Calibration:
         """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
@@ -410,6 +419,7 @@ def _from_content(content: Mapping[str, Any]) -> Calibration:
         notes=tuple(content.get("notes", ())),
         launches=tuple(map(_launch_from, content.get("launches", ()))),
         together=tuple(map(member_from, content.get("together", ()))),
+        absent=tuple(content.get("absent", ())),
         provenance=dict(content["provenance"]),
     )
 

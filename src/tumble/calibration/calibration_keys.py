@@ -361,6 +361,7 @@ class _CalibrationKeys(_ResultKeys, _FormatKeys):
     programme: Text | None = None
     readings: dict[Text, _ReadingsKeys] = {}
     notes: list[Annotated[str, Field(max_length=LONGEST_TEXT)]] = []
+    absent: list[Annotated[str, Field(max_length=LONGEST_TEXT)]] = []
     launches: list[_LaunchKeys] = Field(default=[], max_length=MOST_LAUNCHES)
     together: list[_MemberKeys] = Field(default=[], max_length=MOST_LAUNCHES)
     rests: list[_RestKeys] = Field(max_length=MOST_RESTS)

@@ -34,6 +34,7 @@ from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.coverage import by_gravity, shared_gravity
 from tumble.calibration.from_estimate import readings_of_session, reference_of, references_of
+from tumble.calibration.half import accepted_accelerometers
 from tumble.calibration.observed import inspect_session, observations_for_calibration
 from tumble.calibration.results import Parameter
 from tumble.calibration.thermometers import check_thermometers
@@ -75,6 +76,8 @@ class FieldCheck(Brief):
     instrument: Instrument
     temperature: float | None
     references: Mapping[str, tuple[float, ...]]
+    rests_agree: bool = False
+    """Whether the rests alone find nothing changed, where the session as a whole is not explained."""
 
     @property
     def valid(self) -> bool:
@@ -84,15 +87,17 @@ class FieldCheck(Brief):
     @property
     def reasons(self) -> tuple[str, ...]:
         """What has changed, in sentences; none where the calibration holds."""
-        found = [_said(change) for change in self.result.changes]
-        if not self.result.explained:
-            fit = self.result.misfit
-            found.append(
-                f"no change of biases, scale factors or axes explains the session: χ² {fit.chi_square:.1f} for "
-                f"{fit.degrees:.0f}, by chance with probability {fit.probability:.1g}; look at it with "
-                "`tumble inspect`, repeat the check at rest, or calibrate"
-            )
-        return tuple(found)
+        if self.result.explained:
+            return tuple(_said(change) for change in self.result.changes)
+        fit = self.result.misfit
+        turns = (
+            "its rests alone agree with the calibration, so that the turns are to blame; " if self.rests_agree else ""
+        )
+        return (
+            f"no change of biases, scale factors or axes explains the session, so that it says nothing of them: "
+            f"χ² {fit.chi_square:.1f} for {fit.degrees:.0f}, by chance with probability {fit.probability:.1g}; {turns}"
+            "look at it with `tumble inspect`, repeat the check at rest, or calibrate",
+        )
 
     def updated(self) -> Calibration:
         """The calibration with what the check says of the parameters; those that have changed are known by the check
@@ -127,6 +132,7 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
     (4, True)
     """
     given, session = calibration_from(calibration), session_from(session)
+    given = accepted_accelerometers(given, "a check has its attitudes")
     _check_given(given, session)
     own = given.in_frame("accelerometer")
     observed = inspect_session(replace(session, programme=None))
@@ -136,13 +142,19 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
     observations = _seen_by(own, observations)
     grade, guessed_from = grade_of(session, observations)
     known = known_before(own, observations, grade, session.device.prior)
+    result = field_check(observations, known)
+    rests_agree = False
+    if not result.explained and observations.gyro_block is not None:
+        at_rest = observations.of_accelerometers()
+        rests_agree = field_check(at_rest, known_before(own, at_rest, grade, session.device.prior)).valid
     return FieldCheck(
         calibration=own,
         session=session.name,
         sha256=observed.sha256,
         rests=len(observations.rests),
         turns=0 if observations.turns is None else len(observations.turns),
-        result=field_check(observations, known),
+        result=result,
+        rests_agree=rests_agree,
         notes=_notes(own, observations, grade, guessed_from),
         frame=given.frame,
         instrument=known.instrument,
@@ -153,9 +165,8 @@ def check_calibration(calibration: Calibration | FilePath, session: Session | Fi
 
 def _check_given(calibration: Calibration, session: Session) -> None:
     """A calibration that can be checked, and a session of its device."""
-    if not calibration.outcome.accepted or calibration.accel is None or calibration.covariance is None:
-        found = "; ".join(calibration.outcome.reasons) or "no accelerometers, or no uncertainties"
-        raise CalibrationError(f"calibration of {calibration.serial!r}: expected an accepted one, found {found}")
+    if calibration.covariance is None:
+        raise CalibrationError(f"calibration of {calibration.serial!r}: expected one with uncertainties, found none")
     if session.device.serial != calibration.serial:
         raise InputError(
             f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
@@ -190,7 +201,7 @@ def _notes(calibration: Calibration, observations: Observations, grade: str, gue
     """What was supposed."""
     origin = f", guessed from {guessed_from}; [device] grade says another" if guessed_from else ""
     launches = ", or as from launch to launch of the calibration" if calibration.launches else ""
-    notes = [f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
+    notes = [*calibration.absent, f"what turning on again changes: as usual of the grade {grade}{launches}{origin}"]
     then, now = calibration.reference_temperature, reference_of(observations)
     if then is None or now is None:
         notes.append("the temperatures of calibration and check are not both known: no difference is allowed for")

@@ -14,6 +14,7 @@ from tumble.calibration.over_temperature import over_temperature
 from tumble.calibration.rests_and_turns import rest_results, turn_results
 from tumble.calibration.results import Parameter, Readings
 from tumble.estimation.diagnosis.site_gravity import gravity_doubted
+from tumble.estimation.diagnosis.undetermined import faces_alone
 from tumble.estimation.diagnosis.verdict import verdict
 from tumble.estimation.estimate import Estimate, Outcome
 from tumble.recording.session import Channels, Session
@@ -41,7 +42,8 @@ def result_of(
     estimate, case = estimate_in(frame, estimate, observations)
     systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
     seen = np.flatnonzero(estimate.observable)
-    missing = {sensor_kind(name) for name in outcome.unobservable}
+    faces = faces_alone(estimate, outcome.unobservable)
+    missing = set() if faces else {sensor_kind(name) for name in outcome.unobservable}
     return Calibration(
         serial=session.device.serial,
         model=session.device.model,
@@ -77,6 +79,7 @@ def result_of(
         references=references_of(observations),
         imu=session.device.imu,
         clock_u=session.log.time_base_u,
+        absent=(f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else (),
     )
 
 

@@ -22,6 +22,7 @@ from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import by_gravity, degrees_of_mean, shared_gravity
 from tumble.calibration.observed import Progress
 from tumble.calibration.results import Launch, Parameter
+from tumble.calibration.same_recording import Means, check_recordings
 from tumble.calibration.shared_errors import by_priors
 from tumble.calibration.type_spread import TypeSpread, pooled
 from tumble.errors import InputError
@@ -227,14 +228,21 @@ def _check_alike(runs: Sequence[Run]) -> None:
                 f"{run.session.name}: expected a launch of device {first.calibration.serial!r} like the first "
                 f"session, found {run.calibration.serial!r}; calibrate each device by itself"
             )
-    seen: dict[str, Run] = {}
-    for run in runs:
-        digest = run.calibration.provenance["log_sha256"]
-        if digest in seen:
-            raise InputError(
-                f"{run.session.name}: holds the same log as {seen[digest].session.name}; name every launch once"
-            )
-        seen[digest] = run
+    check_recordings([(r.session.name, r.calibration.provenance["log_sha256"], _means(r.calibration)) for r in runs])
+
+
+def _means(calibration: Calibration) -> Means:
+    """What the sensors read in the rests of a calibration."""
+    of_rests = [
+        (rest, [sensors for sensors in (rest.accel, rest.gyro) if sensors is not None]) for rest in calibration.rests
+    ]
+    means = [np.concatenate([each.mean for each in sensors]) for _, sensors in of_rests if sensors]
+    u = [
+        np.concatenate([each.noise for each in sensors]) / np.sqrt(rest.stop - rest.start)
+        for rest, sensors in of_rests
+        if sensors
+    ]
+    return (np.array(means), np.array(u)) if means else (np.empty((0, 0)), np.empty((0, 0)))
 
 
 def _mean_deviation(runs: Sequence[Run], name: str) -> float | None:

@@ -17,7 +17,7 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.estimation.diagnosis.accelerometer_unit import accelerometer_faults
 from tumble.estimation.diagnosis.carried_vertical import sense_faults
-from tumble.estimation.diagnosis.channels import channel_faults, mixed_rows
+from tumble.estimation.diagnosis.channels import channel_faults, dead_zones, mixed_rows, normalised
 from tumble.estimation.diagnosis.verdict import no_rests
 from tumble.estimation.estimate import Outcome
 from tumble.files import FilePath
@@ -35,6 +35,7 @@ from tumble.reduction.segmentation import RestSpan, Segmentation, find_rests
 from tumble.reduction.together import held, in_parts
 from tumble.reduction.turns import torn_turns
 from tumble.reduction.unknown_turns import without_unknown_turns
+from tumble.rotation import onto_body
 from tumble.units import IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
@@ -45,7 +46,7 @@ Progress = Callable[[Log], Iterable[Chunk]]
 class Observed(Brief):
     """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
     the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
-    `faults`, in sentences, are what is wrong with the recording.
+    `faults`, in sentences, are what is wrong with the recording, `gyro_faults` what spoils the gyros alone.
 
     `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
     alone show: in a wrong unit every turn is too slow to be one."""
@@ -58,6 +59,7 @@ class Observed(Brief):
     observations: Observations | None
     trial: Observations | None
     faults: tuple[str, ...]
+    gyro_faults: tuple[str, ...] = ()
     recorded: str | None = None
     """When, ISO 8601, by the log's own times."""
 
@@ -109,6 +111,7 @@ def inspected(session: Session, progress: Progress, beside: Executor) -> Observe
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+        faults = faults or normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))
         segmentation = exclusion.without_times(reduction, segmentation, session.excluded)
         if session.gyro_block is not None and session.log.gyro is not None:
             reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
@@ -118,6 +121,9 @@ def inspected(session: Session, progress: Progress, beside: Executor) -> Observe
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     if trial is not None and not faults:
         faults = sense_faults(trial, session, reduction.rate)
+    of_gyros = [] if faults else list(segmentation.jumped())
+    if session.log.gyro is not None and not faults:
+        of_gyros += dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
         session=session,
         digest=digest,
@@ -127,6 +133,7 @@ def inspected(session: Session, progress: Progress, beside: Executor) -> Observe
         observations=observations,
         trial=trial,
         faults=tuple(faults),
+        gyro_faults=tuple(of_gyros),
         recorded=log.recorded,
     )
 
@@ -141,8 +148,14 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...
 
 
 def observations_for_calibration(observed: Observed) -> Observations | Outcome:
-    """The observations of the positions of a session's programme, or of all rests where it has none; or why there is
-    nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
+    """The observations of the positions of a session's programme, or of all rests where it has none, without the gyros
+    where these are spoiled; or why there is nothing to calibrate with. Raises ProgrammeError for a recording that does
+    not go through the programme."""
+    found = _observations_of_all(observed)
+    return found.of_accelerometers() if observed.gyro_faults and isinstance(found, Observations) else found
+
+
+def _observations_of_all(observed: Observed) -> Observations | Outcome:
     found = _matched(observed)
     if isinstance(found, Outcome):
         return found

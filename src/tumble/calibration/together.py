@@ -20,6 +20,7 @@ from tumble.calibration.from_estimate import result_of, without_result
 from tumble.calibration.launches import circumstances_of_all
 from tumble.calibration.observed import Progress, inspect_session, observations_in_parts
 from tumble.calibration.results import Member, Parameter
+from tumble.calibration.same_recording import Means, check_recordings
 from tumble.errors import InputError
 from tumble.estimation.estimate import Estimate, Outcome, OwnEstimate
 from tumble.estimation.methods.joint.method import joint
@@ -174,15 +175,17 @@ def _place(session: Session) -> str:
 
 
 def _check_logs(reduced: Sequence[_ReducedSession]) -> None:
-    seen: dict[str, _ReducedSession] = {}
+    check_recordings([(each.session.name, each.sha256, _means(each.observations)) for each in reduced])
     for each in reduced:
-        if each.sha256 in seen:
-            raise InputError(
-                f"{each.session.name}: holds the same log as {seen[each.sha256].session.name}; name every session once"
-            )
         if each.observations.rests.temperature is None:
             raise InputError(f"{each.session.name}: expected temperatures in the log, found none that are numbers")
-        seen[each.sha256] = each
+
+
+def _means(observations: Observations) -> Means:
+    """What the sensors read in the rests of a session."""
+    rests = observations.rests
+    variances = [np.diagonal(C, axis1=1, axis2=2) for C in (rests.accel_covariance, rests.gyro_covariance)]
+    return np.hstack([rests.accel, rests.gyro]), np.sqrt(np.hstack(variances))
 
 
 # What is said

@@ -38,6 +38,7 @@ from tumble.brief import Brief
 from tumble.calibration.calibrate import grade_of
 from tumble.calibration.calibration_file import Calibration, calibration_from
 from tumble.calibration.case import Verticals, verticals_of
+from tumble.calibration.half import accepted_accelerometers
 from tumble.calibration.observed import inspect_session
 from tumble.calibration.readings_table import read_table
 from tumble.calibration.results import Readings
@@ -65,6 +66,8 @@ TURNED_ON = (
     "a usual change from one power-on to the next explains it: if the device was switched off since the calibration, "
     "`tumble check` allows for that"
 )
+
+VERIFIED = "positions at rest verify a calibration"
 
 NOTHING_LEFT = 1e-6
 """1 − h below which nothing but the position itself determines what it is compared with."""
@@ -228,7 +231,7 @@ def verify_calibration(calibration: Calibration | FilePath, check: Positions | S
     >>> len(found.labels), found.reasons
     (12, ())
     """
-    calibration = calibration_from(calibration)
+    calibration = accepted_accelerometers(calibration_from(calibration), VERIFIED)
     positions = check if isinstance(check, Positions) else positions_of(check, calibration)
     seen = verticals(calibration, positions)
     assert calibration.accel is not None
@@ -333,11 +336,8 @@ def _limit(count: int, degrees: float) -> float:
 def verticals(calibration: Calibration, positions: Positions) -> Verticals:
     """Where the vertical was in the calibration's frame in every position, with its covariance, for the relation of two
     blocks (`case.relate`). Raises as `verify_calibration`."""
-    if calibration.accel is None or not calibration.outcome.accepted:
-        raise CalibrationError(
-            f"calibration of {calibration.serial!r}: expected an accepted one of accelerometers, found "
-            f"{'; '.join(calibration.outcome.reasons) or 'none of accelerometers'}"
-        )
+    calibration = accepted_accelerometers(calibration, VERIFIED)
+    assert calibration.accel is not None
     names = _accelerometer_names(calibration, positions)
     force = _force(calibration, positions)
     change = _change(calibration, positions, force)
@@ -368,6 +368,11 @@ def _accelerometer_names(calibration: Calibration, positions: Positions) -> tupl
     block = positions.block
     convention = Convention(frame=frame_of(calibration.frame), block=block)
     linear = {group.name for group in LINEAR}
+    if calibration.outcome.unobservable:
+        raise CalibrationError(
+            f"calibration of {calibration.serial!r}: expected one of all parameters, found no "
+            f"{', '.join(calibration.outcome.unobservable)}; verify one from oblique rests too"
+        )
     found = [p.name for p in calibration.parameters if sensor_kind(p.name) == block.kind]
     if tuple(name for name in found if group_name(name) in linear) != convention.names:
         raise InputError(

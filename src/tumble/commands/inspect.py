@@ -30,6 +30,6 @@ def inspect(session: Path, picture: Path | None, as_json: bool) -> None:
         print_data(inspection_data(observed))
     else:
         print_report(inspection_report(observed))
-    for fault in observed.faults:
+    for fault in (*observed.faults, *observed.gyro_faults):
         warn(f"fault: {fault}")
     sys.exit(1 if observed.faults else 0)

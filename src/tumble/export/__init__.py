@@ -58,7 +58,8 @@ def export_calibration(
     written, from 1, where the recording does not say it; `px4-thermal` the device ids of accelerometer and gyro,
     likewise.
 
-    Raises InputError for a calibration that was not accepted or that the format has no place for.
+    Where the accelerometers or the gyros alone are accepted, they are written, and the others named as absent. Raises
+    InputError for a calibration that was not accepted or that the format has no place for.
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
@@ -67,12 +68,12 @@ def export_calibration(
     b'# device mems-1'
     """
     from tumble.calibration.calibration_file import calibration_from
+    from tumble.calibration.half import accepted_part
 
-    calibration = calibration_from(calibration)
+    calibration = accepted_part(calibration_from(calibration))
     exported = _export(calibration, to, _noise(noise), _certificate(certificate), imu, sensor_ids)
-    if calibration.mag is None:
-        return exported
-    return replace(exported, losses=(*exported.losses, NO_MAGNETOMETER))
+    without = () if calibration.mag is None else (NO_MAGNETOMETER,)
+    return replace(exported, losses=(*calibration.absent, *exported.losses, *without))
 
 
 def _export(
@@ -91,9 +92,9 @@ def _export(
 
         return px4_thermal(calibration, sensor_ids, imu)
     if to == "kalibr":
-        from tumble.export.kalibr import kalibr, noise_of_rests
+        from tumble.export.kalibr import kalibr
 
-        return kalibr(calibration, noise or noise_of_rests(calibration))
+        return kalibr(calibration, noise)
     if to == "dcc" and certificate is not None:
         from tumble.export.dcc import dcc
 

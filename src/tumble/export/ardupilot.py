@@ -24,13 +24,16 @@ MOST = 5
 NUMBER_INSIDE = 3
 """The last IMU that has its number inside the names."""
 
+WORDS = {"accel": "ACC", "gyro": "GYR"}
+"""What the kinds of sensors are called in names."""
+
 ESTIMATED_ANEW = "gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0"
 
 
 def ardupilot(calibration: Calibration, imu: int | None = None) -> Exported:
     """The .param file of a calibration, of the IMU of this number, from 1, or of that which was recorded."""
     held, sensors = diagonal(calibration, "ardupilot"), sensors_of(calibration, imu, "ardupilot", MOST)
-    losses = (*held.losses, *([] if held.gyro_offset is None else [ESTIMATED_ANEW]), *whose(calibration, imu))
+    losses = (*held.losses, *([ESTIMATED_ANEW] if "gyro" in held.known else []), *whose(calibration, imu))
     comments = [f"# {line}" for line in (*origin(calibration), *held.examples(), *losses)]
     rows = [f"{name},{value}" for name, value in (*parameters(held, sensors), *_ids(held, sensors))]
     return Exported(content="\n".join([*comments, *rows, ""]).encode(), losses=losses)
@@ -38,9 +41,11 @@ def ardupilot(calibration: Calibration, imu: int | None = None) -> Exported:
 
 def parameters(held: Diagonal, sensors: Mapping[str, AutopilotSensor] = FIRST) -> list[tuple[str, str]]:
     """Names and values of offsets and scales."""
-    accel, gyro = (sensors[kind].number for kind in ("accel", "gyro"))
-    groups = [(name_of("ACC", accel, "OFFS"), held.accel_offset), (name_of("ACC", accel, "SCAL"), held.accel_factor)]
-    groups += [] if held.gyro_offset is None else [(name_of("GYR", gyro, "OFFS"), held.gyro_offset)]
+    groups = []
+    for kind, offset in held.offset.items():
+        word, number = WORDS[kind], sensors[kind].number
+        groups += [(name_of(word, number, "OFFS"), offset)]
+        groups += [(name_of(word, number, "SCAL"), held.factor[kind])] if kind == "accel" else []
     return [
         (f"{name}_{axis}", value) for name, three in groups for axis, value in zip("XYZ", written(three), strict=True)
     ]
@@ -54,9 +59,8 @@ def name_of(kind: str, number: int, what: str) -> str:
 
 def _ids(held: Diagonal, sensors: Mapping[str, AutopilotSensor]) -> list[tuple[str, str]]:
     """Names and values of the device ids that are known."""
-    kinds = {"accel": "ACC"} | ({} if held.gyro_offset is None else {"gyro": "GYR"})
     return [
-        (name_of(word, sensors[kind].number, "_ID"), str(sensors[kind].id))
-        for kind, word in kinds.items()
+        (name_of(WORDS[kind], sensors[kind].number, "_ID"), str(sensors[kind].id))
+        for kind in held.known
         if sensors[kind].id is not None
     ]

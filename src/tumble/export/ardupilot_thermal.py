@@ -57,7 +57,10 @@ def ardupilot_thermal(calibration: Calibration, imu: int | None = None) -> Expor
     )
     comments = [
         *origin(calibration),
-        f"offsets and scales are those at {found.reference('accel'):g} degC, INS_ACC{numbers['accel']}_CALTEMP",
+        *(
+            f"offsets and scales are those at {found.reference(kind):g} degC, INS_{LETTERS[kind]}{number}_CALTEMP"
+            for kind, number in list(numbers.items())[:1]
+        ),
         *found.examples(offsets),
         *losses,
     ]
@@ -101,11 +104,9 @@ def _offsets(found: Thermal, kind: str, temperature: Array) -> Array:
         [found.measured.low, found.measured.high, found.reference(kind)], dtype=np.float32
     ).astype(float)
     C = single(_coefficients(found, kind))
-    constant = found.held.accel_offset if kind == "accel" else found.held.gyro_offset
-    assert constant is not None
 
     def P(at: Array) -> Array:
         t = (np.clip(at, low, high) - ORIGIN)[:, None]
         return np.asarray((C[:, 0] * t + C[:, 1] * t**2 + C[:, 2] * t**3) * SCALE)
 
-    return P(temperature) - P(np.array([reference])) + constant
+    return P(temperature) - P(np.array([reference])) + found.held.offset[kind]

@@ -18,7 +18,6 @@ from tumble.errors import InputError
 from tumble.export.exported import (
     NO_UNCERTAINTY,
     SINGLE_PRECISION,
-    Example,
     aligned,
     example,
     gyro_matrix_lost,
@@ -60,12 +59,11 @@ def whose(calibration: Calibration, imu: int | None) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Diagonal:
-    """What an autopilot can hold, in single precision: offsets (3,) of accelerometers and gyros (None without gyros),
-    and the accelerometers' factors (3,)."""
+    """What an autopilot can hold, in single precision, of the kinds of sensors that are `known`: their offsets (3,),
+    and factors (3,), which gyros have none of: 1."""
 
-    accel_offset: Array
-    accel_factor: Array
-    gyro_offset: Array | None
+    offset: Mapping[str, Array]
+    factor: Mapping[str, Array]
     known: Mapping[str, SensorModel]
     losses: tuple[str, ...]
 
@@ -74,32 +72,24 @@ class Diagonal:
         out = []
         for kind, model in self.known.items():
             worked = example(kind, model)
-            target = self.corrected(kind, worked)
+            target = (worked.reading - self.offset[kind]) * self.factor[kind]
             out.append(
                 f"example {kind}: reading {shown(worked.reading)} becomes {shown(target.round(6))}; it is "
                 f"{shown(worked.true.round(6))}"
             )
         return out
 
-    def corrected(self, kind: str, worked: Example) -> Array:
-        """What the autopilot makes of an example."""
-        if kind == "accel" or self.gyro_offset is None:
-            return np.asarray((worked.reading - self.accel_offset) * self.accel_factor)
-        return np.asarray(worked.reading - self.gyro_offset)
-
 
 def diagonal(calibration: Calibration, target: str, apart: Container[str] = ()) -> Diagonal:
     """Offsets and factors of a calibration, and what is lost, but for the groups of parameters that are told of
     `apart`. Raises InputError unless the channels are X, Y, Z."""
-    known = triads(calibration, target, gyro=False)
+    known = triads(calibration, target, needed=())
     aligned(known, target)
-    accel, gyro = known["accel"], known.get("gyro")
-    losses = [misalignment_lost(accel)]
-    losses += [] if gyro is None else [gyro_matrix_lost(gyro)]
+    factors = {kind: 1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3) for kind, model in known.items()}
+    losses = [misalignment_lost(model) if kind == "accel" else gyro_matrix_lost(model) for kind, model in known.items()]
     return Diagonal(
-        accel_offset=single(accel.bias),
-        accel_factor=single(1.0 / np.diag(accel.matrix)),
-        gyro_offset=None if gyro is None else single(gyro.bias),
+        offset={kind: single(model.bias) for kind, model in known.items()},
+        factor={kind: single(factor) for kind, factor in factors.items()},
         known=known,
         losses=(*losses, *not_held(calibration, apart), SINGLE_PRECISION, NO_UNCERTAINTY),
     )

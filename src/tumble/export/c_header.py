@@ -157,14 +157,19 @@ _WHAT = {"accel": "true specific force", "gyro": "true angular rate"}
 def c_header(calibration: Calibration) -> Exported:
     """The header of a calibration."""
     known = models(calibration)
-    compensator = None if calibration.accel is None else calibration.compensator
+    compensator = calibration.compensator
     digits = "the functions in float have 7 digits; use those in double where that matters"
-    warm = bool(changing(calibration)) and calibration.reference_temperature is not None and compensator is not None
-    lag = compensator.lag if warm and compensator is not None else 0.0
+    warm = bool(changing(calibration)) and calibration.reference_temperature is not None
+    lag = compensator.lag if warm else 0.0
     held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
     losses = (*not_held(calibration, held), NO_UNCERTAINTY, digits)
-    examples = _examples(known) if compensator is None else _worked(compensator, known)
-    comments = [*origin(calibration), *examples, *(_temperatures(calibration) if warm else []), *_lagging(lag), *losses]
+    comments = [
+        *origin(calibration),
+        *_worked(compensator, known),
+        *(_temperatures(calibration) if warm else []),
+        *_lagging(lag),
+        *losses,
+    ]
     lines = ["#ifndef IMU_CALIBRATION_H", "#define IMU_CALIBRATION_H", ""]
     lines += ["/*", *(f" * {line}" for line in comments), " */", ""]
     if lag:
@@ -172,7 +177,7 @@ def c_header(calibration: Calibration) -> Exported:
     for kind, model in known.items():
         for single in (False, True):
             for at in [None, calibration] if warm else [None]:
-                if compensator is None or _is_linear(compensator, kind):
+                if _is_linear(compensator, kind):
                     lines.append(_function(kind, model, single=single, at=at))
                 else:
                     lines.append(_beyond(compensator, kind, model, single=single, at=at))
@@ -250,11 +255,12 @@ def _worked(compensator: Compensator, known: dict[str, SensorModel]) -> list[str
     if all(_is_linear(compensator, kind) for kind in known):
         return _examples(known)
     reading = {kind: example(kind, model).reading for kind, model in known.items()}
-    force = compensator.force(reading["accel"][None])
-    true = {"accel": force}
+    force = compensator.force(reading["accel"][None]) if "accel" in known else np.zeros((1, 3))
+    true = {"accel": force} if "accel" in known else {}
     if "gyro" in known:
         true["gyro"] = compensator.rate(reading["gyro"][None], force)
-    said = " in that specific force" if _needs_force(compensator) else ""
+    felt = "in that specific force" if "accel" in known else "without a specific force"
+    said = f" {felt}" if _needs_force(compensator) else ""
     return [
         f"example {kind}: reading {shown(reading[kind])}{said if kind == 'gyro' else ''} is "
         f"{shown(vector[0].round(9))} {UNITS[kind]}"

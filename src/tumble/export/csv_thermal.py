@@ -81,12 +81,12 @@ def _example(calibration: Calibration, kind: str, at: float) -> str:
 def _between(calibration: Calibration, curves: list[Curve], at: Array) -> str:
     """How far biases on straight lines between the rows are from the calibration's."""
     middle = 0.5 * (at[1:] + at[:-1])
-    error = {"accel": 0.0, "gyro": 0.0}
+    models_known = {"accel": calibration.accel, "gyro": calibration.gyro}
+    error = {kind: 0.0 for kind, model in models_known.items() if model is not None}
     for each in curves:
         kind = sensor_kind(each.name)
         if group_name(each.name) == f"{kind}.bias":
             straight = 0.5 * (each.value[1:] + each.value[:-1])
             own = np.abs(straight - curve(calibration, each.name, middle).value).max()
             error[kind] = max(error[kind], float(own))
-    gyro = None if calibration.gyro is None else error["gyro"]
-    return f"biases on straight lines between the rows are within {said(error['accel'], gyro)}"
+    return f"biases on straight lines between the rows are within {said(error)}"

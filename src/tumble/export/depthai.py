@@ -15,6 +15,7 @@ import json
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.half import WORDS
 from tumble.export.exported import (
     NO_UNCERTAINTY,
     SINGLE_PRECISION,
@@ -28,20 +29,23 @@ from tumble.export.exported import (
 from tumble.export.larger_model import not_held
 from tumble.sensors.model import SensorModel
 
+UNKNOWN = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
+"""What DepthAI keeps where nothing is known."""
 NO_NOISE = "noise densities are left at zero: set `noise` from `tumble noise`"
 
 
 def depthai(calibration: Calibration) -> Exported:
     """The JSON file of a calibration."""
-    known = triads(calibration, "depthai")
-    losses = (NO_NOISE, *not_held(calibration), SINGLE_PRECISION, NO_UNCERTAINTY)
+    known = triads(calibration, "depthai", needed=())
+    unknown = [f"{words}: not known, [1 | 0] in this file" for kind, words in WORDS.items() if kind not in known]
+    losses = (*unknown, NO_NOISE, *not_held(calibration), SINGLE_PRECISION, NO_UNCERTAINTY)
     nothing = {"noiseDensity": 0.0, "randomWalk": 0.0, "biasStability": 0.0}
     axes = dict.fromkeys("xyz", nothing)
     content = {
         "comment": "; ".join([*origin(calibration), *_examples(known), *losses]),
         "noise": {"name": one_line(calibration.model or ""), "accelerometer": axes, "gyroscope": axes},
-        "accelerometer": _affine(known["accel"]),
-        "gyroscope": _affine(known["gyro"]),
+        "accelerometer": _affine(known.get("accel", UNKNOWN)),
+        "gyroscope": _affine(known.get("gyro", UNKNOWN)),
     }
     return Exported(content=(json.dumps(content, indent=1, allow_nan=False) + "\n").encode(), losses=losses)
 

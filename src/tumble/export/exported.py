@@ -6,6 +6,7 @@ and how large that is. Readings are those of the calibration file: SI, after nom
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,9 +47,7 @@ def example(kind: str, model: SensorModel) -> Example:
 
 
 def models(calibration: Calibration) -> dict[str, SensorModel]:
-    """The models a calibration has, by kind. Raises InputError where it has none, or was not accepted."""
-    if not calibration.outcome.accepted:
-        raise InputError(f"calibration: expected an accepted one, found: {'; '.join(calibration.outcome.reasons)}")
+    """The models a calibration has, by kind. Raises InputError where it has none."""
     found = {"accel": calibration.accel, "gyro": calibration.gyro}
     known = {kind: model for kind, model in found.items() if model is not None}
     if not known:
@@ -56,12 +55,14 @@ def models(calibration: Calibration) -> dict[str, SensorModel]:
     return known
 
 
-def triads(calibration: Calibration, target: str, *, gyro: bool = True) -> dict[str, SensorModel]:
-    """The accelerometers and, where `gyro` asks for them, the gyros, three of each. Raises InputError otherwise."""
+def triads(calibration: Calibration, target: str, needed: Sequence[str] = ("accel", "gyro")) -> dict[str, SensorModel]:
+    """The accelerometers and the gyros that there are, three of each, those that are `needed` among them. Raises
+    InputError otherwise."""
     known = models(calibration)
-    for kind in ("accel", *(["gyro"] if gyro else [])):
+    for kind in needed:
         if kind not in known:
-            raise InputError(f"export to {target}: expected {kind} parameters, found none in the calibration")
+            found = "; ".join(calibration.absent) or "none in the calibration"
+            raise InputError(f"export to {target}: expected {kind} parameters, found {found}")
     for kind, model in known.items():
         if len(model.bias) != 3:
             raise InputError(
@@ -95,6 +96,7 @@ def origin(calibration: Calibration) -> list[str]:
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {unit} are (raw - offset) / scale: offset {offset}, scale {scale}")
+    lines += calibration.absent
     lines += [NO_MAGNETOMETER] if calibration.mag is not None else []
     return [one_line(line) for line in lines]
 

@@ -123,9 +123,10 @@ def _most_walk(adev: AllanDeviation) -> Array:
     return np.asarray((adev.high * np.sqrt(3.0 / adev.tau)[:, None]).min(axis=0))
 
 
-def kalibr(calibration: Calibration, noise: NoiseDensities) -> Exported:
-    """The file of a calibration and of the noise densities of its device."""
+def kalibr(calibration: Calibration, noise: NoiseDensities | None = None) -> Exported:
+    """The file of a calibration and of the noise densities of its device, by default those of its rests."""
     known = triads(calibration, "kalibr")
+    noise = noise or noise_of_rests(calibration)
     Ta, to_accel = _lower_times_rotation(known["accel"].matrix, "accelerometers")
     Tw, to_gyro = _lower_times_rotation(known["gyro"].matrix @ to_accel.T, "gyros")
     sensitivity = g_sensitivity(calibration)

@@ -13,7 +13,15 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.estimation.prediction import directions
 from tumble.sensors.instrument import Instrument, functions
-from tumble.sensors.parameters import FORCE, ParameterGroup, group_name, groups, positions_by_group, within_kind
+from tumble.sensors.parameters import (
+    FORCE,
+    ParameterGroup,
+    group_name,
+    groups,
+    positions_by_group,
+    sensor_kind,
+    within_kind,
+)
 from tumble.units import DEGREE, G_STANDARD, Array
 
 USUAL_RATE = 100.0 * DEGREE
@@ -29,9 +37,10 @@ NOT_IN_MATRIX = "not in matrix and bias"
 def not_held(calibration: Calibration, held: Container[str] = (), said: str = NO_PLACE) -> tuple[str, ...]:
     """A sentence for each group beyond the linear model that the calibration has and that is not `held`: those of
     accelerometers and those of gyros, of each the largest first."""
-    if calibration.accel is None:
+    absent = [kind for kind, model in (("accel", calibration.accel), ("gyro", calibration.gyro)) if model is None]
+    if len(absent) == 2:
         return ()
-    found = positions_by_group(p.name for p in calibration.parameters)
+    found = positions_by_group(p.name for p in calibration.parameters if sensor_kind(p.name) not in absent)
     lost = [group for group in groups() if not group.linear and group.name in found and group.name not in held]
     effects = [(group, *_largest(calibration, group)) for group in lost]
     effects.sort(key=lambda each: (each[0].kind, -each[1]))

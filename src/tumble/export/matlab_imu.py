@@ -26,13 +26,14 @@ NO_NOISE = "noise is not in this file: set NoiseDensity, BiasInstability and Ran
 
 def matlab_imu(calibration: Calibration) -> Exported:
     """The JSON file of a calibration; the part has the serial number for its name."""
-    known = triads(calibration, "matlab-imu")
-    losses = (SIGN, NO_NOISE, *not_held(calibration), NO_UNCERTAINTY)
+    known = triads(calibration, "matlab-imu", needed=())
+    losses = (*([SIGN] if "accel" in known else []), NO_NOISE, *not_held(calibration), NO_UNCERTAINTY)
     content = {
         "comment": "; ".join([*origin(calibration), *_examples(known), *losses]),
         part_name(calibration.serial): {
-            "Accelerometer": _parameters(known["accel"], -1.0),
-            "Gyroscope": _parameters(known["gyro"], 1.0),
+            name: _parameters(known[kind], sign)
+            for name, kind, sign in (("Accelerometer", "accel", -1.0), ("Gyroscope", "gyro", 1.0))
+            if kind in known
         },
     }
     return Exported(content=(json.dumps(content, indent=1, allow_nan=False) + "\n").encode(), losses=losses)

@@ -59,9 +59,13 @@ def px4(calibration: Calibration, imu: int | None = None) -> Exported:
 
 
 def _stems(held: Diagonal, sensors: Mapping[str, AutopilotSensor]) -> dict[str, AutopilotSensor]:
-    """What the names of the parameters of each sensor begin with."""
-    found = {f"CAL_ACC{sensors['accel'].number - 1}": sensors["accel"]}
-    return found | ({} if held.gyro_offset is None else {f"CAL_GYRO{sensors['gyro'].number - 1}": sensors["gyro"]})
+    """The sensors by what the names of their parameters begin with."""
+    return {_stem(kind, sensors): sensors[kind] for kind in held.known}
+
+
+def _stem(kind: str, sensors: Mapping[str, AutopilotSensor]) -> str:
+    """What the names of the parameters of a sensor begin with."""
+    return f"CAL_{'ACC' if kind == 'accel' else 'GYRO'}{sensors[kind].number - 1}"
 
 
 def signed(device: int) -> int:
@@ -71,9 +75,11 @@ def signed(device: int) -> int:
 
 def parameters(held: Diagonal, sensors: Mapping[str, AutopilotSensor] = FIRST) -> list[tuple[str, str]]:
     """Names and values of offsets and scales."""
-    accel, *gyro = _stems(held, sensors)
-    groups = [(f"{accel}_{{}}OFF", held.accel_offset), (f"{accel}_{{}}SCALE", held.accel_factor)]
-    groups += [] if held.gyro_offset is None else [(f"{gyro[0]}_{{}}OFF", held.gyro_offset)]
+    groups = []
+    for kind, offset in held.offset.items():
+        stem = _stem(kind, sensors)
+        groups += [(f"{stem}_{{}}OFF", offset)]
+        groups += [(f"{stem}_{{}}SCALE", held.factor[kind])] if kind == "accel" else []
     return [
         (name.format(axis), value) for name, three in groups for axis, value in zip("XYZ", written(three), strict=True)
     ]
@@ -81,9 +87,11 @@ def parameters(held: Diagonal, sensors: Mapping[str, AutopilotSensor] = FIRST) -
 
 def too_small(held: Diagonal) -> list[str]:
     """Corrections that some releases of PX4 do not take over."""
-    changes = {"accelerometer offsets": held.accel_offset, "accelerometer scales": held.accel_factor - 1.0}
-    if held.gyro_offset is not None:
-        changes["gyro offsets"] = held.gyro_offset
+    changes = {}
+    if "accel" in held.known:
+        changes = {"accelerometer offsets": held.offset["accel"], "accelerometer scales": held.factor["accel"] - 1.0}
+    if "gyro" in held.known:
+        changes["gyro offsets"] = held.offset["gyro"]
     small = [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]
     said = (
         "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: {}; see `sensors status`"

@@ -41,7 +41,6 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None, im
         sensors_of(calibration, imu, "px4-thermal", MOST_PLACES),
     )
     held = found.held
-    accel, gyro = (sensors[kind].number - 1 for kind in ("accel", "gyro"))
 
     def offsets(kind: str, temperature: Array) -> Array:
         return _offsets(found, kind, temperature)
@@ -51,13 +50,13 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None, im
         _in_steps(found),
         *held.losses,
         *too_small(held),
-        *([] if ids is not None else [_no_ids(sensors, place)]),
+        *([] if ids is not None else [_no_ids(found, sensors, place)]),
         *whose(calibration, imu),
     )
     at = dict.fromkeys(f"{found.reference(kind):g}" for kind in found.slopes)
     comments = [
         *origin(calibration),
-        f"CAL_ACC{accel}_ID and CAL_GYRO{gyro}_ID have to be the ids of these sensors already",
+        f"{' and '.join(_ids(found, sensors).values())} have to be the ids of these sensors already",
         f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(at)} degC",
         *found.examples(offsets),
         *losses,
@@ -65,8 +64,8 @@ def px4_thermal(calibration: Calibration, ids: tuple[int, int] | None = None, im
         "Vehicle-Id Component-Id Name Value Type",
     ]
     rows = [(name, value, REAL32) for name, value in parameters(held, sensors)]
-    for number, kind in enumerate(found.slopes):
-        rows += _of_kind(found, (kind, place), None if ids is None else ids[number])
+    for kind in found.slopes:
+        rows += _of_kind(found, (kind, place), None if ids is None else ids[("accel", "gyro").index(kind)])
     lines = [f"1\t1\t{name}\t{value}\t{kind}" for name, value, kind in rows]
     return Exported(content="\n".join([*(f"# {c}".rstrip() for c in comments), *lines, ""]).encode(), losses=losses)
 
@@ -89,11 +88,17 @@ def sensor_ids(text: str) -> tuple[int, int]:
     return accel, gyro
 
 
-def _no_ids(sensors: Mapping[str, AutopilotSensor], place: int) -> str:
-    accel, gyro = (sensors[kind].number - 1 for kind in ("accel", "gyro"))
+def _ids(found: Thermal, sensors: Mapping[str, AutopilotSensor]) -> dict[str, str]:
+    """The names of the parameters with the ids of the sensors, by what is compensated."""
+    words = {"accel": "ACC", "gyro": "GYRO"}
+    return {LETTERS[kind]: f"CAL_{words[kind]}{sensors[kind].number - 1}_ID" for kind in found.slopes}
+
+
+def _no_ids(found: Thermal, sensors: Mapping[str, AutopilotSensor], place: int) -> str:
+    ids = _ids(found, sensors)
     return (
-        f"TC_A{place}_ID and TC_G{place}_ID are not in this file: set them to CAL_ACC{accel}_ID and CAL_GYRO{gyro}_ID, "
-        "or give --sensor-ids; without them PX4 compensates nothing"
+        f"{' and '.join(f'TC_{letter}{place}_ID' for letter in ids)} are not in this file: set them to "
+        f"{' and '.join(ids.values())}, or give --sensor-ids; without them PX4 compensates nothing"
     )
 
 
@@ -127,14 +132,11 @@ def _offsets(found: Thermal, kind: str, temperature: Array) -> Array:
     ).astype(float)
     d = (np.clip(temperature, low, high) - reference)[:, None]
     X = single(_coefficients(found, kind))
-    constant = found.held.accel_offset if kind == "accel" else found.held.gyro_offset
-    assert constant is not None
-    return np.asarray(X[:, 0] + X[:, 1] * d + X[:, 2] * d**2 + X[:, 3] * d**3 + constant)
+    return np.asarray(X[:, 0] + X[:, 1] * d + X[:, 2] * d**2 + X[:, 3] * d**3 + found.held.offset[kind])
 
 
 def _in_steps(found: Thermal) -> str:
-    accel, gyro = found.steepest()
     return (
         "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up to "
-        f"{said(accel, gyro if 'gyro' in found.slopes else None)}"
+        f"{said(found.steepest())}"
     )

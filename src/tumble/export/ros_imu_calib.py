@@ -26,7 +26,7 @@ from tumble.export.larger_model import not_held
 
 def ros_imu_calib(calibration: Calibration) -> Exported:
     """imu_calib.yaml of a calibration."""
-    known = triads(calibration, "ros-imu-calib", gyro=False)
+    known = triads(calibration, "ros-imu-calib", needed=("accel",))
     model = known["accel"]
     inverse = model.inverse()
     losses = [*not_held(calibration), NO_UNCERTAINTY]

@@ -77,18 +77,16 @@ class Thermal:
         for kind in self.held.known:
             model = model_at(self.calibration, kind, at)
             worked = example(kind, model)
-            factor = self.held.accel_factor if kind == "accel" else 1.0
-            target = (worked.reading - offsets(kind, np.array([at]))[0]) * factor
+            target = (worked.reading - offsets(kind, np.array([at]))[0]) * self.held.factor[kind]
             out.append(
                 f"example {kind} at {at:g} degC: reading {shown(worked.reading)} becomes {shown(target.round(6))}; "
                 f"it is {shown(worked.true.round(6))}"
             )
         return out
 
-    def steepest(self) -> tuple[float, float]:
-        """The largest change of a bias per K within the range: accelerometers, m/s²/K, and gyros, rad/s/K."""
-        found = {kind: _steepest(self.calibration, kind, self.measured) for kind in self.slopes}
-        return found["accel"], found.get("gyro", 0.0)
+    def steepest(self) -> Mapping[str, float]:
+        """The largest change of a bias per K within the range, m/s²/K or rad/s/K, of the kinds of sensors there are."""
+        return {kind: _steepest(self.calibration, kind, self.measured) for kind in self.slopes}
 
     def _curves(self, offsets: Offsets) -> str:
         temperature = self.measured.temperatures()
@@ -98,7 +96,7 @@ class Thermal:
         }
         return (
             f"offsets over temperature: from {_plain(self.measured)} the cubic is within "
-            f"{said(error['accel'], error.get('gyro'))} of the calibration's curve"
+            f"{said(error)} of the calibration's curve"
         )
 
     def _biases(self, kind: str, temperature: Array) -> Array:
@@ -116,21 +114,22 @@ class Thermal:
             longer = linear * warmer + square * warmer**2
             unit = model.matrix / np.linalg.norm(model.matrix, axis=1)[:, None]
             applied = np.diag(model.matrix)[:, None] if kind == "accel" else 1.0
-            error[kind] = max(worst(each[:, None] * unit / applied) for each in longer)
-        gyro = error.get("gyro")
-        where = "in 1 g" if gyro is None else f"in 1 g at {rate / DEGREE:.3g} deg/s"
+            felt = G_STANDARD if kind == "accel" else rate
+            error[kind] = felt * max(worst(each[:, None] * unit / applied) for each in longer)
+        turning = f"at {rate / DEGREE:.3g} deg/s"
+        where = " ".join(["in 1 g"] * ("accel" in error) + [turning] * ("gyro" in error))
         return (
             f"scale factors over temperature: no place in this file, from {_plain(self.measured)} an error of up to "
-            f"{said(G_STANDARD * error['accel'], None if gyro is None else rate * gyro)} {where}"
+            f"{said(error)} {where}"
         )
 
     def _hysteresis(self) -> list[str]:
-        largest = [
-            max((abs(p.value) for p in self.calibration.parameters if _is_hysteresis(p.name, kind)), default=0.0)
-            for kind in ("accel", "gyro")
-        ]
-        accel, gyro = largest
-        return [f"hysteresis of the biases: no place in this file, up to {said(accel, gyro)}"] if any(largest) else []
+        largest = {
+            kind: max((abs(p.value) for p in self.calibration.parameters if _is_hysteresis(p.name, kind)), default=0.0)
+            for kind in self.held.known
+        }
+        lost = any(largest.values())
+        return [f"hysteresis of the biases: no place in this file, up to {said(largest)}"] if lost else []
 
 
 def thermal(calibration: Calibration, target: str, together: Sequence[tuple[SensorKind, ...]]) -> Thermal:
@@ -140,6 +139,7 @@ def thermal(calibration: Calibration, target: str, together: Sequence[tuple[Sens
     held = diagonal(calibration, target, apart=(*HELD, *SCALES))
     measured = range_of(calibration, target)
     seen = {kind: tuple(references(calibration, kind).tolist()) for kind in held.known}
+    together = [tuple(kind for kind in of if kind in seen) for of in together]
     seen = {
         kind: len(own) * (float(np.mean(seen[of[0]])),) for of in together for kind, own in seen.items() if kind in of
     }
@@ -201,13 +201,12 @@ def _apart(rest: RestResult, mean: Mapping[SensorKind, Array]) -> float:
     return float(np.ptp(np.concatenate(off))) if off else 0.0
 
 
-def said(accel: float, gyro: float | None) -> str:
+def said(errors: Mapping[str, float]) -> str:
     """Errors of accelerometers, m/s², and gyros, rad/s, in mg and deg/s, rounded up."""
-    in_mg = _in_field_units("accel", accel)
-    return in_mg if gyro is None else f"{in_mg} and {_in_field_units('gyro', gyro)}"
+    return " and ".join(_in_field_units(kind, error) for kind, error in errors.items())
 
 
-def _in_field_units(kind: SensorKind, error: float) -> str:
+def _in_field_units(kind: str, error: float) -> str:
     return f"{_at_most(error / (1e-3 * G_STANDARD))} mg" if kind == "accel" else f"{_at_most(error / DEGREE)} deg/s"
 
 

@@ -3,19 +3,21 @@
 A gyro that feels specific force, 0.1 °/s/g in a MEMS unit, reads in every attitude another rate at rest, and one that
 warms quickly another one in every rest. Then
 
-    level = b + G f + d t
+    level = b + G f + d t + s (t > t₀)
 
-with the specific force f and time t, −1 … 1 over the log. A stretch in which the accelerometers are quiet and the
-gyros steady is a rest, or a turn about the vertical so slow that it is not seen to be one: a turn about any other axis
-moves the vertical, and the accelerometers see it. Which it is only the other stretches say. G, and where it takes it d,
-are fitted to all of them with the sum of the distances as the measure, which a minority cannot bend, and a stretch off
-the level is accepted if the fit to the others predicts its level.
+with the specific force f and time t, −1 … 1 over the log; s is what a driver does that measures the bias anew on its
+way, or another device in the second part of a log, at a time t₀ between two stretches. A stretch in which the
+accelerometers are quiet and the gyros steady is a rest, or a turn about the vertical so slow that it is not seen to be
+one: a turn about any other axis moves the vertical, and the accelerometers see it. Which it is only the other stretches
+say. G, and where it takes them d or s, are fitted to all of them with the sum of the distances as the measure, which a
+minority cannot bend, and a stretch off the level is accepted if the fit to the others predicts its level.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,13 +27,15 @@ USUAL_SENSITIVITY = 1.0 * DEGREE / G_STANDARD
 """rad/s per m/s²: what keeps G small where the attitudes do not show it."""
 
 USUAL_DRIFT = 1.0 * DEGREE
-"""rad/s from the middle of a log to its end: what keeps d small."""
+"""rad/s from the middle of a log to its end, and by a step: what keeps d and s small."""
 
 LEAST_STRETCHES = 8
 LEAST_SHARE = 2.0 / 3.0
 LEAST_GAIN = 0.2
 """So many stretches, and this share of them, must follow the function; this share more than follow one level, and
-with a drift than without."""
+with a drift or a step than without."""
+FEWEST_BESIDE = 2
+"""Stretches on either side of a step: one alone with a level of its own may be a slow turn."""
 
 MOST_UNCERTAIN = 2.0
 """Times what a level is: how uncertain a prediction from the other stretches may be."""
@@ -52,16 +56,20 @@ class OffLevel:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LevelFunction:
-    """G (3, 3), rad/s per m/s², and d (3,), rad/s, and by file the stretches whose level follows them."""
+    """G (3, 3), rad/s per m/s², and d and s (3,), rad/s, with the time t₀ of the step, and by file the stretches whose
+    level follows them."""
 
     g_sensitivity: Array
     drift: Array
+    step: Array
+    step_at: float
     accepted: list[list[Span]]
 
     def without(self, rates: list[Array], force: list[Array], time: list[Array]) -> list[Array]:
         """The rates of blocks with the part of the level taken off that changes."""
         return [
-            w - f @ self.g_sensitivity.T - t[:, None] * self.drift for w, f, t in zip(rates, force, time, strict=True)
+            w - f @ self.g_sensitivity.T - t[:, None] * self.drift - (t > self.step_at)[:, None] * self.step
+            for w, f, t in zip(rates, force, time, strict=True)
         ]
 
 
@@ -73,32 +81,57 @@ def level_function(
     limit: float,
     least: int,
 ) -> LevelFunction | None:
-    """G and d from the mean rates of rests of at least `least` blocks and of stretches off the level, by file, and from
-    the forces and times that they go with. None where no function of these explains to `limit` (rad/s) the levels of
-    most, or one level does as well."""
+    """G, d and s from the mean rates of rests of at least `least` blocks and of stretches off the level, by file, and
+    from the forces and times that they go with. None where no function of these explains to `limit` (rad/s) the levels
+    of most, or one level does as well."""
     found = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
     stretches = found + [(s.place, s.first, s.last) for s in off]
     if len(stretches) < LEAST_STRETCHES:
         return None
-    (force, time), usual = goes_with, np.array([*(3 * [USUAL_SENSITIVITY]), USUAL_DRIFT]) / limit
+    (force, time), usual = goes_with, np.array([*(3 * [USUAL_SENSITIVITY]), USUAL_DRIFT, USUAL_DRIFT]) / limit
     cores = [(k, *core(i, j, least)) for k, i, j in stretches]
     level = np.array([rates[k][i:j].mean(axis=0) for k, i, j in cores])
-    rows = np.array([[1.0, *(usual * [*force[k][i:j].mean(axis=0), time[k][i:j].mean()])] for k, i, j in cores])
-    some, near = rows[:, :1], _near(rows[:, :1], level, limit)
-    for more in (rows[:, :4], rows):  # each where it explains more
-        follow = _near(more, level, limit)
-        if follow.sum() >= max(LEAST_STRETCHES, LEAST_SHARE * len(near), near.sum() + LEAST_GAIN * len(near)):
-            some, near = more, follow
-    if some.shape[1] == 1:
+    at = np.array([time[k][i:j].mean() for k, i, j in cores])
+    rows = np.array(
+        [[1.0, *(usual * [*force[k][i:j].mean(axis=0), t, 0.0])] for (k, i, j), t in zip(cores, at, strict=True)]
+    )
+    used, near, step_at = [0], _near(rows[:, :1], level, limit), np.inf
+    for more in (_G, _G_AND_DRIFT):  # each where it explains more
+        follow = _near(rows[:, more], level, limit)
+        if _explains_more(follow, near):
+            used, near = more, follow
+    in_order = np.sort(at) if len(off) >= FEWEST_BESIDE else np.empty(0)  # else the level was followed to every rest
+    most = near
+    for before, after in pairwise(in_order[FEWEST_BESIDE - 1 : len(at) + 1 - FEWEST_BESIDE]):
+        stepped = rows.copy()
+        stepped[:, 5] = usual[4] * (at > 0.5 * (before + after))
+        for more in (_STEP, _G_AND_STEP):
+            follow = _near(stepped[:, more], level, limit)
+            if _explains_more(follow, near) and follow.sum() > most.sum():
+                used, most, step_at = more, follow, 0.5 * (before + after)
+    rows[:, 5], near = usual[4] * (at > step_at), most
+    if used == [0]:
         return None
-    fitted = np.zeros((4, 3))
-    fitted[: some.shape[1] - 1] = _least_squares(some[near], level[near], np.ones(int(near.sum())))[1:]
-    fitted *= usual[:, None]
+    some, fitted = rows[:, used], np.zeros((6, 3))
+    fitted[used] = _least_squares(some[near], level[near], np.ones(int(near.sum())))
+    fitted[1:] *= usual[:, None]
     accepted: list[list[Span]] = [[] for _ in rates]
     for n, (k, i, j) in enumerate(stretches):
         if near[n] and (n < len(found) or _predicted(some, level, near, n, limit)):
             accepted[k].append((i, j))
-    return LevelFunction(g_sensitivity=fitted[:3].T, drift=fitted[3], accepted=accepted)
+    return LevelFunction(
+        g_sensitivity=fitted[1:4].T, drift=fitted[4], step=fitted[5], step_at=float(step_at), accepted=accepted
+    )
+
+
+_G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
+"""Which columns of b, G, d, s are tried together."""
+
+
+def _explains_more(follow: BoolArray, near: BoolArray) -> bool:
+    """Whether so many more stretches follow a function than follow that before it that it is one."""
+    least = max(LEAST_STRETCHES, LEAST_SHARE * len(near), near.sum() + LEAST_GAIN * len(near))
+    return bool(follow.sum() >= least)
 
 
 def times_of(edges: list[Array]) -> list[Array]:
@@ -122,19 +155,19 @@ def _near(rows: Array, level: Array, limit: float) -> BoolArray:
 
 
 def _least_squares(rows: Array, level: Array, weight: Array) -> Array:
-    """Bias, G and d (5, 3), or the first of them, by weighted least squares; rows are scaled so that G and d are 1
-    where they are usual, in limits."""
+    """Bias, G, d and s (6, 3), or some of them, by weighted least squares; rows are scaled so that all but the bias are
+    1 where they are usual, in limits."""
     normal = (rows * weight[:, None]).T @ rows + _usual(rows)
     return np.asarray(np.linalg.solve(normal, (rows * weight[:, None]).T @ level))
 
 
 def _usual(rows: Array) -> Array:
-    """The weight of G and d being of the usual size, and of nothing known of the bias."""
-    return np.diag([0.0, 1.0, 1.0, 1.0, 1.0][: rows.shape[1]])
+    """The weight of all but the bias being of the usual size, and of nothing known of the bias."""
+    return np.diag([0.0, *(rows.shape[1] - 1) * [1.0]])
 
 
 def _least_distances(rows: Array, level: Array, limit: float) -> Array:
-    """Bias, G and d (5, 3), or the first of them, with the smallest sum of distances from the levels, distances below
+    """Bias, G, d and s (6, 3), or some of them, with the smallest sum of distances from the levels, distances below
     the tenth part of `limit` squared (weights iterated)."""
     weight = np.ones(len(rows))
     for _ in range(50):

@@ -29,14 +29,14 @@ seconds, which shows a turn about a nearly vertical axis by the little it tilts.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.reduction.blocks import ChannelState, FileBlocks, Reduction
-from tumble.reduction.gyro_levels import OffLevel, Span, core, level_function, times_of
+from tumble.reduction.gyro_levels import LevelFunction, OffLevel, Span, core, level_function, times_of
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
@@ -53,8 +53,8 @@ SHORT_REST_SECONDS, SHORT_REST_SAMPLES, FEWEST_SHORT = 0.6, 40, 9
 the noise is known to 11 %."""
 SHORT_WINDOW_SECONDS, SHORT_MARGIN_SECONDS = 0.5, 0.1
 """Of a recording of short rests: windows of a second have turns in them where a rest lasts no longer."""
-LEVEL_SPREAD = 3.0 * DEGREE
-"""rad/s: how far the level of a gyro at rest may be from that in another attitude."""
+LEVEL_SPREAD = 5.0 * DEGREE
+"""rad/s: how far the level of a gyro at rest may be from that in another attitude, or after its bias has jumped."""
 STAYS = 0.05 * DEGREE
 DENSITY_POINTS = 1000
 AT_A_TIME = 16
@@ -92,6 +92,16 @@ class Rejected:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LevelJump:
+    """Where the first rest begins that has another level of the gyros, by a `size` in rad/s, than those before: its
+    file and the time, s."""
+
+    file: int
+    time: float
+    size: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Segmentation:
     """Rests of a log in the order of time, what was rejected, and the thresholds that were found:
     rate_limit (rad/s; None without gyros) and scatter_limit (m/s²)."""
@@ -100,6 +110,24 @@ class Segmentation:
     rejected: tuple[Rejected, ...]
     rate_limit: float | None
     scatter_limit: float
+    jump: LevelJump | None = None
+
+    def jumped(self) -> tuple[str, ...]:
+        """That the level of the gyros at rest jumps once between two of the rests, and what to do; nothing where it
+        does not."""
+        if self.jump is None:
+            return ()
+        before = [r for r in self.rests if (r.file, r.start) < (self.jump.file, self.jump.time)]
+        after = self.rests[len(before) :]
+        if not before or not after:
+            return ()
+        last, first = len(before), len(before) + 1
+        return (
+            f"the level of the gyros at rest jumps by {self.jump.size / DEGREE:.2g} °/s between rest {last} (to "
+            f"{before[-1].stop:z.1f} s) and rest {first} (from {after[0].start:z.1f} s) and stays there: a driver that "
+            f"measured the bias anew, or another device; calibrate the {last} rests before it and the {len(after)} "
+            "after it as launches of their own, each with the times of the others in [[exclude]]",
+        )
 
     def passed_over(self) -> tuple[str, ...]:
         """Quiet stretches that were nearly rests, counted, in words: the too short ones, and those discarded for the
@@ -112,6 +140,30 @@ class Segmentation:
         if off:
             said.append(f"{_counted(off)} discarded because the gyros read otherwise than at rest")
         return tuple(said)
+
+    def unused(self) -> tuple[str, ...]:
+        """Every quiet stretch that is not used as a rest, with its times and durations and why not: a sentence for each
+        reason."""
+        said = []
+        for fails, why in _WHY.items():
+            quiet = [r for r in self.rejected if r.fails == fails]
+            if quiet:
+                spans = [f"{r.start:z.1f}–{r.stop:z.1f}" for r in quiet[:MOST_SPANS]]
+                more = f" and {len(quiet) - MOST_SPANS} more" if len(quiet) > MOST_SPANS else ""
+                total = sum(r.stop - r.start for r in quiet)
+                because = quiet[0].reason if len(quiet) == 1 else why
+                said.append(f"not used as rests: {', '.join(spans)} s{more}, {total:.1f} s in all: {because}")
+        return tuple(said)
+
+
+_WHY = {
+    "level": "the accelerometers are quiet, but the gyros read otherwise than at rest",
+    "scatter": "the gyros are quiet, but the accelerometers are not",
+    "vertical": f"the vertical moves by more than {TILT_LIMIT / DEGREE:g}°",
+    "duration": f"too short: rests must be {STILL_SECONDS} s",
+}
+MOST_SPANS = 20
+"""Stretches that are listed one by one."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -187,7 +239,15 @@ def _found(reduction: Reduction, accel: Block, gyro: Block | None, pace: _Pace) 
         if not c[i:j].any() and f.edges[j] - f.edges[i] >= pace.rest
     ]
     searched = window, pace
-    return _assemble(reduction, specific_force, rates, spans, coarse, searched, scatter_limit, rate_limit, restless)
+    whole = _assemble(reduction, specific_force, rates, spans, coarse, searched, scatter_limit, rate_limit, restless)
+    return whole if g is None or not np.any(g.step) else replace(whole, jump=_jump(whole, g, reduction))
+
+
+def _jump(found: Segmentation, function: LevelFunction, reduction: Reduction) -> LevelJump:
+    """The jump of a level function: where the first rest after it begins."""
+    times = dict(zip((f.file for f in reduction.files), times_of([f.edges for f in reduction.files]), strict=True))
+    after = next(r for r in found.rests if float(times[r.file][(r.first + r.last) // 2]) > function.step_at)
+    return LevelJump(file=after.file, time=after.start, size=float(np.linalg.norm(function.step)))
 
 
 def _off_reason(off: OffLevel, limit: float) -> str:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.half import accepted_kinds, accepted_part
 from tumble.calibration.temperature_curves import Range, changing, curve, measured_range
 from tumble.registry.limits import LimitJudgement, Limits, Result, Verdict, judge
 from tumble.registry.records import OCCASIONS, parameter_rows
@@ -28,9 +29,12 @@ CHANGING = {group.base for group in FURTHER if group.variable == "temperature"}
 
 
 def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
-    """What the limits say of a calibration, for each check that they are for.
+    """What the limits say of a calibration, for each check that they are for. Of one whose accelerometers or gyros
+    alone are accepted, the others are not determined.
 
     Raises CalibrationError where it cannot be taken to the frame of the limits."""
+    if len(accepted_kinds(calibration)) == 1:
+        calibration = accepted_part(calibration)
     if calibration.frame != limits.frame:
         calibration = calibration.in_frame(limits.frame)
     rows, unseen = list(parameter_rows(calibration.parameters)), calibration.outcome.unobservable

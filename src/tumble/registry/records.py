@@ -111,14 +111,12 @@ def read_submission(given: Calibration | FilePath, particulars: Particulars) -> 
 
 
 def submission(text: str, name: str, particulars: Particulars) -> Submission:
-    """The calibration of the text of a file, to be added, as `read_submission`."""
+    """The calibration of the text of a file, to be added, as `read_submission`; where the accelerometers or the gyros
+    alone are accepted, the parameters of these."""
     from tumble.calibration.calibration_file import calibration_of
+    from tumble.calibration.half import accepted_part
 
-    calibration = calibration_of(text, name)
-    if not calibration.outcome.accepted:
-        raise InputError(
-            f"{name}: expected an accepted calibration, found one that was not: {calibration.outcome.reasons[0]}"
-        )
+    calibration = accepted_part(calibration_of(text, name), name)
     if not calibration.parameters:
         raise InputError(f"{name}: parameters: expected at least one, found none")
     parameters = tuple(all_parameter_rows(calibration))

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from tumble.calibration import further
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.coverage import remarks
-from tumble.calibration.further import predicted
 from tumble.errors import InputError
 from tumble.export.certificate import Certificate
 from tumble.registry.conformity import verdicts
@@ -107,7 +107,8 @@ def _badge(sources: Sequence[Source], given: ReportBasis) -> str:
     accepted."""
     outcomes = [source.calibration.outcome for source in sources]
     if not all(outcome.accepted for outcome in outcomes):
-        return "not accepted"
+        *of_kinds, _ = further.verdicts(sources[0].calibration)
+        return "; ".join(of_kinds) if of_kinds and len(sources) == 1 else "not accepted"
     found = _outcomes(sources, given)
     if found:
         return min((each for _, each in found), key=STATEMENTS.index)
@@ -236,7 +237,7 @@ def _result(calibration: Calibration, given: ReportBasis) -> Section:
             )
         )
     if calibration.prediction is not None:
-        blocks.append(Text(text=f"Known to (standard uncertainty): {predicted(calibration.prediction)}."))
+        blocks.append(Text(text=f"Known to (standard uncertainty): {further.predicted(calibration.prediction)}."))
     if calibration.outcome.unobservable:
         blocks.append(Text(text=f"Not determined: {', '.join(calibration.outcome.unobservable)}."))
     return Section(title="Result", blocks=tuple(blocks))

@@ -18,6 +18,7 @@ from tumble.calibration.further import (
     other_factors,
     verdicts,
 )
+from tumble.calibration.half import WORDS, accepted_kinds
 from tumble.calibration.results import Launch, Parameter
 from tumble.calibration.shown import shown_units
 from tumble.report import drawings, figures
@@ -446,8 +447,11 @@ def convergence(calibration: Calibration, name: str) -> Section | None:
 def verdict(calibration: Calibration) -> list[Block]:
     """Whether the calibration is accepted, the reasons against it, and the remarks with what they are caused by."""
     outcome = calibration.outcome
-    if not outcome.accepted:
-        tone: Tone = "bad"
+    if not outcome.accepted and (usable := accepted_kinds(calibration)):
+        tone: Tone = "doubt"
+        said = f"The {' and '.join(WORDS[kind] for kind in usable)} alone: values of others must not be used."
+    elif not outcome.accepted:
+        tone = "bad"
         said = "Not accepted: these values must not be used."
     elif outcome.remarks:
         tone = "doubt"

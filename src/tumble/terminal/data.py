@@ -49,7 +49,7 @@ def inspection_data(observed: Observed) -> dict[str, Any]:
         "turns": [] if observations is None else _turns(observations),
         "rejected": [asdict(stretch) for stretch in found.rejected],
         "notes": [] if observations is None else list(observations.notes),
-        "faults": list(observed.faults),
+        "faults": [*observed.faults, *observed.gyro_faults],
     }
 
 

@@ -34,7 +34,7 @@ def inspection_report(observed: Observed) -> RenderableType:
         table.add_column("because")
         for r in segmentation.rejected:
             table.add_row(f"{r.start:z.1f}", f"{r.stop:z.1f}", r.reason)
-        parts += [Text(""), table, *map(Text, segmentation.passed_over())]
+        parts += [Text(""), table, *map(Text, segmentation.unused())]
     return Group(*parts)
 
 

@@ -22,7 +22,7 @@ from tumble.estimation.causes.linearised_session import LinearisedSession
 from tumble.estimation.causes.lost_samples import lost_samples
 from tumble.estimation.causes.neighbouring_rests import Neighbours
 from tumble.estimation.causes.nonlinearity import gyro_nonlinearity, products
-from tumble.estimation.causes.over_time import over_time
+from tumble.estimation.causes.over_time import jumps, over_time
 from tumble.estimation.causes.projection import Projection
 from tumble.estimation.causes.quantisation import quantisation
 from tumble.estimation.likelihood import Linearised
@@ -51,6 +51,7 @@ def causes(
 def _candidates(session: LinearisedSession) -> Iterator[Candidate]:
     """Everything that is tried."""
     yield from over_time(session)
+    yield from jumps(session)
     yield hysteresis(session)
     yield from memory(session)
     yield from products(session)

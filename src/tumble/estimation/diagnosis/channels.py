@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from tumble.recording.session import Channels, LogSpec
 from tumble.reduction.blocks import ChannelState, Reduction
-from tumble.units import G_STANDARD, Array
+from tumble.reduction.segmentation import RestSpan
+from tumble.units import DEGREE, G_STANDARD, Array
 
 REST_SHARE = 0.2
 """At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
@@ -35,6 +36,69 @@ def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
         f"{', '.join(map(repr, log.accel.columns))} have rows of several sensors, or the device was shaken throughout; "
         "give each sensor its own columns, and let the device rest"
     ]
+
+
+RADIAL = 0.25
+"""Of the noise across gravity: accelerometers whose magnitude is steadier in all attitudes and on the way have it from
+a driver. That of sensors has the same noise along gravity as across, and their errors beside."""
+LEAST_FORCE = 1e-9
+"""m/s²: of a shorter vector no direction is known."""
+
+
+def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) -> list[str]:
+    """Accelerometers that a driver has divided by their magnitude: it is constant to rounding in motion too, and tells
+    nothing of their biases and scale factors. `to_body` (3, n) makes vectors of readings."""
+    if not rests:
+        return []
+    length = np.linalg.norm(np.concatenate([each.accel_end for each in reduction.files]) @ to_body.T, axis=1)
+    magnitude, files = float(np.median(length)), {each.file: each for each in reduction.files}
+    spread = float(np.sqrt(np.mean((length - magnitude) ** 2)))
+    squares = list[float]()
+    for rest in rests:
+        samples = files[rest.file].accel_end[rest.first : rest.last] @ to_body.T
+        up = samples.mean(axis=0) / max(float(np.linalg.norm(samples.mean(axis=0))), LEAST_FORCE)
+        across = samples - np.outer(samples @ up, up)
+        squares.append(0.5 * float(across.var(axis=0).sum()))
+    noise = float(np.sqrt(np.median(squares)))
+    if spread >= RADIAL * noise:
+        return []
+    return [
+        f"the magnitude of the accelerometers is {magnitude:.6g} m/s^2 at rest and on the way, constant to "
+        f"{spread:.1g} m/s^2, where their noise across it is {noise:.1g} m/s^2: a driver has normalised them, and "
+        "their biases and scale factors are lost; record the raw specific force"
+    ]
+
+
+FEWEST_ZEROS, MORE_ZEROS = 10, 10.0
+"""Zeros at rest, beyond this number and so many times what neighbouring values would make of them, are no chance."""
+FINE = 3.0
+"""Steps of a channel: rates that are mostly larger show how many zeros there should be."""
+
+
+def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channels) -> list[str]:
+    """Gyros whose driver writes 0 for small rates: at rest they read exactly 0 more often than their resolution makes
+    them, while all other values are at least some way from it."""
+    files = {each.file: each for each in reduction.files}
+    ends = [files[rest.file].gyro_end[rest.first : rest.last] for rest in rests]  # type: ignore[index]  # with gyros
+    at_rest = np.concatenate(ends) if ends else np.empty((0, len(channels.columns)))
+    every = np.concatenate([each.gyro_end for each in reduction.files if each.gyro_end is not None])
+    found = []
+    for i, (column, state) in enumerate(zip(channels.columns, reduction.gyro_channels, strict=True)):
+        sizes, step = np.abs(at_rest[:, i]), state.step if np.isfinite(state.step) else 0.0
+        zeros, others = int((sizes == 0.0).sum()), sizes[sizes > 0.0]
+        anywhere = np.abs(every[:, i])
+        if zeros <= FEWEST_ZEROS or not anywhere.any():
+            continue
+        usual = float(np.median(others)) if len(others) else float(anywhere[anywhere > 0.0].min())
+        by_chance = 0.5 * len(others) * step / usual
+        if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * by_chance:
+            least = float(anywhere[anywhere > 0.0].min())
+            found.append(
+                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.0f} % of the samples at rest, and "
+                f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
+                "slow rates are lost; switch it off"
+            )
+    return found
 
 
 def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:

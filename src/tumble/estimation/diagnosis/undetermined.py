@@ -12,6 +12,7 @@ from tumble.estimation.causes.cause import Concerns
 from tumble.estimation.common_errors import common_covariance
 from tumble.estimation.estimate import SEEN, Estimate
 from tumble.estimation.observability import faces_and_edges, most_telling, standing
+from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.rotation import onto_body, skew, tangent_basis
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
@@ -51,10 +52,25 @@ def undetermined(
         f"{_combination_said(each, estimate.names)} (known to {100.0 * u:.2g} % of its usual size)"
         for each, u in zip(combinations, known, strict=True)
     )
-    remedy = _gravity_wanted(estimate, observations, combinations, known)
-    if not remedy:
-        remedy = _most_helpful(estimate, observations, combinations)
-    return [("both", _and(f"poorly observable in this session: {weak}", remedy))]
+    remedy = _most_helpful(estimate, observations, combinations)
+    concerned = _concerned([estimate.names[i] for each in combinations for i in _largest_of(each)])
+    return [(concerned, _and(f"poorly observable in this session: {weak}", remedy))]
+
+
+def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
+    """Whether a session shows bias and scale factor of every accelerometer of a triad and, as six faces do, no angles
+    between their axes."""
+    angles = all(group_name(name) == "accel.axis" for name in missing)
+    return bool(missing) and angles and estimate.gyro is None and len(estimate.accel.bias) == len("xyz")
+
+
+def as_six_faces_give(estimate: Estimate, observations: Observations, missing: Sequence[str]) -> str:
+    """What a session without oblique rests gives, and which rests would show the rest."""
+    return _and(
+        f"bias and scale factor of each axis alone, as six faces give them: not observable in this session and taken "
+        f"as 0 is {listed(missing)}, of which u contains any usual size",
+        _most_helpful(estimate, observations, estimate.null),
+    )
 
 
 def one_attitude(observations: Observations) -> str:
@@ -98,8 +114,11 @@ def _weak(estimate: Estimate, observations: Observations) -> tuple[Array, Array]
     order count."""
     linear = linear_names(estimate.names)
     spread = _spreads(linear, observations)
-    m, covariance = len(linear), estimate.covariance
-    if estimate.instrument is not None:  # what is common to all rests no further rest would show
+    by_gravity = _by_gravity(
+        estimate.names, observations.site
+    )  # what is common to all rests no further rest would show
+    m, covariance = len(linear), estimate.covariance - np.outer(by_gravity, by_gravity)
+    if estimate.instrument is not None:
         covariance = covariance - common_covariance(observations, estimate.instrument)
     variance, vectors = np.linalg.eigh(covariance[:m, :m] / np.outer(spread, spread))
     angles = np.array([within_kind(group_name(name)) != "bias" for name in linear])  # biases are linear
@@ -129,23 +148,34 @@ def _resolution(estimate: Estimate, observations: Observations) -> float:
     return max(tilt, typical(observations.turns.covariance, "gyro turns"))
 
 
+def _by_gravity(names: Sequence[str], site: Site) -> Array:
+    """By how much the parameters change with gravity's standard uncertainty: scale factors are in its unit."""
+    return np.array([site.gravity_u / site.gravity if group_name(name) == "accel.scale" else 0.0 for name in names])
+
+
+def gravity_wanted(site: Site) -> tuple[str, ...]:
+    """That gravity is not known well enough for the scale factors of accelerometers, which are all as uncertain."""
+    relative = site.gravity_u / site.gravity
+    if np.sqrt(3.0) * relative < POORLY_KNOWN * group_of("accel.scale").limit:
+        return ()
+    return (
+        f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: all scale "
+        f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; give latitude_deg or gravity in [site]",
+    )
+
+
+def _largest_of(combination: Array) -> list[int]:
+    """Which parameters a combination (m,) consists of for the most part, the largest first."""
+    order = np.argsort(-np.abs(combination))
+    return [int(i) for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+
+
 def _combination_said(combination: Array, names: Sequence[str]) -> str:
     """A combination (m,) of parameters in words, by its largest parts."""
-    order = np.argsort(-np.abs(combination))
-    largest = [i for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+    largest = _largest_of(combination)
     sign = np.sign(combination[largest[0]])
     parts = [f"{'+' if sign * combination[i] > 0 else '−'} {names[i]}" for i in largest]
     return " ".join(parts).removeprefix("+ ")
-
-
-def _gravity_wanted(estimate: Estimate, observations: Observations, combinations: Array, known: Array) -> str:
-    """That gravity would determine all poorly determined combinations, where its uncertainty is most of theirs."""
-    linear, site = linear_names(estimate.names), observations.site
-    scales = np.array([group_name(name) == "accel.scale" for name in linear])
-    by_gravity = combinations @ (scales / _spreads(linear, observations)) * site.gravity_u / site.gravity
-    if np.all(by_gravity**2 > 0.5 * known**2):
-        return f"gravity is known to {site.gravity_u:g} m/s^2 only: give latitude_deg or gravity in [site]"
-    return ""
 
 
 def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array) -> str:

@@ -9,7 +9,13 @@ import numpy as np
 from tumble.estimation.causes.cause import Concerns
 from tumble.estimation.diagnosis.misfit import Misfit, misfit
 from tumble.estimation.diagnosis.site_gravity import gravity_refused
-from tumble.estimation.diagnosis.undetermined import linear_names, undetermined
+from tumble.estimation.diagnosis.undetermined import (
+    as_six_faces_give,
+    faces_alone,
+    gravity_wanted,
+    linear_names,
+    undetermined,
+)
 from tumble.estimation.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.reduction.observations import Observations
 from tumble.reduction.segmentation import STILL_SECONDS, Segmentation
@@ -24,11 +30,12 @@ _ORDER: tuple[Concerns, ...] = ("both", "accel", "gyro")
 def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
     """Whether an estimate may be used, and its accelerometers and gyros each for itself."""
     missing = linear_names(estimate.unobservable)
-    first = [] if estimate.reasons else undetermined(estimate, observations, missing)
+    faces = faces_alone(estimate, missing)
+    first = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
     judged = misfit(estimate, observations) if estimate.converged and not missing else None
     judged = judged or Misfit()
     reasons: list[tuple[Concerns, str]] = [("both", reason) for reason in estimate.reasons]
-    if not missing and not estimate.converged:
+    if (faces or not missing) and not estimate.converged:
         said = "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
         reasons.append(("both", said))
     if not gravity_confirmed:
@@ -38,7 +45,10 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     reasons += (("both", said) for said in _misfits(estimate, observations))
     reasons += judged.reasons
     reasons = first + sorted(reasons, key=lambda reason: _ORDER.index(reason[0]))
-    remarks = (*(("both", remark) for remark in estimate.remarks), *judged.remarks)
+    remarks: list[tuple[Concerns, str]] = [("accel", said) for said in gravity_wanted(observations.site)]
+    if faces:
+        remarks.append(("accel", as_six_faces_give(estimate, observations, missing)))
+    remarks += [*(("both", remark) for remark in estimate.remarks), *judged.remarks]
     of_accel, of_gyro = (
         tuple(said for concerns, said in (*reasons, *remarks) if concerns == kind) for kind in ("accel", "gyro")
     )

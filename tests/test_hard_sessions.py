@@ -1,0 +1,239 @@
+"""Recordings of which a part is bad: what is refused by name, what is left, and what is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import tumble
+from tumble.calibration.calibration_file import Calibration
+from tumble.calibration.launches import calibrate_launches
+from tumble.calibration.same_recording import same_recording
+from tumble.errors import InputError
+from tumble.recording.arrays import session_of_arrays
+from tumble.recording.session import Exclusion, Session
+from tumble.simulation.session import read_truth
+from tumble.units import DEGREE, Array
+
+SITE = {"latitude": 56.84 * DEGREE, "height": 270.0, "gravity": 9.815788295915675, "gravity_u": 1e-7}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recorded:
+    """A recording by hand of a MEMS device: its folder, truth, rests (start, stop), s, and samples, SI."""
+
+    folder: Path
+    truth: dict[str, float]
+    rests: list[tuple[float, float]]
+    time: Array
+    accel: Array
+    gyro: Array
+
+    def session(self, *, accel: Array | None = None, gyro: Array | None = None, **more: object) -> Session:
+        """The session with other samples or another site."""
+        given = SITE | {"accel": self.accel if accel is None else accel, "time": self.time} | more
+        return session_of_arrays(**(given | {"gyro": self.gyro if gyro is None else gyro}))  # type: ignore[arg-type]
+
+    def errors(self, made: Calibration) -> Array:
+        """Errors in u of the linear parameters of the accelerometers."""
+        names = [p.name for p in made.parameters if p.name.startswith("accel.") and p.name.count(".") == 2]
+        linear = [name for name in names if name.split(".")[1] in ("bias", "scale", "axis")]
+        return np.array([(made[n].value - self.truth[n]) / (made[n].u or np.nan) for n in linear])
+
+
+@pytest.fixture(scope="module")
+def hand(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    folder = tmp_path_factory.mktemp("hand") / "s"
+    tumble.simulate_session(folder, tumble.Setup.of(grade="mems", positions=18), seed=1)
+    log = pl.read_parquet(folder / "log.parquet")
+    return Recorded(
+        folder=folder,
+        truth=read_truth(folder / "truth.json"),
+        rests=[(r.start, r.stop) for r in tumble.inspect_session(folder).segmentation.rests],
+        time=log["t"].to_numpy(),
+        accel=log.select("ax", "ay", "az").to_numpy(),
+        gyro=log.select("gx", "gy", "gz").to_numpy(),
+    )
+
+
+def jumped(hand: Recorded, size: float, after: int) -> Array:
+    """Gyros whose biases change by so much, °/s, after so many rests."""
+    at = 0.5 * (hand.rests[after - 1][1] + hand.rests[after][0])
+    return hand.gyro + np.outer(hand.time > at, size * DEGREE * np.array([0.6, -0.48, 0.64]))
+
+
+@pytest.mark.parametrize("size", [0.05, 0.3, 1.0, 3.0])
+def test_a_jump_of_the_gyros_is_named_and_the_accelerometers_are_calibrated(hand: Recorded, size: float) -> None:
+    made = tumble.calibrate(hand.session(gyro=jumped(hand, size, 9)))
+    assert (made.outcome.accel.accepted, made.outcome.gyro.accepted) == (True, False)
+    (said,) = [reason for reason in made.outcome.gyro.reasons if "jump" in reason]
+    assert "after rest 9 " in said or "between rest 9 (" in said
+    assert "[[exclude]]" in said
+    assert len(made.rests) == len(hand.rests)
+    assert np.abs(hand.errors(made)).max() < 4.0
+
+
+def test_the_parts_before_and_after_a_jump_are_launches_of_one_log(hand: Recorded) -> None:
+    whole = hand.session(gyro=jumped(hand, 1.0, 9))
+    at = 0.5 * (hand.rests[8][1] + hand.rests[9][0])
+    ends = (0.0, at), (at, float(hand.time[-1]))
+    parts = [
+        replace(whole, excluded=(Exclusion(rest=None, turn=None, start=start, stop=stop, file=0, reason="jump"),))
+        for start, stop in ends
+    ]
+    made = calibrate_launches(parts, terms="linear")
+    assert made.outcome.accepted
+    assert len(made.launches) == 2
+    change = [made.launches[1].parameters[i].value - made.launches[0].parameters[i].value for i in range(9, 12)]
+    names = [made.launches[0].parameters[i].name for i in range(9, 12)]
+    assert names == ["gyro.bias.x", "gyro.bias.y", "gyro.bias.z"]
+    moved = np.linalg.norm(np.abs(change)) / DEGREE
+    assert moved == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_quiet_stretch_that_is_not_used_is_said_with_its_time_and_why(hand: Recorded) -> None:
+    session = hand.session(gyro=jumped(hand, 1.0, 17))
+    (said,) = [note for note in tumble.calibrate(session).notes if note.startswith("not used as rests")]
+    (inspected,) = tumble.inspect_session(session).segmentation.unused()
+    assert said == inspected
+    start, stop = (float(word) for word in said.split()[4].split("–"))
+    assert hand.rests[17][0] - 1.0 < start < stop
+    assert "the gyros read 1 °/s off their level at rest" in said
+
+
+@pytest.mark.parametrize("soft", [False, True])
+@pytest.mark.parametrize("width", [0.02, 0.15, 0.5])
+def test_a_dead_zone_is_named_and_the_gyros_are_refused(hand: Recorded, width: float, soft: bool) -> None:
+    zone = width * DEGREE
+    beyond = hand.gyro - zone * np.sign(hand.gyro) if soft else hand.gyro
+    made = tumble.calibrate(hand.session(gyro=np.where(np.abs(hand.gyro) < zone, 0.0, beyond)))
+    assert made.outcome.accel.accepted
+    assert any("a dead zone of the driver" in reason for reason in made.outcome.gyro.reasons)
+
+
+@pytest.mark.parametrize("step", [1e-4, 2e-3, 0.01])
+def test_coarse_gyros_have_no_dead_zone(hand: Recorded, step: float) -> None:
+    rounded = step * np.round(hand.gyro / step)
+    assert tumble.inspect_session(hand.session(gyro=rounded)).gyro_faults == ()
+
+
+def test_normalised_accelerometers_are_a_fault_with_and_without_gyros(hand: Recorded) -> None:
+    unit = 9.80665 * hand.accel / np.linalg.norm(hand.accel, axis=1, keepdims=True)
+    session = hand.session(accel=unit)
+    for each in (session, replace(session, log=replace(session.log, gyro=None))):
+        (fault,) = tumble.inspect_session(each).faults
+        assert "a driver has normalised them" in fault
+    assert tumble.calibrate(hand.session(accel=unit), terms="linear").outcome.verdict == "not accepted"
+    assert tumble.inspect_session(hand.session()).faults == ()
+
+
+@pytest.mark.parametrize("digits", [4, 6])
+def test_one_recording_given_twice_is_one_whatever_its_digits(hand: Recorded, digits: int) -> None:
+    one, other = hand.session(), hand.session(accel=hand.accel.round(digits), gyro=hand.gyro.round(digits))
+    with pytest.raises(InputError, match="holds the same recording as"):
+        calibrate_launches([one, other], terms="linear")
+
+
+def test_recordings_on_the_same_table_are_two() -> None:
+    rng = np.random.default_rng(7)
+    u = np.full((12, 6), 1e-4)
+    attitudes = rng.standard_normal((12, 6))
+    first, second = (attitudes + u * rng.standard_normal((12, 6)) for _ in range(2))
+    assert not same_recording((first, u), (second, u))
+    assert same_recording((first, u), (first[3:] + 0.2 * u[3:], u[3:]))
+    assert not same_recording((first, u), (np.empty((0, 0)), np.empty((0, 0))))
+
+
+def leaning(hand: Recorded) -> Array:
+    """Accelerometers that were touched in the sixth rest."""
+    start, stop = hand.rests[5]
+    return hand.accel + np.outer((hand.time > start - 0.1) & (hand.time < stop + 0.1), [0.03, 0.0, 0.02])
+
+
+def test_what_is_accepted_without_a_rest_alone_is_a_choice(hand: Recorded) -> None:
+    refused = tumble.calibrate(hand.session(accel=leaning(hand)))
+    assert not refused.outcome.accel.accepted
+    made = tumble.calibrate(hand.session(accel=leaning(hand)), without=[6])
+    assert made.outcome.verdict == "accepted with scatter"
+    (said,) = [remark for remark in made.outcome.remarks if "a choice" in remark]
+    assert refused.outcome.reasons[0] in said
+    again = tumble.calibrate(hand.session(), without=[6])
+    assert again.outcome.verdict == "accepted"
+    assert "with what was left out: accepted" in again.notes
+
+
+def test_without_a_place_everything_is_given_with_gravity_in_u(hand: Recorded) -> None:
+    made = tumble.calibrate(accel=hand.accel, gyro=hand.gyro, time=hand.time)
+    assert made.outcome.verdict == "accepted with scatter"
+    (said,) = made.outcome.remarks
+    assert "give latitude_deg or gravity in [site]" in said
+    assert made.outcome.gyro.verdict == "accepted"
+    scales = [made[f"accel.scale.{axis}"].u or 0.0 for axis in "xyz"]
+    assert 0.0030 < min(scales) < max(scales) < 0.0034
+    assert np.abs(hand.errors(made)).max() < 4.0
+
+
+def six_faces(rng: np.random.Generator) -> tuple[Array, Array, dict[str, float]]:
+    """Accelerometers at 100 Hz for five seconds on each face, to 1°, and three on the way; and their parameters."""
+    bias, scale, g = rng.normal(0.0, 0.03, 3), rng.normal(0.0, 0.005, 3), SITE["gravity"]
+    ups = np.vstack([np.eye(3), -np.eye(3)]) + 0.017 * rng.standard_normal((6, 3))
+    path = [np.tile(ups[0], (500, 1))]
+    for before, after in pairwise(ups):
+        share = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, 300))[:, None]
+        path += [before + share * (after - before) + 0.3 * share * (1.0 - share), np.tile(after, (500, 1))]
+    up = np.vstack(path)
+    force = g * up / np.linalg.norm(up, axis=1, keepdims=True)
+    sheared = np.eye(3) + np.tril(rng.normal(0.0, 3e-3, (3, 3)), -1)
+    read = (1.0 + scale) * (force @ sheared.T) + bias + rng.normal(0.0, 0.02, force.shape)
+    true = {f"accel.{what}.{a}": v[i] for what, v in (("bias", bias), ("scale", scale)) for i, a in enumerate("xyz")}
+    return 0.01 * np.arange(1, 1 + len(read)), read, true
+
+
+def test_six_faces_give_bias_and_scale_of_each_axis_and_say_what_is_absent(tmp_path: Path) -> None:
+    time, accel, true = six_faces(np.random.default_rng(2))
+    made = tumble.calibrate(accel=accel, time=time, **SITE)
+    assert [p.name for p in made.parameters] == list(true)
+    assert made.outcome.verdict == "accepted with scatter"
+    assert "as six faces give them" in made.outcome.remarks[0]
+    assert made.outcome.unobservable == ("accel.axis.yx", "accel.axis.zx", "accel.axis.zy")
+    z = [(p.value - true[p.name]) / (p.u or np.nan) for p in made.parameters]
+    assert np.abs(z).max() < 3.0
+    made.write(tmp_path / "c.json")
+    again = tumble.read_calibration(tmp_path / "c.json")
+    assert again.absent == made.absent
+    assert tumble.export_calibration(again, "csv").losses[0].startswith("accel.axis.yx, accel.axis.zx, accel.axis.zy")
+    force, _ = again.apply(accel[:400])
+    assert abs(np.linalg.norm(force.mean(axis=0)) - SITE["gravity"]) < 1e-3
+
+
+def between_rests(hand: Recorded, change: Callable[[int], Array]) -> Array:
+    """Gyros that are changed in the turn after each rest."""
+    out = hand.gyro.copy()
+    for number, ((_, start), (stop, _)) in enumerate(pairwise(hand.rests)):
+        out[(hand.time > start + 0.2) & (hand.time < stop - 0.2)] += change(number)
+    return out
+
+
+def test_bad_turns_leave_good_rests_their_accelerometers(hand: Recorded) -> None:
+    rng = np.random.default_rng(5)
+    made = tumble.calibrate(hand.session(gyro=between_rests(hand, lambda _: 0.05 * rng.standard_normal(3))))
+    assert made.outcome.accel.reasons == ()
+    assert any("turns scatter" in reason for reason in made.outcome.gyro.reasons)
+    assert np.abs(hand.errors(made)).max() < 4.0
+
+
+def test_a_check_that_nothing_explains_says_so_first_and_blames_the_turns(hand: Recorded) -> None:
+    made = tumble.calibrate(hand.folder)
+    rng = np.random.default_rng(6)
+    bad = hand.session(gyro=between_rests(hand, lambda _: 0.05 * rng.standard_normal(3)), serial=made.serial)
+    found = tumble.check_calibration(made, bad)
+    assert found.rests_agree
+    (said,) = found.reasons
+    assert said.startswith("no change of biases, scale factors or axes explains the session, so that it says nothing")
+    assert "the turns are to blame" in said
