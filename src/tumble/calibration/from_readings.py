@@ -216,7 +216,7 @@ def _rests(positions: TablePositions, nominal: Nominal, noise: Array) -> Observa
     """The readings as the mean readings of rests, with the modulus in the place of gravity."""
     readings = nominal.to_si(positions.table.values)
     N = len(readings)
-    none, start = np.zeros((N, 0)), np.arange(N) * (ON_TABLE.rest + MOVE)
+    none, start = np.zeros((N, 0)), np.asarray(np.arange(N) * (ON_TABLE.rest + MOVE))
     at_rest = Rests(
         file=np.zeros(N, dtype=np.int64),
         start=start,

@@ -38,13 +38,11 @@ motion, is not known to have been there."""
 
 def guessed_grade(found: EllipsoidFit, rests: Observations) -> tuple[str, str]:
     """The grade, and what it is guessed from, in words."""
-    by_biases = next(
-        name
-        for name in reversed(GRADES)
-        if name == next(iter(GRADES)) or _chance(found.values[:3] ** 2, GRADES[name].accel.bias) > CHANCE
-    )
-    by_residuals = next(name for name in GRADES if name == [*GRADES][-1] or _explained(found, rests, name) > CHANCE)
     order = [*GRADES]
+    best, *_, poorest = order
+    small = (name for name in order[::-1] if _chance(found.values[:3] ** 2, GRADES[name].accel.bias) > CHANCE)
+    large = (name for name in order if _explained(found, rests, name) > CHANCE)
+    by_biases, by_residuals = next(small, best), next(large, poorest)
     if order.index(by_biases) >= order.index(by_residuals):
         return by_biases, ", guessed from the biases; state another with --grade"
     return by_residuals, ", guessed from the residuals; state another with --grade"
