@@ -185,7 +185,10 @@ def _joint_rows(setup: Setup) -> list[BudgetRow]:
         error, noise = least.rms(group), alone.rms(group)
         if not math.isfinite(error):
             continue
-        terms = {"noise": noise, "groups beyond the linear model": math.sqrt(max(error**2 - noise**2, 0.0))}
+        terms = [Term(name="noise", error=noise)]
+        if setup.further:
+            more = math.sqrt(max(error**2 - noise**2, 0.0))
+            terms.append(Term(name="groups beyond the linear model", error=more))
         out.append(
             BudgetRow(
                 group=group,
@@ -196,11 +199,7 @@ def _joint_rows(setup: Setup) -> list[BudgetRow]:
                 error=error,
                 relative=error / spread_of(setup, group),
                 errors={least.names[p]: float(least.u[p]) for p in members},
-                terms=tuple(
-                    Term(name=name, error=part)
-                    for name, part in sorted(terms.items(), key=lambda t: -t[1])
-                    if part > 0.0
-                ),
+                terms=tuple(sorted(terms, key=lambda term: -term.error)),
             )
         )
     return out

@@ -105,9 +105,9 @@ def require(
     """Tolerances of table and mounting, and duration of the rests, for wanted rms errors by group of parameters, SI.
 
     Of `setup` the programme, noises, spreads, turn rate and site are used, and the ratio of table to mounting error;
-    if both are zero they get equal tolerances. `iteration` and `gyro_bias` are for the methods of the paper; the latter:
-    instead of what the method does with the whole programme,
-    "vertical" is one rest per gyro with its axis vertical, Eq. (18), and "polar" one along the Earth's axis, Eq. (17).
+    if both are zero they get equal tolerances. `iteration` and `gyro_bias` are for the other methods. `gyro_bias`:
+    instead of what the method does with the whole programme, "vertical" is one rest per gyro with its axis vertical,
+    Eq. (18), and "polar" one along the Earth's axis, Eq. (17).
     Raises InputError for a group that does not exist or values that make no sense.
 
     >>> import tumble
@@ -174,29 +174,20 @@ def _rows_of_joint(wanted: Mapping[str, float], setup: Setup) -> tuple[Requireme
             reached = (
                 "which this programme does not determine"
                 if math.isinf(least[best])
-                else f"expected an accuracy of at least {least[best] / size:.3g} {unit}, which the method joint has with "
-                f"rests of {rests[best]:.3g} s, found {value / size:.3g} {unit}"
+                else f"expected an accuracy of at least {least[best] / size:.3g} {unit}, which the method joint has "
+                f"with rests of {rests[best]:.0f} s, found {value / size:.3g} {unit}"
             )
             reason = f"{group}: {reached}; take another programme (tumble plan), average launches, or a better grade"
         else:
             reason = ""
         rest = math.inf if enough is None else _shortest(setup, group, value, rests[max(enough - 1, 0)], rests[enough])
         table = 0.0 if enough is None else LARGEST_DEVIATION
-        rows.append(
-            Requirement(
-                group=group,
-                estimator=MAXIMUM_LIKELIHOOD,
-                wanted=value,
-                unit=UNITS[group],
-                feasible=enough is not None,
-                limited=enough is None,
-                table_error=table,
-                mounting_error=table,
-                tilt=table * math.sqrt(2.0 / 3.0),
-                rest=rest,
-                reason=reason,
-            )  # fmt: skip
-        )
+        row = Requirement(
+            group=group, estimator=MAXIMUM_LIKELIHOOD, wanted=value, unit=UNITS[group], feasible=enough is not None,
+            limited=enough is None, table_error=table, mounting_error=table, tilt=table * math.sqrt(2.0 / 3.0),
+            rest=rest, reason=reason,
+        )  # fmt: skip
+        rows.append(row)
     return tuple(rows)
 
 
