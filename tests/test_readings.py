@@ -62,7 +62,7 @@ def test_the_form_of_the_paper_has_the_scatter_of_its_uncertainties(tmp_path: Pa
     z = []
     for seed in range(40):
         table = read_table(written(tmp_path, volts(seed, 3e-5)))
-        form = paper_form(calibrate_table(table, scale=[-2.4]))
+        form = paper_form(calibrate_table(table, scale=[-2.4], terms="linear"))
         assert form.covariance is not None
         error = np.concatenate([form.k - K, form.theta - THETA, form.b - B])
         z.append(error / np.sqrt(np.diag(form.covariance)))
@@ -310,7 +310,7 @@ def test_blocks_of_rows_are_positions_with_the_scatter_of_a_mean(tmp_path: Path)
     for seed in range(12):
         true = np.repeat(volts(seed), rows, axis=0)
         path = written(tmp_path, true + noise * rng.standard_normal(true.shape), name=f"{seed}.csv")
-        result = calibrate_table(path, scale=[-2.4], rows_per_position=rows)
+        result = calibrate_table(path, scale=[-2.4], rows_per_position=rows, terms="linear")
         assert result.fit is not None
         assert len(result.fit.residual) == 14
         form = paper_form(result)
@@ -434,6 +434,10 @@ def test_the_terms_do_not_change_the_values_and_linear_leaves_them_out(tmp_path:
     assert len(linear.calibration.parameters) == 9
     assert (full.calibration["accel.bias.x"].u or 0.0) > 3.0 * (linear.calibration["accel.bias.x"].u or 1.0)
     assert {group.name for group in full.calibration.groups} == set(AT_REST)
+    of_paper, u = paper_form(full).covariance, full.calibration["accel.bias.x"].u
+    assert of_paper is not None
+    assert u is not None
+    assert np.sqrt(of_paper[6, 6]) == pytest.approx(u / G_STANDARD, rel=0.1)  # one u on the page, not two
 
 
 # -------------------- a triad that is waved about --------------------

@@ -48,7 +48,7 @@ from tumble.files import FilePath
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests
-from tumble.sensors.frames import Convention, Frame, Framed, convert
+from tumble.sensors.frames import Convention, Frame, convert
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_sizes, variable_of
 from tumble.units import Array, engineering
@@ -121,7 +121,7 @@ def calibrate_table(
     >>> _ = Path("readings.csv").write_text("x,y,z\\n" + "\\n".join(faces + edges))
     >>> result = tumble.calibrate_table("readings.csv", unit="g")
     >>> result.calibration
-    <Calibration of readings: ellipsoid, 9 parameters, accepted>
+    <Calibration of readings: ellipsoid, 24 parameters, accepted>
     """
     if sensor != "accel" and frame != "accelerometer":
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
@@ -241,11 +241,6 @@ def _rests(positions: TablePositions, nominal: Nominal, noise: Array) -> Observa
         programme=None,
         position=None,
     )
-
-
-def _framed(found: EllipsoidFit, frame: Frame) -> Framed:
-    """The parameters of a fit in a frame."""
-    return convert(TRIAD, None, source="accelerometer", values=found.values, covariance=found.covariance, target=frame)
 
 
 def _names(nominal: Nominal, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -459,9 +454,16 @@ class PaperForm:
 
 def paper_form(result: ReadingsCalibration) -> PaperForm:
     """The coefficients of a fit in the form of Table 1 of the source."""
-    assert result.fit is not None
-    framed = _framed(result.fit, "paper")
-    values, model, nominal = framed.values, framed.accel, result.nominal
+    calibration, nominal = result.calibration, result.nominal
+    framed = convert(
+        TRIAD,
+        None,
+        source=calibration.frame,
+        values=np.array([p.value for p in calibration.parameters[:9]]),
+        covariance=None if calibration.covariance is None else calibration.covariance[:9, :9],
+        target="paper",
+    )
+    values, model = framed.values, framed.accel
     inverse = model.inverse()
     b = inverse @ model.bias
     derivative = Convention(frame="paper", block=TRIAD).jacobian(values)

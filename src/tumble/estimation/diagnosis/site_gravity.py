@@ -21,14 +21,13 @@ def gravity_difference(site: Site) -> float | None:
 
 
 def against_normal(site: Site) -> str | None:
-    """How far gravity is from normal gravity; where it is that to the last digit, as where none is stated, that this is
-    assumed, with the uncertainty it has; None where the latitude is not known."""
+    """How far gravity is from normal gravity; where it is that to the last digit and no better known than a milligal,
+    which any measurement is, none was measured: then the uncertainty it has. None where the latitude is not known."""
     difference = gravity_difference(site)
     if difference is None:
         return None
-    if difference == 0.0:
-        known = f"u {two_digits(1e6 * site.gravity_u / site.gravity)} ppm" if site.gravity_u else "taken as exact"
-        return f"normal gravity assumed, {known}"
+    if difference == 0.0 and site.gravity_u > MILLIGAL:
+        return f"normal gravity assumed, u {two_digits(1e6 * site.gravity_u / site.gravity)} ppm"
     return f"{difference / MILLIGAL:+z.0f} mGal from normal gravity"
 
 
