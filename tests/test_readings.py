@@ -49,7 +49,7 @@ def run(*arguments: str | Path) -> Result:
 
 
 def test_the_published_table_is_printed_in_its_own_form(tmp_path: Path) -> None:
-    found = run(written(tmp_path, volts()), "--scale", NEGATIVE, "--frame", "paper")
+    found = run(written(tmp_path, volts()), "--scale", NEGATIVE, "--frame", "paper", "--terms", "linear")
     assert found.exit_code == 0
     rows = re.findall(r"^([xyz]) +(\S+) +\S+ +(\S+) +\S+ +(\S+) +\S+$", found.stdout, re.M)
     printed = {axis: [float(number) for number in numbers] for axis, *numbers in rows}
@@ -425,6 +425,21 @@ def test_terms_beyond_the_linear_model_are_in_u_and_said(grade: str, positions: 
     assert np.max(np.abs(z)) < 5.5
 
 
+def test_positions_that_the_terms_explain_are_not_bad() -> None:
+    """Of 200 tables of ordinary navigation instruments in 26 positions 9 were refused for a position that K₂, K₃ and
+    asymmetry of usual size had put off the ellipsoid; a reading that is 1 % wrong is still named."""
+    refused = 0
+    for seed in range(40):
+        rng = np.random.default_rng([23, seed])
+        _, seen = seen_by("navigation", placed(TWENTY_SIX, rng), rng)
+        found = calibrate_table(table_of(seen), unit="m/s^2", gravity=9.81, grade="navigation").calibration
+        refused += not found.outcome.accepted
+    assert refused == 0
+    seen[4] *= 1.01
+    found = calibrate_table(table_of(seen), unit="m/s^2", gravity=9.81, grade="navigation").calibration
+    assert "position 5 (line 6) does not fit" in found.outcome.reasons[0]
+
+
 def test_the_terms_do_not_change_the_values_and_linear_leaves_them_out(tmp_path: Path) -> None:
     path = written(tmp_path, volts(noise=1.5e-5))
     full, linear = (
@@ -461,9 +476,9 @@ IRON = np.array([20.0, -35.0, 12.0, 0.05, -0.03, 0.02, 0.02, -0.03, 0.01])
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_halves_of_a_waved_recording_agree_within_u(memory: float) -> None:
     """Rows taken as independent gave halves that differ by 4 u (rms) at this memory. Student's t with 19 degrees of
-    freedom has a variance of 1.12; ten pairs of nine parameters with correlations stay below 2."""
+    freedom has a variance of 1.12; six pairs of nine parameters with correlations stay below 2."""
     z, errors = [], []
-    for seed in range(10):
+    for seed in range(6):
         directions, error = waved(800, np.random.default_rng([5, seed]), memory)
         seen = TRIAD.model(IRON).predict(49.7 * directions) + 0.3 * error
         every = [
@@ -500,7 +515,7 @@ def test_a_waved_magnetometer_is_ten_lines_of_hard_and_soft_iron(tmp_path: Path)
 
 def test_a_waved_accelerometer_is_said_to_read_its_own_motion() -> None:
     directions, error = waved(600, np.random.default_rng(9), 0.9)
-    seen = TRIAD.model(1e-2 * np.arange(9)).predict(9.81 * directions) + 0.05 * error
+    seen = TRIAD.model(np.linspace(0.0, 0.08, 9)).predict(9.81 * directions) + 0.05 * error
     found = calibrate_table(table_of(seen), unit="m/s^2", gravity=9.81)
     assert found.calibration.outcome.verdict == "accepted with scatter"
     assert "reads its own motion" in found.calibration.outcome.remarks[0]

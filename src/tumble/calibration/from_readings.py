@@ -26,7 +26,7 @@ from tumble import __version__
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.case import estimate_in
 from tumble.calibration.from_estimate import learned_in, parameters_of
-from tumble.calibration.readings_grade import AT_REST, guessed_grade
+from tumble.calibration.readings_grade import AT_REST, guessed_grade, residual_of
 from tumble.calibration.readings_table import (
     THE_FIELD,
     Nominal,
@@ -48,7 +48,7 @@ from tumble.files import FilePath
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests import Rests
-from tumble.sensors.frames import Convention, Frame, convert
+from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import usual_sizes, variable_of
 from tumble.units import Array, engineering
@@ -145,26 +145,30 @@ def calibrate_table(
     serial = table.path.stem if serial is None else serial
     if grade is not None:
         grade_named(grade)
-    found, noise = _fitted(positions, nominal)
+    found, noise = _fitted(positions, nominal, _bad_sigmas(positions))
     if isinstance(found, Refusal):
         found = undetermined(nominal.to_si(whole.values), block=TRIAD) or found  # counts the rows as they are written
         misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
         outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal, TRIAD.names))
         empty = _calibration(serial, positions, nominal, None, None, frame, outcome, ())
         return ReadingsCalibration(calibration=empty, table=table, nominal=nominal, fit=None, recorded=False)
-    estimate, said = _estimated(found, noise, positions, nominal, grade, terms)
+    found, estimate, said = _estimated(found, noise, positions, nominal, grade, terms)
     outcome = Outcome(reasons=tuple(_reasons(positions, nominal, found)), remarks=_remarks(positions, nominal))
     calibration = _calibration(serial, positions, nominal, found, estimate, frame, outcome, said)
     recorded = positions.stretch is not None
     return ReadingsCalibration(calibration=calibration, table=table, nominal=nominal, fit=found, recorded=recorded)
 
 
-def _fitted(positions: TablePositions, nominal: Nominal) -> tuple[EllipsoidFit | Refusal, Array]:
-    """The fit, and the covariance (3, 3) of a reading that it was made with, with the scatter that the residuals show;
-    where they show less than the last digit of the readings explains, with that. Of blocks of rows it has their own
-    scatter."""
+def _bad_sigmas(positions: TablePositions) -> float:
+    """Beyond so many standard deviations a position is bad."""
+    return float(-ndtri(0.5 * BAD_CHANCE / len(positions.table.values)))
+
+
+def _fitted(positions: TablePositions, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
+    """The fit without positions beyond `bad` standard deviations, and the covariance (3, 3) of a reading that it was
+    made with, with the scatter that the residuals show; where they show less than the last digit of the readings explains,
+    with that. Of blocks of rows it has their own scatter."""
     readings = nominal.to_si(positions.table.values)
-    bad = float(-ndtri(0.5 * BAD_CHANCE / len(readings)))
     modulus_u = nominal.modulus_u or 0.0
     floor, none = np.diag((positions.resolution_u / nominal.scale) ** 2), np.zeros((3, 3))
     if positions.stretch is not None:
@@ -191,14 +195,15 @@ def _fitted(positions: TablePositions, nominal: Nominal) -> tuple[EllipsoidFit |
 
 def _estimated(
     found: EllipsoidFit, noise: Array, positions: TablePositions, nominal: Nominal, grade: str | None, terms: Terms
-) -> tuple[Estimate, tuple[str, ...]]:
-    """The estimate of the method `ellipsoid`, and what its u has of what it leaves out, in words."""
+) -> tuple[EllipsoidFit, Estimate, tuple[str, ...]]:
+    """The fit, with the positions that what it leaves out makes look bad, the estimate of the method `ellipsoid`, and
+    what its u has of what it leaves out, in words."""
     rests = _rests(positions, nominal, noise)
     if nominal.sensor == "gyro":
         said = "u has no part of asymmetry and g-sensitivity of the gyros, which the readings do not tell from biases"
-        return estimate_of(found, rests), (said,)
+        return found, estimate_of(found, rests), (said,)
     if nominal.sensor == "mag" or terms == "linear" or found.covariance is None:
-        return estimate_of(found, rests), ()
+        return found, estimate_of(found, rests), ()
     chosen, origin = (grade, "") if grade is not None else guessed_grade(found, rests)
     known = {name: size for name, size in usual_sizes(chosen).items() if name in AT_REST}
     what = "quadratic and cubic terms, asymmetry and drift"
@@ -209,7 +214,15 @@ def _estimated(
         f"{what} of the size usual for the grade {chosen} are in u{origin}; the values take them as nothing, and "
         "--terms linear leaves them out"
     )
-    return estimate_of(found, replace(rests, usual=known)), (said,)
+    rests = replace(rests, usual=known)
+    bad = ~found.used
+    bad[list(found.doubtful)] = True
+    if bad.any():
+        whole, noise = _fitted(positions, nominal, np.inf)
+        allowed = _bad_sigmas(positions) * residual_of(rests, chosen)
+        if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
+            found, rests = whole, replace(_rests(positions, nominal, noise), usual=known)
+    return found, estimate_of(found, rests), (said,)
 
 
 def _rests(positions: TablePositions, nominal: Nominal, noise: Array) -> Observations:
@@ -458,7 +471,7 @@ def paper_form(result: ReadingsCalibration) -> PaperForm:
     framed = convert(
         TRIAD,
         None,
-        source=calibration.frame,
+        source=frame_of(calibration.frame),
         values=np.array([p.value for p in calibration.parameters[:9]]),
         covariance=None if calibration.covariance is None else calibration.covariance[:9, :9],
         target="paper",

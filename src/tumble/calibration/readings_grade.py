@@ -48,6 +48,13 @@ def guessed_grade(found: EllipsoidFit, rests: Observations) -> tuple[str, str]:
     return by_residuals, ", guessed from the residuals; state another with --grade"
 
 
+def residual_of(rests: Observations, grade: str) -> Array:
+    """How large the residual of each reading (N,), m/s², is by the in-run instability of a grade and by the groups of
+    which the observations know the size."""
+    beyond = left_out_of(rests)
+    return np.sqrt(GRADES[grade].noise.accel_instability ** 2 + ((beyond.leaves * beyond.usual) ** 2).sum(axis=1))
+
+
 def _chance(squares: Array, sigma: float) -> float:
     """How often values of this standard deviation are as small."""
     return float(special.chdtr(len(squares), squares.sum() / sigma**2))

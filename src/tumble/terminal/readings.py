@@ -9,7 +9,7 @@ import numpy as np
 from tumble.calibration.further import group_lines, predicted
 from tumble.calibration.readings_table import Nominal
 from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit
-from tumble.sensors.frames import Convention
+from tumble.sensors.frames import Convention, frame_of
 from tumble.terminal.calibration import group_table, linear_of, parameter_table
 from tumble.terminal.table import add_numbers, plain_table
 from tumble.units import engineering, rounded
@@ -51,7 +51,7 @@ def _correction_table(result: ReadingsCalibration) -> RenderableType:
     calibration, nominal = result.calibration, result.nominal
     hard, soft = ("hard iron", "soft iron") if nominal.sensor == "mag" else ("bias", "matrix")
     values = np.array([p.value for p in calibration.parameters[:9]])
-    convention = Convention(frame=calibration.frame, block=TRIAD)
+    convention = Convention(frame=frame_of(calibration.frame), block=TRIAD)
     by_values, matrix = convention.jacobian(values)[:, :3], convention.model(values).inverse()
     to_result = 1.0 / (nominal.scale * nominal.per_factor)
     change = -np.einsum("ip,pqm,qj->ijm", matrix, by_values, matrix) * to_result[:, None]
