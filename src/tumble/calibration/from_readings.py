@@ -166,8 +166,8 @@ def _bad_sigmas(positions: TablePositions) -> float:
 
 def _fitted(positions: TablePositions, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
     """The fit without positions beyond `bad` standard deviations, and the covariance (3, 3) of a reading that it was
-    made with, with the scatter that the residuals show; where they show less than the last digit of the readings explains,
-    with that. Of blocks of rows it has their own scatter."""
+    made with. It has the scatter that the residuals show; where they show less than the last digit of the readings
+    explains, that. Of blocks of rows it has their own scatter."""
     readings = nominal.to_si(positions.table.values)
     modulus_u = nominal.modulus_u or 0.0
     floor, none = np.diag((positions.resolution_u / nominal.scale) ** 2), np.zeros((3, 3))
