@@ -52,7 +52,8 @@ def residual_of(rests: Observations, grade: str) -> Array:
     """How large the residual of each reading (N,), m/s², is by the in-run instability of a grade and by the groups of
     which the observations know the size."""
     beyond = left_out_of(rests)
-    return np.sqrt(GRADES[grade].noise.accel_instability ** 2 + ((beyond.leaves * beyond.usual) ** 2).sum(axis=1))
+    square = ((beyond.leaves * beyond.usual) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(GRADES[grade].noise.accel_instability ** 2 + square))
 
 
 def _chance(squares: Array, sigma: float) -> float:
