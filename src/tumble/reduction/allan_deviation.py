@@ -58,8 +58,8 @@ SIGNIFICANCE = 4.0
 GAUSS_MARKOV = 25.0
 """By so much the deviance has to fall. In records of 1 to 3 hours it fell by up to 14 by chance, of white noise,
 flicker noise and both with a random walk (about 80 records each); of a random walk alone by more than 25 in 2 of 82,
-whose long clusters are few. By Gauss–Markov noise of 20 °/h beside 0.15 °/√h it fell in one hour by 100 to 180 (T = 5 and 30 s)
-and by 8 to 37 (T = 200 s), in two hours and this T by 43 in the median, in three by 45 to 104."""
+whose long clusters are few. By Gauss–Markov noise of 20 °/h beside 0.15 °/√h it fell in one hour by 100 to 180 (T = 5
+and 30 s) and by 8 to 37 (T = 200 s), in two hours and this T by 43 in the median, in three by 45 to 104."""
 
 FLICKER = 2.0 * np.log(2.0) / np.pi
 
