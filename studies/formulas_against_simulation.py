@@ -507,7 +507,7 @@ def required(setup: Setup, launches: int) -> list[float]:
     """Print whether the set-up that `require` asks for gives what was wanted; return by how much it does not, beyond
     chance, in logarithms."""
     wanted = {"accel.scale": 3.5e-6, "accel.bias": 5e-5, "gyro.axis": 1.0 * ARCSEC}
-    asked = require(wanted, setup)
+    asked = require(wanted, setup, method="sequential")
     met = replace(setup, table_error=asked.table_error, mounting_error=asked.mounting_error, rest=asked.rest)
     simulated = rms_by_group(calibrate(simulate(met, launches, np.random.default_rng(5)), "sequential", 1)[0])
     print(f"\nrequired: table and mounting ±{asked.table_error / DEGREE:.3f}°, rests of {asked.rest:.0f} s")

@@ -66,10 +66,18 @@ def test_a_programme_that_does_not_exist_is_refused(arguments: tuple[str, ...]) 
 
 
 def test_the_budget_has_a_row_for_every_method_pass_and_group() -> None:
-    result = run("budget", "--grade", "navigation")
+    result = run("budget", "--grade", "navigation", "--terms", "linear")
     assert result.exit_code == 0, result.stderr
     rows = [line.split()[:3] for line in result.stdout.splitlines()[1:] if line.strip()]
-    assert len({tuple(row) for row in rows}) == 3 * 2 * 6
+    assert len({tuple(row) for row in rows}) == (1 + 3 * 2) * 6
+
+
+def test_the_budget_is_that_of_the_default_method_with_all_terms() -> None:
+    result = run("budget", "--json")
+    rows = json.loads(result.stdout)["rows"]
+    assert {row["method"] for row in rows} == {"joint"}
+    assert [row["error"] for row in rows] == [row["bound"] for row in rows]
+    assert next(row for row in rows if row["group"] == "accel.scale")["error"] == pytest.approx(5.07e-6, rel=0.01)
 
 
 def test_a_better_table_makes_the_first_pass_of_the_sequential_method_better() -> None:
@@ -96,13 +104,17 @@ def test_a_better_table_makes_the_first_pass_of_the_sequential_method_better() -
 
 
 def test_what_no_table_can_give_is_named_with_exit_status_1() -> None:
-    result = run("require", "--want", "accel.scale=3ppm", "--want", "gyro.bias=0.0001 °/h")
+    wanted = ("--want", "accel.scale=3ppm")
+    result = run("require", *wanted, "--want", "gyro.bias=0.0001 °/h", "--method", "sequential")
     assert result.exit_code == 1
     assert "no table" in result.stdout
     assert "instability" in result.stdout
-    feasible = run("require", "--want", "accel.scale=3ppm")
+    feasible = run("require", *wanted, "--method", "sequential")
     assert feasible.exit_code == 0
     assert "table within ±" in feasible.stdout
+    default = run("require", *wanted)
+    assert default.exit_code == 1
+    assert "expected an accuracy of at least 4." in default.stdout
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,11 @@ from hypothesis import strategies as st
 
 from tumble.errors import InputError
 from tumble.estimation.methods.paper.accuracy_formulas import axis_angle_rms, up_down_rms
+from tumble.planning.bounds import bound
 from tumble.planning.budget import GROUPS, budget, indirect_coefficients
 from tumble.planning.error_propagation import BUDGETED_METHODS, BudgetedMethod
 from tumble.planning.requirements import require
+from tumble.planning.setup import Setup, Terms
 from tumble.programme.positions import programme
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
 
@@ -37,7 +39,7 @@ GYRO_BIAS = SETUP.gyro.bias
 def test_accelerometer_tolerances_are_those_of_the_reference(group: str, percent: float, tilt_deg: float) -> None:
     """§7, by (7b) and (11), rms deviation per axis, independent in the nine positions."""
     spread = {"accel.scale": SCALE, "accel.bias": 2e-3, "accel.axis": AXIS}[group]
-    (row,) = require({group: percent / 100.0 * spread}, NINE_ONLY).rows
+    (row,) = require({group: percent / 100.0 * spread}, NINE_ONLY, method="sequential").rows
     assert (row.feasible, row.limited, row.rest) == (True, True, 0.0)
     assert row.tilt / DEGREE == pytest.approx(tilt_deg, rel=0.01)
     assert row.table_error == pytest.approx(math.sqrt(3.0) * row.tilt)
@@ -54,14 +56,16 @@ def test_closed_forms_invert_to_the_same_tolerances() -> None:
 @pytest.mark.parametrize(("percent", "tilt_deg"), [(1.0, 0.573), (3.0, 1.72)])
 def test_vertical_gyro_tolerances_are_those_of_the_reference(percent: float, tilt_deg: float) -> None:
     """§7, by (18)."""
-    (row,) = require({"gyro.bias": percent / 100.0 * GYRO_BIAS}, NINE_ONLY, gyro_bias="vertical").rows
+    (row,) = require(
+        {"gyro.bias": percent / 100.0 * GYRO_BIAS}, NINE_ONLY, method="sequential", gyro_bias="vertical"
+    ).rows
     assert row.tilt / DEGREE == pytest.approx(tilt_deg, rel=0.01)
     assert "(18)" in row.estimator
 
 
 def test_one_per_cent_along_the_earths_axis_is_infeasible_with_any_table() -> None:
     """§7, by (17): a bias of 0.3 °/h has a floor of 1.7 %."""
-    (row,) = require({"gyro.bias": 0.01 * GYRO_BIAS}, NINE_ONLY, gyro_bias="polar").rows
+    (row,) = require({"gyro.bias": 0.01 * GYRO_BIAS}, NINE_ONLY, method="sequential", gyro_bias="polar").rows
     assert not row.feasible
     assert (row.table_error, row.mounting_error, row.rest) == (0.0, 0.0, math.inf)
     assert {"TRIAD", "(18)"} <= set(row.reason.replace(",", "").split())
@@ -69,7 +73,7 @@ def test_one_per_cent_along_the_earths_axis_is_infeasible_with_any_table() -> No
     found, unit = row.reason.split("at least ")[1].split(",")[0].split(" ")
     assert unit == "°/h"
     assert 100.0 * float(found) * DEGREE_PER_HOUR / GYRO_BIAS == pytest.approx(1.73, abs=0.01)
-    assert require({"gyro.bias": 0.03 * GYRO_BIAS}, NINE_ONLY, gyro_bias="polar").feasible
+    assert require({"gyro.bias": 0.03 * GYRO_BIAS}, NINE_ONLY, method="sequential", gyro_bias="polar").feasible
 
 
 def test_indirect_tolerances_follow_the_coefficients() -> None:
@@ -115,7 +119,7 @@ def test_a_budget_of_what_is_required_meets_the_wish(
 
 def test_requirements_take_the_strictest_of_those_that_can_be_met() -> None:
     wanted = {"accel.scale": 3.5e-6, "accel.bias": 5e-5, "gyro.axis": 0.1 * ARCSEC}
-    found = require(wanted, SETUP)
+    found = require(wanted, SETUP, method="sequential")
     assert not found.feasible
     met = [row for row in found.rows if row.feasible]
     assert [row.group for row in met] == ["accel.scale", "accel.bias"]
@@ -125,7 +129,7 @@ def test_requirements_take_the_strictest_of_those_that_can_be_met() -> None:
 
 
 def test_equal_tolerances_where_the_setup_has_none() -> None:
-    found = require({"accel.scale": 3.5e-6}, replace(SETUP, table_error=0.0, mounting_error=0.0))
+    found = require({"accel.scale": 3.5e-6}, replace(SETUP, table_error=0.0, mounting_error=0.0), method="sequential")
     assert found.table_error == found.mounting_error > 0.0
 
 
@@ -134,6 +138,41 @@ def test_impossible_wishes_are_refused_in_one_line() -> None:
         with pytest.raises(InputError, match=words):
             require(wanted, SETUP)
     with pytest.raises(InputError, match=r"gyro\.scale"):
-        require({"gyro.scale": 1e-6}, NINE_ONLY)
+        require({"gyro.scale": 1e-6}, NINE_ONLY, method="sequential")
     with pytest.raises(InputError, match="iterations"):
         budget(SETUP, iterations=0)
+
+
+@pytest.mark.parametrize("terms", ["linear", "full"])
+def test_the_default_method_is_promised_what_it_has(terms: Terms) -> None:
+    """The bound at the rest that is stated is what is wanted, with all groups 5.07 ppm after a minute; what no rest
+    gives is refused with what the method has."""
+    setup = Setup.of(terms=terms)
+    least = bound(setup).rms("accel.scale")
+    assert least == pytest.approx({"linear": 0.676e-6, "full": 5.07e-6}[terms], rel=0.01)
+    (row,) = require({"accel.scale": 1.02 * least}, setup).rows
+    assert row.feasible
+    assert 0.0 < row.rest <= 60.0
+    assert bound(replace(setup, rest=row.rest)).rms("accel.scale") == pytest.approx(1.02 * least, rel=0.01)
+    (refused,) = require({"accel.scale": 0.1 * least}, setup).rows
+    assert not refused.feasible
+    assert "which the method joint has with rests of" in refused.reason
+
+
+def test_single_rests_are_not_for_the_default_method() -> None:
+    with pytest.raises(InputError, match="gyro_bias: expected programme with the method joint, found 'polar'"):
+        require({"gyro.bias": 1e-6}, SETUP, gyro_bias="polar")
+
+
+def test_formulas_of_the_linear_model_are_not_given_for_other_instruments() -> None:
+    """Beside the least that any method can have, 5.07 ppm, stood an error of 0.7 ppm."""
+    full = Setup.of(terms="full")
+    for method in BUDGETED_METHODS:
+        with pytest.raises(InputError, match=f"expected linear for the method {method}"):
+            budget(full, (method,))
+        with pytest.raises(InputError, match=f"expected linear for the method {method}"):
+            require({"accel.scale": 1e-5}, full, method=method)
+    rows = budget(full, ("joint",)).rows
+    least = bound(full)
+    assert [row.error for row in rows] == [least.rms(row.group) for row in rows]
+    assert next(row for row in rows if row.group == "accel.scale").dominating == "groups beyond the linear model"

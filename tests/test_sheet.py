@@ -31,9 +31,10 @@ from tumble.programme.positions import (
     from_attitudes,
     programme,
 )
-from tumble.programme.sheet import sheet_drawing, sheet_page, write_sheet
+from tumble.programme.sheet import SIGNATURES, sheet_drawing, sheet_page
 from tumble.programme.sheet_pictures import AXIS, CUBE, SCALE, VIEW, legend, picture
 from tumble.programme.sheet_words import clock, direction, move_text, sheet_rows
+from tumble.report.sheet import write_sheet
 from tumble.rotation import rotation_matrix
 from tumble.terminal.sheet import sheet_table
 from tumble.units import DEGREE, Array
@@ -446,11 +447,31 @@ def test_a_file_is_a_page_or_a_drawing_by_its_ending(tmp_path: Path) -> None:
     assert (tmp_path / "sheet.svg").read_text(encoding="utf-8") == sheet_drawing(made, rest=5.0, move=2.0)
 
 
-@pytest.mark.parametrize(("file", "said"), [("sheet.pdf", "found '.pdf'"), ("sheet", "found 'no ending'")])
+def test_a_sheet_has_its_number_and_revision_and_lines_to_sign_on() -> None:
+    root = parsed(sheet_page(programme("nine"), serial="A-0007", number="P-12", revision="3"))
+    forms = [[text_of(span) for span in form] for form in root.findall("./body/div[@class='form']")]
+    assert forms[0][:3] == ["Device A-0007", "Operator", "Date"]
+    assert forms[1][:2] == ["Sheet no. P-12", "Revision 3"]
+    assert forms[2] == list(SIGNATURES)
+
+
+def test_a_sheet_as_pdf_is_the_same_bytes_and_takes_any_name(tmp_path: Path) -> None:
+    """In the archive form, every position on it; what a name contains is no markup of the typesetter."""
+    odd = replace(position("NUE"), attitude="#panic()", label="*[$")
+    made = Programme(name='#read("/etc/passwd")', positions=(odd, odd), moves=(ANY_MOVE,), ordered=True)
+    for name in ("one.pdf", "two.pdf"):
+        write_sheet(tmp_path / name, made, serial="Ж-7", number="#1", revision="\\")
+    content = (tmp_path / "one.pdf").read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert b"pdfaid" in content
+    assert content == (tmp_path / "two.pdf").read_bytes()
+
+
+@pytest.mark.parametrize(("file", "said"), [("sheet.doc", "found '.doc'"), ("sheet", "found 'no ending'")])
 def test_another_ending_is_one_line_and_writes_nothing(tmp_path: Path, file: str, said: str) -> None:
     with pytest.raises(InputError) as caught:
         write_sheet(tmp_path / file, programme("nine"))
-    assert "expected a name that ends in .html or .svg" in str(caught.value)
+    assert "expected a name that ends in .html, .pdf or .svg" in str(caught.value)
     assert said in str(caught.value)
     assert not list(tmp_path.iterdir())
 

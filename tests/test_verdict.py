@@ -19,6 +19,7 @@ import pytest
 
 from tumble.calibration.calibrate import Terms, calibrate
 from tumble.calibration.calibration_file import Calibration
+from tumble.earth import NORMAL_GRAVITY_U
 from tumble.estimation.causes.chances import weighted_chance
 from tumble.estimation.causes.former_attitudes import _followed
 from tumble.estimation.causes.projection import Projection, by_north
@@ -225,7 +226,10 @@ def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
     doubtful = replace(observations.site, gravity=observations.site.gravity + 0.0031)
     assert "+310 mGal from normal gravity, more than 300" in gravity_doubted(doubtful)[0]
     assert not gravity_doubted(observations.site)
-    assert gravity_said(observations.site).endswith("+0 mGal from normal gravity")
+    assert gravity_said(observations.site).endswith("+0 mGal from normal gravity")  # measured, to 0.01 mGal
+    unstated = replace(observations.site, gravity_u=NORMAL_GRAVITY_U)
+    assert gravity_said(unstated).endswith("m/s^2, normal gravity assumed, u 31 ppm")
+    assert 1e6 * unstated.gravity_u / unstated.gravity == pytest.approx(30.6, abs=0.1)
     assert gravity_said(replace(observations.site, latitude=None)).endswith("m/s^2")
 
 

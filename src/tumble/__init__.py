@@ -88,7 +88,6 @@ if TYPE_CHECKING:
     from tumble.planning.setup import Setup as Setup
     from tumble.programme.positions import Programme as Programme
     from tumble.programme.positions import programme_of as programme_of
-    from tumble.programme.sheet import write_sheet as write_sheet
     from tumble.recording.arrays import session_of_arrays as session_of_arrays
     from tumble.recording.description import description_of as description_of
     from tumble.recording.log import Chunk as Chunk
@@ -110,6 +109,7 @@ if TYPE_CHECKING:
     from tumble.registry.store import add_calibration as add_calibration
     from tumble.registry.store import records as records
     from tumble.registry.type_launches import type_spread as type_spread
+    from tumble.report.sheet import write_sheet as write_sheet
     from tumble.report.write import write_report as write_report
     from tumble.selftest import run_selftest as run_selftest
     from tumble.sensors.model import Block as Block
@@ -192,7 +192,7 @@ _PUBLIC = {
     "plan": "planning.plan",
     "Programme": "programme.positions",
     "programme_of": "programme.positions",
-    "write_sheet": "programme.sheet",
+    "write_sheet": "report.sheet",
     "CampaignResult": "campaigns.run",
     "FleetResult": "campaigns.run",
     "campaign": "campaigns.run",

@@ -38,7 +38,7 @@ def result_of(
     outcome = verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed)
     rests, turns = rest_results(estimate, observations), turn_results(estimate, observations)
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
-    learned, limited = _learned(estimate), tuple(over_temperature(estimate, observations))
+    learned, limited = learned_in(estimate), tuple(over_temperature(estimate, observations))
     estimate, case = estimate_in(frame, estimate, observations)
     systematic = _systematic_in(frame, systematic, observations, estimate.gyro is not None, case)
     seen = np.flatnonzero(estimate.observable)
@@ -49,7 +49,7 @@ def result_of(
         model=session.device.model,
         method=estimate.method,
         frame=frame if complete else "accelerometer",
-        parameters=with_degrees(_parameters(estimate, seen, systematic, learned), estimate.fits),
+        parameters=with_degrees(parameters_of(estimate, seen, systematic, learned), estimate.fits),
         covariance=estimate.covariance[np.ix_(seen, seen)],
         accel=None if "accel" in missing else estimate.accel,
         gyro=None if missing else estimate.gyro,
@@ -104,7 +104,7 @@ def without_result(
     )
 
 
-def _parameters(
+def parameters_of(
     estimate: Estimate, seen: IntArray, systematic: Mapping[str, float], learned: Mapping[str, Mapping[str, float]]
 ) -> tuple[Parameter, ...]:
     """The parameters that the data determine, those `seen`, in the order of the estimate."""
@@ -158,7 +158,7 @@ def _dof(estimate: Estimate, i: int) -> float | None:
     return float(estimate.degrees[i])
 
 
-def _learned(estimate: Estimate) -> dict[str, dict[str, float]]:
+def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
     """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name."""
     instrument = estimate.instrument
     if instrument is None:

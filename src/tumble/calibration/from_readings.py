@@ -5,14 +5,19 @@ others; what a table adds is the residual of every position, plain and left out 
 form of the source: k in output per g, the angles θ of its upper triangular matrix, the bias b referred to the input,
 
     u = diag(k) [[1, θz, θy], [0, 1, θx], [0, 0, 1]] (a + b)                                             (1), (5)
+
+The estimate is that of the method `ellipsoid` from rests, whose means the rows are: with quadratic and cubic terms,
+asymmetry and drift of the accelerometers in u, of the size usual for the grade. Rows are taken to be in the order and
+at the pace of an operator's sheet; those of a recording show in themselves what drifts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtri
@@ -20,23 +25,46 @@ from scipy.special import ndtri
 from tumble import __version__
 from tumble.brief import Brief
 from tumble.calibration.calibration_file import Calibration
-from tumble.calibration.coverage import welch_satterthwaite
-from tumble.calibration.readings_table import Nominal, ReadingsTable, Sensor, plain_units, read_table, sizes_seen
+from tumble.calibration.case import estimate_in
+from tumble.calibration.from_estimate import learned_in, parameters_of
+from tumble.calibration.readings_grade import AT_REST, guessed_grade, residual_of
+from tumble.calibration.readings_table import (
+    THE_FIELD,
+    Nominal,
+    ReadingsTable,
+    Sensor,
+    plain_units,
+    read_table,
+    sizes_seen,
+)
 from tumble.calibration.readings_table import nominal as nominal_of
 from tumble.calibration.results import Parameter, Readings
 from tumble.calibration.table_positions import TablePositions, positions_of
 from tumble.errors import InputError
 from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit, fit_ellipsoid
-from tumble.estimation.estimate import Outcome
+from tumble.estimation.estimate import Estimate, Outcome
+from tumble.estimation.methods.ellipsoid import estimate_of
 from tumble.estimation.observability import Refusal, undetermined
 from tumble.files import FilePath
 from tumble.recording.session import Site
-from tumble.sensors.frames import Convention, Frame, Framed, convert
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests import Rests
+from tumble.sensors.frames import Convention, Frame, convert, frame_of
+from tumble.sensors.grades import grade as grade_named
+from tumble.sensors.parameters import usual_sizes, variable_of
 from tumble.units import Array, engineering
+from tumble.usual_setup import MOVE, ON_TABLE
+
+if TYPE_CHECKING:
+    from tumble.calibration.calibrate import Terms
 
 SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
 """Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the
 field of the Earth is not the same in every position."""
+
+RECORDED_LIMIT = 2e-2
+"""The same of samples of a triad that is waved about: of an accelerometer it is its own motion, which makes the vector
+longer by its square, 4e-4."""
 
 SIZE_TOLERANCE = 0.25
 """Scale factors may be off the stated ones by this part before scale and unit are doubted. Iron around a magnetometer
@@ -53,12 +81,14 @@ _FIT_NAMES = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class ReadingsCalibration(Brief):
-    """A calibration from a table; `fit` is None where it was refused."""
+    """A calibration from a table; `fit` is None where it was refused; whether its rows were recorded one after another
+    while the device was waved about."""
 
     calibration: Calibration
     table: ReadingsTable
     nominal: Nominal
     fit: EllipsoidFit | None
+    recorded: bool
 
 
 def calibrate_table(
@@ -74,14 +104,17 @@ def calibrate_table(
     modulus_u: float | None = None,
     known: Mapping[int, Array] | None = None,
     rows_per_position: int = 1,
+    grade: str | None = None,
+    terms: Terms = "full",
     frame: Frame = "accelerometer",
     serial: str | None = None,
 ) -> ReadingsCalibration:
     """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions, a table or its CSV file. Each
     position is `rows_per_position` rows; equal ones count once. What the readings are worth is said as
-    `readings_table.nominal` takes it. What cannot be calibrated comes back with the reasons in its
-    outcome. Without a `serial` number of the device it is the name of the table. Raises InputError for a table that
-    cannot be read and for options that do not go together.
+    `readings_table.nominal` takes it. The `terms` that accelerometers have beyond bias, scale factor and axis angles
+    are in u, of the size usual for the `grade`, guessed where None; `linear` leaves them out. What cannot be calibrated
+    comes back with the reasons in its outcome. Without a `serial` number of the device it is the name of the table.
+    Raises InputError for a table that cannot be read and for options that do not go together.
 
     >>> import tumble
     >>> faces = ["0,0,1", "0,0,-1", "0,1,0", "0,-1,0", "1,0,0", "-1,0,0"]
@@ -89,7 +122,7 @@ def calibrate_table(
     >>> _ = Path("readings.csv").write_text("x,y,z\\n" + "\\n".join(faces + edges))
     >>> result = tumble.calibrate_table("readings.csv", unit="g")
     >>> result.calibration
-    <Calibration of readings: ellipsoid, 9 parameters, accepted>
+    <Calibration of readings: ellipsoid, 24 parameters, accepted>
     """
     if sensor != "accel" and frame != "accelerometer":
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
@@ -111,25 +144,37 @@ def calibrate_table(
         known=known,
     )
     serial = table.path.stem if serial is None else serial
-    found = _fitted(positions, nominal)
+    if grade is not None:
+        grade_named(grade)
+    found, noise = _fitted(positions, nominal, _bad_sigmas(positions))
     if isinstance(found, Refusal):
         found = undetermined(nominal.to_si(whole.values), block=TRIAD) or found  # counts the rows as they are written
         misstated = None if len(found.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
-        outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal))
-        empty = _calibration(serial, positions, nominal, None, None, outcome)
-        return ReadingsCalibration(calibration=empty, table=table, nominal=nominal, fit=None)
-    outcome = Outcome(reasons=tuple(_reasons(table, nominal, found)))
-    calibration = _calibration(serial, positions, nominal, found, _framed(found, frame), outcome)
-    return ReadingsCalibration(calibration=calibration, table=table, nominal=nominal, fit=found)
+        outcome = Outcome(reasons=(misstated or found.reason,), unobservable=_names(nominal, TRIAD.names))
+        empty = _calibration(serial, positions, nominal, None, None, frame, outcome, ())
+        return ReadingsCalibration(calibration=empty, table=table, nominal=nominal, fit=None, recorded=False)
+    found, estimate, said = _estimated(found, noise, positions, nominal, grade, terms)
+    outcome = Outcome(reasons=tuple(_reasons(positions, nominal, found)), remarks=_remarks(positions, nominal))
+    calibration = _calibration(serial, positions, nominal, found, estimate, frame, outcome, said)
+    recorded = positions.stretch is not None
+    return ReadingsCalibration(calibration=calibration, table=table, nominal=nominal, fit=found, recorded=recorded)
 
 
-def _fitted(positions: TablePositions, nominal: Nominal) -> EllipsoidFit | Refusal:
-    """The fit with the scatter that the residuals show; where they show less than the last digit of the readings
-    explains, with that. Of blocks of rows it has their own scatter."""
+def _bad_sigmas(positions: TablePositions) -> float:
+    """Beyond so many standard deviations a position is bad."""
+    return float(-ndtri(0.5 * BAD_CHANCE / len(positions.table.values)))
+
+
+def _fitted(positions: TablePositions, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
+    """The fit without positions beyond `bad` standard deviations, and the covariance (3, 3) of a reading that it was
+    made with. It has the scatter that the residuals show; where they show less than the last digit of the readings
+    explains, that. Of blocks of rows it has their own scatter."""
     readings = nominal.to_si(positions.table.values)
-    bad = float(-ndtri(0.5 * BAD_CHANCE / len(readings)))
     modulus_u = nominal.modulus_u or 0.0
-    floor = np.diag((positions.resolution_u / nominal.scale) ** 2)
+    floor, none = np.diag((positions.resolution_u / nominal.scale) ** 2), np.zeros((3, 3))
+    if positions.stretch is not None:
+        found = fit_ellipsoid(readings, modulus=nominal.modulus, modulus_u=modulus_u, blocks=positions.stretch)
+        return found, none
     if positions.covariance is not None:
         floor += positions.covariance / np.outer(nominal.scale, nominal.scale)
     known = fit_ellipsoid(
@@ -139,24 +184,98 @@ def _fitted(positions: TablePositions, nominal: Nominal) -> EllipsoidFit | Refus
         covariance=np.broadcast_to(floor, (len(readings), 3, 3)),
         bad_sigmas=bad,
     )
+    if isinstance(known, Refusal):
+        return known, floor
     within = positions.covariance is not None
-    if isinstance(known, Refusal) or within or (known.degrees > 0 and known.chi_square <= known.degrees):
-        return known
-    return fit_ellipsoid(readings, modulus=nominal.modulus, modulus_u=modulus_u, bad_sigmas=bad)
+    if within and known.scatter == 0.0 and positions.degrees:
+        known = replace(known, noise_degrees=float(positions.degrees))
+    if within or (known.degrees > 0 and known.chi_square <= known.degrees):
+        return known, floor
+    return fit_ellipsoid(readings, modulus=nominal.modulus, modulus_u=modulus_u, bad_sigmas=bad), none
 
 
-def _framed(found: EllipsoidFit, frame: Frame) -> Framed:
-    """The parameters of a fit in a frame."""
-    return convert(TRIAD, None, source="accelerometer", values=found.values, covariance=found.covariance, target=frame)
+def _estimated(
+    found: EllipsoidFit, noise: Array, positions: TablePositions, nominal: Nominal, grade: str | None, terms: Terms
+) -> tuple[EllipsoidFit, Estimate, tuple[str, ...]]:
+    """The fit, with the positions that what it leaves out makes look bad, the estimate of the method `ellipsoid`, and
+    what its u has of what it leaves out, in words."""
+    rests = _rests(positions, nominal, noise)
+    if nominal.sensor == "gyro":
+        said = "u has no part of asymmetry and g-sensitivity of the gyros, which the readings do not tell from biases"
+        return found, estimate_of(found, rests), (said,)
+    if nominal.sensor == "mag" or terms == "linear" or found.covariance is None:
+        return found, estimate_of(found, rests), ()
+    chosen, origin = (grade, "") if grade is not None else guessed_grade(found, rests)
+    known = {name: size for name, size in usual_sizes(chosen).items() if name in AT_REST}
+    what = "quadratic and cubic terms, asymmetry and drift"
+    if positions.stretch is not None:
+        known = {name: size for name, size in known.items() if variable_of(name) is None}
+        what = "quadratic and cubic terms and asymmetry"
+    said = (
+        f"{what} of the size usual for the grade {chosen} are in u{origin}; the values take them as nothing, and "
+        "--terms linear leaves them out"
+    )
+    rests = replace(rests, usual=known)
+    bad = ~found.used
+    bad[list(found.doubtful)] = True
+    if bad.any():
+        whole, noise = _fitted(positions, nominal, np.inf)
+        allowed = _bad_sigmas(positions) * residual_of(rests, chosen)
+        if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
+            found, rests = whole, replace(_rests(positions, nominal, noise), usual=known)
+    return found, estimate_of(found, rests), (said,)
 
 
-def _names(nominal: Nominal, names: tuple[str, ...] = TRIAD.names) -> tuple[str, ...]:
+def _rests(positions: TablePositions, nominal: Nominal, noise: Array) -> Observations:
+    """The readings as the mean readings of rests, with the modulus in the place of gravity."""
+    readings = nominal.to_si(positions.table.values)
+    N = len(readings)
+    none, start = np.zeros((N, 0)), np.asarray(np.arange(N) * (ON_TABLE.rest + MOVE))
+    at_rest = Rests(
+        file=np.zeros(N, dtype=np.int64),
+        start=start,
+        stop=start + ON_TABLE.rest,
+        accel=readings,
+        accel_covariance=np.broadcast_to(noise, (N, 3, 3)),
+        accel_drift=none,
+        accel_noise=none,
+        gyro=none,
+        gyro_covariance=np.zeros((N, 0, 0)),
+        gyro_drift=none,
+        gyro_noise=none,
+        temperatures=None,
+    )
+    return Observations(
+        accel_block=TRIAD,
+        gyro_block=None,
+        site=Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=nominal.modulus_u or 0.0),
+        rests=at_rest,
+        turns=None,
+        turn_samples=None,
+        programme=None,
+        position=None,
+    )
+
+
+def _names(nominal: Nominal, names: tuple[str, ...]) -> tuple[str, ...]:
     """Names of parameters for the sensors that they are of."""
     return tuple(f"{nominal.sensor}.{name.partition('.')[2]}" for name in names)
 
 
-def _reasons(table: ReadingsTable, nominal: Nominal, found: EllipsoidFit) -> list[str]:
+def _remarks(positions: TablePositions, nominal: Nominal) -> tuple[str, ...]:
+    """What the readings cannot show of themselves."""
+    if positions.stretch is None or nominal.sensor != "accel":
+        return ()
+    return (
+        "an accelerometer that is waved reads its own motion: what of it is always along the same side of the device, "
+        "as in turns about a wrist (0.1 m at 60 °/s: 11 mg), passes for a bias and is not in u; a table of readings at "
+        "rest has none of it",
+    )
+
+
+def _reasons(positions: TablePositions, nominal: Nominal, found: EllipsoidFit) -> list[str]:
     """What speaks against a fit."""
+    table = positions.table
     misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + found.values[3:6]))
     if misstated is not None:
         return [misstated]
@@ -172,10 +291,11 @@ def _reasons(table: ReadingsTable, nominal: Nominal, found: EllipsoidFit) -> lis
             f"position {which} does not fit: {found.worst.sigmas:.1f} sigma"
             + ("; these positions do not tell which, so that none was left out" if len(found.doubtful) > 1 else "")
         )
-    limit = SCATTER_LIMIT[nominal.sensor] * nominal.modulus
+    limit = (SCATTER_LIMIT[nominal.sensor] if positions.stretch is None else RECORDED_LIMIT) * nominal.modulus
     if found.scatter > limit:
         size, unit = engineering(nominal.result_unit, found.scatter)
-        said = f"the positions scatter by {found.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}"
+        rows = "positions" if positions.stretch is None else "samples"
+        said = f"the {rows} scatter by {found.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}"
         first = () if found.worst is None else (found.worst.position, *found.worst.rivals)
         if found.worst is not None and len(first) <= NAMED and found.worst.scatter < 0.5 * found.scatter:
             which = " or ".join(f"{i + 1} (line {table.lines[i]})" for i in sorted(first))
@@ -217,18 +337,29 @@ def _calibration(
     positions: TablePositions,
     nominal: Nominal,
     found: EllipsoidFit | None,
-    framed: Framed | None,
+    estimate: Estimate | None,
+    frame: Frame,
     outcome: Outcome,
+    said: tuple[str, ...],
 ) -> Calibration:
-    model = None if framed is None else framed.accel
+    parameters: tuple[Parameter, ...] = ()
+    known = found is not None and found.covariance is not None
+    if estimate is not None:
+        learned = learned_in(estimate)
+        estimate, _ = estimate_in(frame, estimate, _rests(positions, nominal, np.zeros((3, 3))))
+        units = (nominal.result_unit,) * 3 + estimate.units[3:]
+        named = replace(estimate, names=_names(nominal, estimate.names), units=units)
+        parameters = parameters_of(named, np.arange(len(units)), {}, learned)
+        parameters = parameters if known else tuple(replace(p, u=None, dof=None) for p in parameters)
+    model = None if estimate is None else estimate.accel
     fits = {} if found is None else {_FIT_NAMES[nominal.sensor]: found.fit(nominal.result_unit)}
     return Calibration(
         serial=serial,
         model=None,
         method="ellipsoid",
-        frame="accelerometer" if framed is None else framed.frame,
-        parameters=() if framed is None else _parameters(positions, nominal, framed, found),
-        covariance=None if framed is None else framed.covariance,
+        frame="accelerometer" if estimate is None else frame,
+        parameters=parameters,
+        covariance=estimate.covariance if estimate is not None and known else None,
         accel=model if nominal.sensor == "accel" else None,
         gyro=model if nominal.sensor == "gyro" else None,
         mag=model if nominal.sensor == "mag" else None,
@@ -236,41 +367,15 @@ def _calibration(
         fits=fits,
         site=_site(nominal),
         readings={nominal.sensor: _readings(positions, nominal, found)},
-        notes=(*positions.left_out, *_notes(positions, nominal, found)),
+        notes=(*positions.left_out, *_notes(positions, nominal, found), *said),
+        groups=() if estimate is None else estimate.groups,
+        prediction=None if estimate is None else estimate.prediction,
         provenance={
             "log_sha256": positions.table.sha256,
             "software": f"tumble {__version__}",
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
         },
     )
-
-
-def _parameters(
-    positions: TablePositions, nominal: Nominal, framed: Framed, found: EllipsoidFit | None
-) -> tuple[Parameter, ...]:
-    u = [None] * 9 if framed.covariance is None else np.sqrt(np.diag(framed.covariance)).tolist()
-    units = (nominal.result_unit,) * 3 + framed.units[3:]
-    return tuple(
-        Parameter(name=name, value=value, u=each, unit=unit, dof=_dof(each, (1.0 + value) * common, positions, found))
-        for name, value, each, unit, common in zip(
-            _names(nominal, framed.names), framed.values.tolist(), u, units, _by_modulus(nominal), strict=True
-        )
-    )
-
-
-def _by_modulus(nominal: Nominal) -> list[float]:
-    """Relative change of the nine parameters with one standard uncertainty of the modulus: of scale factors alone."""
-    relative = (nominal.modulus_u or 0.0) / nominal.modulus
-    return [relative if 3 <= i < 6 else 0.0 for i in range(9)]
-
-
-def _dof(u: float | None, common: float, positions: TablePositions, found: EllipsoidFit | None) -> float | None:
-    """Degrees of freedom of a parameter's u, of which `common` comes from the modulus and is known, the rest from the
-    scatter of the positions or, where that shows none, from the scatter within blocks of rows."""
-    if u is None or found is None:
-        return None
-    degrees = found.degrees if found.scatter > 0.0 else positions.degrees
-    return welch_satterthwaite([(max(u**2 - common**2, 0.0), degrees or None), (common**2, None)])
 
 
 def _site(nominal: Nominal) -> Site | None:
@@ -339,7 +444,7 @@ def _modulus_said(nominal: Nominal) -> tuple[str, ...]:
             return ("gravity is taken as exact, as --gravity-u states",)
         return (f"gravity {nominal.modulus:.9g} m/s^2 with u = {nominal.modulus_u:.2g} m/s^2, in all scale factors",)
     what = {"gyro": "the rate of the table", "mag": "the field"}[nominal.sensor]
-    if nominal.modulus_u is None:
+    if nominal.modulus_u is None and nominal.per != THE_FIELD:
         return (
             f"the uncertainty of {what} is not stated (--modulus-u): scale factors are relative to it, and u has no "
             "part of it",
@@ -363,9 +468,16 @@ class PaperForm:
 
 def paper_form(result: ReadingsCalibration) -> PaperForm:
     """The coefficients of a fit in the form of Table 1 of the source."""
-    assert result.fit is not None
-    framed = _framed(result.fit, "paper")
-    values, model, nominal = framed.values, framed.accel, result.nominal
+    calibration, nominal = result.calibration, result.nominal
+    framed = convert(
+        TRIAD,
+        None,
+        source=frame_of(calibration.frame),
+        values=np.array([p.value for p in calibration.parameters[:9]]),
+        covariance=None if calibration.covariance is None else calibration.covariance[:9, :9],
+        target="paper",
+    )
+    values, model = framed.values, framed.accel
     inverse = model.inverse()
     b = inverse @ model.bias
     derivative = Convention(frame="paper", block=TRIAD).jacobian(values)

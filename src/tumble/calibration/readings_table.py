@@ -43,6 +43,9 @@ LARGEST_GRAVITY_U = 0.1
 LARGEST_U = 0.5
 """Of the standard uncertainty of another modulus, in parts of it."""
 
+THE_FIELD = "field"
+"""The unit of a magnetometer's result where nothing says what its raw readings are per: the field is 1."""
+
 LARGEST = 1e30
 """No reading is as large: its powers would leave the range of numbers."""
 
@@ -219,8 +222,9 @@ def nominal(
     """What the readings of a table are worth. `scale` is one number or three, for `unit` V or count only, per
     `scale_per`; without it its sizes are taken from the readings. `gravity` with its standard uncertainty `gravity_u`
     (m/s²) is the modulus of accelerometers; without it gravity at the place is the unit, and 9.80665 m/s² stands for
-    it. The modulus of the others is `modulus`, with `modulus_u`, in the unit of the readings or of `scale_per`. `known`
-    are directions (3,) of the vector in positions (from 1).
+    it. The modulus of the others is `modulus`, with `modulus_u`, in the unit of the readings or of `scale_per`; of raw
+    readings of a magnetometer without that it is the unit itself. `known` are directions (3,) of the vector in
+    positions (from 1).
 
     Raises InputError, one line, for what does not go together."""
     units = _UNITS[sensor]
@@ -228,6 +232,10 @@ def nominal(
         raise InputError(f"--unit: expected one of {', '.join((*_RAW, *units))} for --sensor {sensor}, found {unit!r}")
     if unit not in _RAW and (scale is not None or scale_per is not None):
         raise InputError(f"--scale: expected only with --unit V or count, found --unit {unit}")
+    if sensor == "mag" and unit in _RAW and scale_per is None:
+        if modulus not in (None, 1.0):
+            raise InputError(f"--scale-per: expected the unit of --modulus, one of {', '.join(units)}, found none")
+        units, modulus = {THE_FIELD: 1.0}, 1.0
     per = unit if unit not in _RAW else (scale_per or next(iter(units)))
     if per not in units:
         raise InputError(f"--scale-per: expected one of {', '.join(units)} for --sensor {sensor}, found {per!r}")

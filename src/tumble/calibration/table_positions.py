@@ -4,6 +4,9 @@ A block is N rows of one position, N = 1 unless stated. Its reading is the mean;
 scatter within all blocks, which is taken to be the same in each. Blocks that are equal to the last digit are copies of
 one reading, not several, and count once.
 
+A table of more rows than anyone puts a device into positions is a recording of one that is waved about, as compass
+calibrations are made. Its rows err alike in neighbours, so that it is judged by BLOCKS stretches of it, not by rows.
+
 No reading is known better than the last digit it is written with: its standard uncertainty is at least the step of that
 digit over √12, and a mean of several has the same.
 
@@ -22,18 +25,28 @@ from tumble.units import Array, IntArray
 
 _SHOWN = 3
 
+BLOCKS = 20
+"""Of a recording: the fewer, the longer what errs alike may last, and the less is u itself known; twice the nine
+parameters is the least that leaves each of them something to be judged by."""
+
+CONSECUTIVE = 5 * BLOCKS
+"""So many rows are a recording. A table with as many positions, of which each errs for itself, has the same u by blocks
+but for the 16 % to which 19 degrees of freedom know it."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TablePositions:
     """A `table` with a row a position, in which `lines` are those of the first row of each; the `covariance` (3, 3) of
     a reading from the scatter within blocks, None where a block is one row, with its `degrees` of freedom; and in
-    words what was `left_out`. A block has so many `rows`."""
+    words what was `left_out`. A block has so many `rows`. Of a recording `stretch` (N,) is the number of the stretch
+    that each row is in, None where rows are positions."""
 
     table: ReadingsTable
     covariance: Array | None
     rows: int
     degrees: int
     left_out: tuple[str, ...]
+    stretch: IntArray | None
 
     @property
     def resolution_u(self) -> Array:
@@ -65,6 +78,7 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> TablePosit
         rows=rows,
         degrees=len(own) * (rows - 1),
         left_out=_copies(lines, first[inverse.ravel()], rows),
+        stretch=np.arange(len(own)) * BLOCKS // len(own) if rows == 1 and len(own) >= CONSECUTIVE else None,
     )
 
 

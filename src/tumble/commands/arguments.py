@@ -123,16 +123,22 @@ def number(name: str, default: float, says: str) -> _Option:
     return click.option(name, type=float, default=default, show_default=True, help=says)
 
 
-TERMS = click.option(
-    "--terms",
-    type=click.Choice(["linear", "full"]),
-    default="linear",
-    show_default=True,
-    help="Bias, scale and axes alone, or all groups of parameters.",
-)
+def terms_option(default: str | None) -> _Option:
+    """The option for the groups of parameters that an instrument has; without a default by the method."""
+    return click.option(
+        "--terms",
+        type=click.Choice(["linear", "full"]),
+        default=default,
+        show_default=default is not None,
+        help="Bias, scale and axes alone, or all groups of parameters."
+        + ("" if default else " Default: full for joint, linear for the others."),
+    )
 
 
-def setup_options(command: _Command) -> _Command:
+TERMS = terms_option("linear")
+
+
+def setup_options(command: _Command, terms: str | None = "linear") -> _Command:
     """The options that describe a set-up before anything is measured."""
     options: list[_Option] = [
         programme_option("Built-in programme.", usual_setup.PROGRAMME),
@@ -144,7 +150,7 @@ def setup_options(command: _Command) -> _Command:
         number("--latitude", usual_setup.LATITUDE_DEG, "Of the site, °."),
         click.option("--gravity", type=float, help="Measured gravity, m/s²; default: normal gravity."),
         number("--gravity-u", usual_setup.GRAVITY_U, "Its uncertainty, m/s²."),
-        TERMS,
+        terms_option(terms),
         click.option("--noiseless", is_flag=True, help="Errors of the method alone."),
     ]
     for option in reversed(options):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,15 +10,21 @@ import click
 from tumble.commands.arguments import BUDGETED_METHODS, JSON, say, setup_of, setup_options, working
 
 if TYPE_CHECKING:
-    from tumble.planning.error_propagation import BudgetedMethod
+    from tumble.planning.budget import PlannedMethod
 
 
 @click.command()
-@setup_options
-@click.option("--method", "methods", type=click.Choice(BUDGETED_METHODS), multiple=True, help="Default: all; repeat.")
+@partial(setup_options, terms=None)
+@click.option(
+    "--method",
+    "methods",
+    type=click.Choice(["joint", *BUDGETED_METHODS]),
+    multiple=True,
+    help="Repeat; default: joint, of the linear model all.",
+)
 @click.option("--iterations", type=click.IntRange(1, 5), default=2, show_default=True, help="Passes.")
 @JSON
-def budget(methods: tuple[BudgetedMethod, ...], iterations: int, as_json: bool, **options: Any) -> None:
+def budget(methods: tuple[PlannedMethod, ...], iterations: int, as_json: bool, **options: Any) -> None:
     """Expected errors of a calibration before it is made, from the accuracy formulas, and the least possible."""
     from tumble.planning.bounds import bound
     from tumble.planning.budget import budget
@@ -26,9 +33,14 @@ def budget(methods: tuple[BudgetedMethod, ...], iterations: int, as_json: bool, 
     from tumble.terminal.planning_data import budget_data
     from tumble.terminal.text import print_report
 
+    if not methods:
+        linear = options["noiseless"] or options["terms"] == "linear"
+        methods = tuple(BUDGETED_METHODS) if linear else ()
+        methods = methods if options["noiseless"] else ("joint", *methods)
+    options["terms"] = options["terms"] or ("full" if methods == ("joint",) else "linear")
     setup = setup_of(options)
     with working("planning"):
-        expected = budget(setup, methods=methods or BUDGETED_METHODS, iterations=iterations)
+        expected = budget(setup, methods=methods, iterations=iterations)
         least = None if options["noiseless"] else bound(setup)
     if as_json:
         print_data(budget_data(expected, least))

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands.arguments import FILE, JSON, say, warn
+from tumble.commands.arguments import FILE, JSON, grades_like, say, warn
 from tumble.documents import whole_number
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
+    from tumble.calibration.calibrate import Terms
     from tumble.calibration.readings_table import Sensor
     from tumble.sensors.frames import Frame
     from tumble.units import Array
@@ -39,6 +40,18 @@ if TYPE_CHECKING:
 @click.option("--modulus-u", type=float, help="Its standard uncertainty; default: scale factors are relative to it.")
 @click.option("--rows-per-position", type=int, default=1, show_default=True, help="Rows of one position after another.")
 @click.option(
+    "--grade",
+    shell_complete=grades_like,
+    help="navigation, tactical, mems or consumer; default: guessed from biases and residuals.",
+)
+@click.option(
+    "--terms",
+    type=click.Choice(["full", "linear"]),
+    default="full",
+    show_default=True,
+    help="What u contains: all groups of the accelerometers, or bias, scale and axes alone.",
+)
+@click.option(
     "--frame",
     type=click.Choice(["accelerometer", "paper", "symmetric"]),
     default="accelerometer",
@@ -61,6 +74,8 @@ def ellipsoid(
     modulus: float | None,
     modulus_u: float | None,
     rows_per_position: int,
+    grade: str | None,
+    terms: Terms,
     frame: Frame,
     serial: str | None,
     out: Path | None,
@@ -88,6 +103,8 @@ def ellipsoid(
         modulus_u=modulus_u,
         known=dict(map(_position, positions)),
         rows_per_position=rows_per_position,
+        grade=grade,
+        terms=terms,
         frame=frame,
         serial=serial,
     )

@@ -16,11 +16,23 @@ from tumble.usual_setup import ON_TABLE
 @click.option("--attitude", "attitudes", multiple=True, help="Instead of NAME: a position's attitude code; repeat.")
 @number("--rest", ON_TABLE.rest, "Duration of a rest, s.")
 @number("--turn-rate", ON_TABLE.rate_deg_s, "Rate of the turns, °/s.")
-@click.option("-o", "--out", type=FILE, help="Write the sheet with a picture of each position: .html or .svg.")
-def programme(name: str | None, attitudes: tuple[str, ...], rest: float, turn_rate: float, out: Path | None) -> None:
+@click.option("-o", "--out", type=FILE, help="Write the sheet with a picture of each position: .html, .pdf or .svg.")
+@click.option("--serial", default="", help="Of the device, on the sheet; default: a line for it.")
+@click.option("--number", "sheet_number", default="", help="Of the sheet, likewise.")
+@click.option("--revision", default="", help="Of the sheet, likewise.")
+def programme(
+    name: str | None,
+    attitudes: tuple[str, ...],
+    rest: float,
+    turn_rate: float,
+    out: Path | None,
+    serial: str,
+    sheet_number: str,
+    revision: str,
+) -> None:
     """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
     from tumble.programme.positions import programme_of
-    from tumble.programme.sheet import write_sheet
+    from tumble.report.sheet import write_sheet
     from tumble.terminal.sheet import sheet_table
     from tumble.terminal.text import print_report
     from tumble.units import DEGREE
@@ -30,6 +42,7 @@ def programme(name: str | None, attitudes: tuple[str, ...], rest: float, turn_ra
     listed = programme_of(attitudes if name is None else name)
     table = sheet_table(listed, rest=rest, rate=turn_rate * DEGREE)
     if out is not None:
-        write_sheet(out, listed, rest=rest, rate=turn_rate * DEGREE)
+        pace = {"rest": rest, "rate": turn_rate * DEGREE}
+        write_sheet(out, listed, **pace, serial=serial, number=sheet_number, revision=revision)
         say(f"written to {out}")
     print_report(table)

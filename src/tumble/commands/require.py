@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,15 +11,21 @@ import click
 from tumble.commands.arguments import BUDGETED_METHODS, JSON, setup_of, setup_options, warn, working
 
 if TYPE_CHECKING:
-    from tumble.planning.error_propagation import BudgetedMethod
+    from tumble.planning.budget import PlannedMethod
     from tumble.planning.requirements import BiasEstimator
 
 
 @click.command()
-@setup_options
+@partial(setup_options, terms=None)
 @click.option("--want", "wanted", multiple=True, metavar="GROUP=VALUE", help="E.g. accel.scale=3.5ppm; repeat.")
 @click.option("--relative", type=float, metavar="PERCENT", help="Wanted of every group: part of its spread, %.")
-@click.option("--method", type=click.Choice(BUDGETED_METHODS), default="sequential", show_default=True, help="To use.")
+@click.option(
+    "--method",
+    type=click.Choice(["joint", *BUDGETED_METHODS]),
+    default="joint",
+    show_default=True,
+    help="To use; the others are of the linear model.",
+)
 @click.option("--iterations", type=click.IntRange(1, 5), default=1, show_default=True, help="After so many passes.")
 @click.option(
     "--gyro-bias",
@@ -31,7 +38,7 @@ if TYPE_CHECKING:
 def require(
     wanted: tuple[str, ...],
     relative: float | None,
-    method: BudgetedMethod,
+    method: PlannedMethod,
     iterations: int,
     gyro_bias: BiasEstimator,
     as_json: bool,
@@ -44,6 +51,7 @@ def require(
     from tumble.terminal.planning_data import requirements_data
     from tumble.terminal.text import print_report
 
+    options["terms"] = options["terms"] or ("full" if method == "joint" else "linear")
     setup = setup_of(options)
     asked = wanted_of(wanted, relative, setup)
     with working("planning"):

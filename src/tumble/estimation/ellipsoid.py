@@ -14,11 +14,20 @@ Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of 
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
 there for weights, robustness and covariance.
 
+Readings one after another of a triad that is waved about err alike in neighbours, by noise with a memory and by what
+the model does not have, so that their number says nothing of u. Whole blocks of them are then left out in turn (the
+jackknife):
+
+    δ_b = −(Σ − Σ_b)⁻¹ J_bᵀ r_b,   Σ = Σ_b Σ_b = JᵀJ,      cov = (B − 1)/B Σ_b (δ_b − δ̄)(δ_b − δ̄)ᵀ
+
+with B − 1 degrees of freedom; and what errs across the vector makes it longer by σ²/m, in u of the modulus.
+
 The polarity of a channel is not in the data, since t and −t have the same length: it comes from the nominal scale or
 from roughly known positions (`readings`).
 
 Source: the ellipsoid method (calibration of a triaxial block of navigation accelerometers by ellipsoid fitting), whose
-sign of Eq. (13), b = A u0, is lost in print.
+sign of Eq. (13), b = A u0, is lost in print. Jackknife: Efron (1982), The Jackknife, the Bootstrap and Other Resampling
+Plans, ch. 3; by blocks Künsch (1989), The Annals of Statistics 17, 1217-1241.
 """
 
 from __future__ import annotations
@@ -34,7 +43,7 @@ from tumble.estimation.gauss_newton import gauss_newton, negligible
 from tumble.estimation.observability import Refusal, undetermined
 from tumble.estimation.quadric import fit_many
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
-from tumble.units import Array, BoolArray
+from tumble.units import Array, BoolArray, IntArray
 
 TRIAD = Block(kind="accel", axes=np.eye(3))
 """Three sensors along X, Y, Z with the parameters bias, scale and the angles yx, zx, zy of their own frame."""
@@ -75,7 +84,9 @@ class WorstPosition:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class EllipsoidFit(Brief):
     """Parameter values (9,) in the order of the block's names with their covariance (9, 9), None where there are no
-    more positions than unknowns and the noise is not known, and the `model` they give. Of each position (N,):
+    more positions than unknowns and the noise is not known, and the `model` they give. In the covariance is what one
+    standard uncertainty of the modulus changes, `by_modulus` (9,); behind the rest of it stand `noise_degrees` of
+    freedom, infinite where the noise is known. Of each position (N,):
     `residual` |M⁻¹(y − b)| − m; its `leverage`, the part of itself that it explains; `leave_one_out`, the residual
     against the fit through all others, with its standard uncertainty; `sigmas`, how far that is out; and whether it
     was `used`, or left out as bad. `doubtful` are positions one of which is bad where it cannot be told which; they are
@@ -83,6 +94,8 @@ class EllipsoidFit(Brief):
 
     values: Array
     covariance: Array | None
+    by_modulus: Array
+    noise_degrees: float
     model: SensorModel
     residual: Array
     leverage: Array
@@ -111,12 +124,14 @@ def fit_ellipsoid(
     covariance: Array | None = None,
     block: Block = TRIAD,
     bad_sigmas: float = BAD_SIGMAS,
+    blocks: IntArray | None = None,
 ) -> EllipsoidFit | Refusal:
     """The parameters of a triad from readings (N, 3) of a vector of length `modulus` in N unknown orientations, in
     the unit of the modulus after nominal scale and polarity, in the frame that `block` fixes.
 
     `covariance` (N, 3, 3) is what is known of their noise; a scatter is estimated on top of it. Without it all are
-    equally good. A position more than `bad_sigmas` from the fit through the others is left out, and says so.
+    equally good. A position more than `bad_sigmas` from the fit through the others is left out, and says so. Where the
+    readings are samples one after another, `blocks` (N,) are the numbers, from 0, of the blocks they are judged by.
 
     >>> import numpy as np, tumble
     >>> faces = np.vstack([np.eye(3), -np.eye(3)])
@@ -144,7 +159,7 @@ def fit_ellipsoid(
     )
     used = np.ones(len(readings), dtype=bool)
     found = _found(task, used)
-    worst = _worst_position(task, used, found)
+    worst = _worst_position(task, used, found) if blocks is None else None
     while worst is not None and worst.sigmas > bad_sigmas and not worst.rivals and _may_leave_out(used):
         used[worst.position] = False
         found = _found(task, used)
@@ -157,7 +172,7 @@ def fit_ellipsoid(
         return Refusal(reason=reason, null=np.empty((0, 9)))
     bad = worst is not None and worst.sigmas > bad_sigmas
     doubtful = (worst.position, *worst.rivals) if worst is not None and bad else ()
-    finished = _finished(task, used, found, worst, modulus_u, unknown_noise=covariance is None)
+    finished = _finished(task, used, found, worst, modulus_u, unknown_noise=covariance is None, blocks=blocks)
     return replace(finished, doubtful=doubtful, sigmas=_raised(finished.sigmas, doubtful, worst))
 
 
@@ -288,7 +303,14 @@ def _chi_square(rows: _EllipsoidRows, used: BoolArray, scatter: float) -> float:
 
 
 def _finished(
-    task: _Task, used: BoolArray, found: _Found, worst: WorstPosition | None, modulus_u: float, *, unknown_noise: bool
+    task: _Task,
+    used: BoolArray,
+    found: _Found,
+    worst: WorstPosition | None,
+    modulus_u: float,
+    *,
+    unknown_noise: bool,
+    blocks: IntArray | None,
 ) -> EllipsoidFit:
     sigma, residual = found.rows.sigma(found.scatter), found.rows.residual
     whitened = found.rows.jacobian / sigma[:, None]
@@ -301,12 +323,17 @@ def _finished(
     out = np.empty(len(used))
     out[used] = sigmas(judged[used], found.degrees, found.scatter > 0.0)
     out[~used] = [_predicted_sigmas(found, int(i)) for i in np.flatnonzero(~used)]
-    gain = found.solution.gain / sigma[used]
-    by_modulus = -gain.sum(axis=1)
-    covariance = found.solution.covariance + modulus_u**2 * np.outer(by_modulus, by_modulus)
+    covariance, degrees = found.solution.covariance, float(found.degrees) if found.scatter > 0.0 else np.inf
+    if blocks is not None:
+        covariance, degrees = _jackknife(whitened, residual / sigma, blocks, task.spread), float(blocks.max())
+        modulus_u = float(np.hypot(modulus_u, found.scatter**2 / task.modulus))
+    by_modulus = -modulus_u * (found.solution.gain / sigma[used]).sum(axis=1)
+    covariance = covariance + np.outer(by_modulus, by_modulus)
     return EllipsoidFit(
         values=found.values,
         covariance=None if unknown_noise and found.degrees == 0 else covariance,
+        by_modulus=by_modulus,
+        noise_degrees=degrees,
         model=task.block.model(found.values),
         residual=residual,
         leverage=np.where(used, leverage, 0.0),
@@ -322,6 +349,18 @@ def _finished(
         increments=found.increments,
         converged=negligible(found.solution, FLOOR * task.spread),
     )
+
+
+def _jackknife(whitened: Array, residual: Array, blocks: IntArray, spread: Array) -> Array:
+    """Covariance (9, 9) of the module docstring, of rows (N, 9) and residuals (N,) in units of their noise."""
+    scaled = whitened * spread
+    normal, B = scaled.T @ scaled, int(blocks.max()) + 1
+    change = np.empty((B, scaled.shape[1]))
+    for b in range(B):
+        J = scaled[blocks == b]
+        change[b] = -spread * np.linalg.solve(normal - J.T @ J, J.T @ residual[blocks == b])
+    away = change - change.mean(axis=0)
+    return np.asarray((B - 1.0) / B * away.T @ away)
 
 
 # -------------------- bad positions --------------------

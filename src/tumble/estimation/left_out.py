@@ -33,12 +33,14 @@ _NOTHING = 1e-9
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LeftOut:
-    """The `instrument` with the groups that are left out, the standard deviations (k,) of these, and by how much one of
-    each moves the parameters (m, k) of the linear model."""
+    """The `instrument` with the groups that are left out, the standard deviations (k,) of these, by how much one of
+    each `moves` the parameters (m, k) of the linear model, and what it `leaves` (r, k) in the rows that these are
+    fitted to, in units of their standard deviations."""
 
     instrument: Instrument
     usual: Array
     moves: Array
+    leaves: Array
 
     @property
     def by_usual(self) -> Array:
@@ -53,11 +55,10 @@ def left_out_of(observations: Observations, sigma: Array | None = None, names: C
     usual = {name: size for name, size in seen.usual.items() if names is None or name in names}
     problem = Problem.of(seen, instrument=_at_rest(replace(seen, usual=usual)), usual=usual)
     rows = _rows(problem) if sigma is None else _rows(problem) / np.repeat(sigma, _rows_of_rest(problem))[:, None]
-    linear = problem.instrument.linear_count
+    A, B = np.split(rows, [problem.instrument.linear_count], axis=1)
+    moves = np.linalg.pinv(A, rcond=_NOTHING) @ B
     return LeftOut(
-        instrument=problem.instrument,
-        usual=problem.measured[1][1 + linear :],
-        moves=np.linalg.pinv(rows[:, :linear], rcond=_NOTHING) @ rows[:, linear:],
+        instrument=problem.instrument, usual=problem.measured[1][1 + A.shape[1] :], moves=moves, leaves=B - A @ moves
     )
 
 
@@ -87,13 +88,15 @@ def _rows(problem: Problem) -> Array:
     return np.asarray(np.einsum("ipr,ipm->irm", across[:, :, 2:], changes).reshape(-1, len(values)))
 
 
-def with_left_out(estimate: Estimate, found: LeftOut, degrees: float, gravity: float) -> Estimate:
-    """An estimate of the accelerometers with the groups it leaves out, which are nothing within their usual sizes, and
-    their part in its covariance; `degrees` are those of the estimate's own."""
+def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimate:
+    """An estimate of the accelerometers, with degrees of freedom, with the groups it leaves out, which are nothing
+    within their usual sizes, and their part in its covariance."""
     instrument, moved, k = found.instrument, found.by_usual, len(found.usual)
     own, crossed = estimate.covariance + moved @ moved.T, -moved * found.usual
     covariance = np.block([[own, crossed], [crossed.T, np.diag(found.usual**2)]])
     values = np.append(estimate.values, np.zeros(k))
+    assert estimate.degrees is not None
+    degrees = estimate.degrees * (np.diag(own) / np.diag(estimate.covariance)) ** 2
     return replace(
         estimate,
         names=instrument.names,
@@ -105,7 +108,7 @@ def with_left_out(estimate: Estimate, found: LeftOut, degrees: float, gravity: f
         increments=tuple(np.append(step, np.zeros(k)) for step in estimate.increments),
         instrument=instrument,
         groups=_nothing_learned(found),
-        degrees=np.append(degrees * (np.diag(own) / np.diag(estimate.covariance)) ** 2, np.full(k, np.inf)),
+        degrees=np.append(degrees, np.full(k, np.inf)),
         prediction=prediction(instrument, values, covariance, gravity=gravity, rate=None),
     )
 

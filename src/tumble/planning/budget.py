@@ -16,6 +16,9 @@ T² X. With parameters and deviations independent of each other and of zero mean
 where T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl, S is the symmetric part of A, tr A = Σ v_k A_kk, and v_k, μ_k are the second
 and fourth moments of τ_k. Further passes gain as much as the second did: (κσ)^i, §7.
 
+The method `joint` needs no formulas: what it leaves is the bound (`tumble.planning.bounds`), of instruments with all
+groups of parameters, too, which the others take for parameters of the linear model.
+
 T₀, D and q are those of `tumble.planning.error_propagation`, the symbols those of
 `tumble.estimation.methods.paper.accuracy_formulas`. `tumble.planning.requirements` is the inverse.
 """
@@ -26,12 +29,15 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
 from tumble.brief import Brief
 from tumble.earth import earth_rate
+from tumble.errors import InputError
 from tumble.estimation.methods.paper.accuracy_formulas import turn_bias_error
+from tumble.planning.bounds import bound
 from tumble.planning.error_propagation import (
     BUDGETED_METHODS,
     NAME_UNITS,
@@ -46,11 +52,16 @@ from tumble.planning.error_propagation import (
 )
 from tumble.planning.setup import Setup, check_setup
 from tumble.sensors.grades import spread_of
-from tumble.sensors.parameters import group_name
+from tumble.sensors.parameters import group_name, positions_by_group
 from tumble.units import DEGREE, DEGREE_PER_HOUR, Array, IntArray
+
+PlannedMethod = Literal["joint", "sequential", "scalar", "staged"]
 
 GROUPS = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
 """The groups of parameters, in the order of the calibration file."""
+
+MAXIMUM_LIKELIHOOD = "maximum likelihood, the bound"
+"""How the method joint finds every group of parameters."""
 
 ESTIMATORS: Mapping[BudgetedMethod, Mapping[str, str]] = MappingProxyType(
     {
@@ -99,7 +110,7 @@ class BudgetRow:
     over the spread before calibration; `errors`: rms by parameter name; `terms`: what it is made of, largest first."""
 
     group: str
-    method: BudgetedMethod
+    method: PlannedMethod
     estimator: str
     iteration: int
     unit: str
@@ -123,7 +134,7 @@ class Budget(Brief):
     rows: tuple[BudgetRow, ...]
     remarks: tuple[str, ...]
 
-    def row(self, method: BudgetedMethod, group: str, iteration: int) -> BudgetRow:
+    def row(self, method: PlannedMethod, group: str, iteration: int) -> BudgetRow:
         """The row of this method, group and iteration. Raises KeyError if there is none."""
         for row in self.rows:
             if (row.method, row.group, row.iteration) == (method, group, iteration):
@@ -131,11 +142,12 @@ class Budget(Brief):
         raise KeyError((method, group, iteration))
 
 
-def budget(setup: Setup, methods: Sequence[BudgetedMethod] = BUDGETED_METHODS, iterations: int = 2) -> Budget:
-    """Expected errors of every group of parameters after each of so many passes of these methods.
+def budget(setup: Setup, methods: Sequence[PlannedMethod] = BUDGETED_METHODS, iterations: int = 2) -> Budget:
+    """Expected errors of every group of parameters after each of so many passes of these methods; joint has one.
 
     Groups that the programme cannot give (gyro scale factors without known turns) have no row. Raises InputError for
-    values that make no sense, ProgrammeError for a programme without the positions a method needs.
+    values that make no sense, and for groups beyond the linear model with another method than joint; ProgrammeError for
+    a programme without the positions a method needs.
 
     >>> import tumble
     >>> setup = tumble.Setup.of(rest=120.0)
@@ -146,23 +158,65 @@ def budget(setup: Setup, methods: Sequence[BudgetedMethod] = BUDGETED_METHODS, i
     check_setup(setup, iterations)
     rows: list[BudgetRow] = []
     for method in methods:
+        if method == "joint":
+            rows += _joint_rows(setup)
+            continue
+        expect_linear(setup, method)
         pipeline = pipeline_of(setup, method)
         for iteration in range(1, iterations + 1):
             rows += _rows(setup, pipeline, iteration)
     return Budget(setup=setup, rows=tuple(rows), remarks=_remarks(setup, methods))
 
 
-def _remarks(setup: Setup, methods: Sequence[BudgetedMethod]) -> tuple[str, ...]:
+def expect_linear(setup: Setup, method: BudgetedMethod) -> None:
+    """Raise InputError where an instrument has more than the formulas of a method hold for."""
+    if setup.further:
+        raise InputError(
+            f"terms: expected linear for the method {method}, whose formulas have no other groups of parameters, found "
+            "full; take the method joint, or the linear model"
+        )
+
+
+def _joint_rows(setup: Setup) -> list[BudgetRow]:
+    """The rows of the method joint: the bound, and what the groups beyond the linear model have of it."""
+    least, alone = bound(setup), bound(replace(setup, further={}))
+    out = []
+    for group in least.groups:
+        members = positions_by_group(least.names)[group]
+        error, noise = least.rms(group), alone.rms(group)
+        if not math.isfinite(error):
+            continue
+        terms = [Term(name="noise", error=noise)]
+        if setup.further:
+            more = math.sqrt(max(error**2 - noise**2, 0.0))
+            terms.append(Term(name="groups beyond the linear model", error=more))
+        out.append(
+            BudgetRow(
+                group=group,
+                method="joint",
+                estimator=MAXIMUM_LIKELIHOOD,
+                iteration=1,
+                unit=UNITS[group],
+                error=error,
+                relative=error / spread_of(setup, group),
+                errors={least.names[p]: float(least.u[p]) for p in members},
+                terms=tuple(sorted(terms, key=lambda term: -term.error)),
+            )
+        )
+    return out
+
+
+def _remarks(setup: Setup, methods: Sequence[PlannedMethod]) -> tuple[str, ...]:
     """What a set-up has that the formulas do not hold for."""
     out = []
-    if max(setup.table_error, setup.mounting_error) > LARGEST_DEVIATION:
+    if set(methods) != {"joint"} and max(setup.table_error, setup.mounting_error) > LARGEST_DEVIATION:
         out.append(
             f"errors of table and mounting up to {max(setup.table_error, setup.mounting_error) / DEGREE:.3g}°: the "
             f"formulas are of first order in them and hold up to {LARGEST_DEVIATION / DEGREE:g}°"
         )
     rate = math.hypot(setup.gyro.bias, setup.noise.gyro_white / math.sqrt(setup.rest), setup.noise.gyro_instability)
     north = earth_rate(setup.latitude)[0]
-    if rate > LARGEST_AZIMUTH * north and set(methods) != {"staged"}:
+    if rate > LARGEST_AZIMUTH * north and set(methods) & {"sequential", "scalar"}:
         out.append(
             f"gyros off by {rate / DEGREE_PER_HOUR:.3g} °/h at rest, with {north / DEGREE_PER_HOUR:.3g} °/h of Earth's "
             "rate to find north by: the methods sequential and scalar do worse in gyro parameters than predicted, "

@@ -57,6 +57,7 @@ NAME_UNITS = _ACCEL.units + _GYRO.units
 BudgetedMethod = Literal["sequential", "scalar", "staged"]
 
 BUDGETED_METHODS: tuple[BudgetedMethod, ...] = ("sequential", "scalar", "staged")
+"""The methods whose errors the formulas predict, of instruments with the linear model."""
 
 
 # What the programme's positions and turns are good for

@@ -1,5 +1,8 @@
 """What set-up an accuracy needs, the inverse of `tumble.planning.budget`: from wanted errors back to the tolerances
 of table and mounting and the duration of the rests.
+
+Of the method `joint` the errors are the bound, which knows no errors of the table and falls with the rests until what
+longer ones show is nothing beside in-run instability, gravity and groups beyond the linear model, or drifts grow.
 """
 
 from __future__ import annotations
@@ -13,25 +16,31 @@ from typing import Literal
 from tumble.brief import Brief
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import InputError
+from tumble.planning.bounds import bound
 from tumble.planning.budget import (
     ESTIMATORS,
     GROUPS,
     LARGEST_DEVIATION,
+    MAXIMUM_LIKELIHOOD,
     REST_NOISE,
     UNITS,
     Pipeline,
+    PlannedMethod,
+    expect_linear,
     members_of,
     pipeline_of,
     size_of,
     total_of,
 )
-from tumble.planning.error_propagation import BudgetedMethod
 from tumble.planning.setup import Setup, check_setup, expect
 from tumble.sensors.grades import spread_of
 from tumble.units import Array, engineering, quantity
 
 REST_SHARE = 0.25
 """Part of the permitted variance that `require` gives to the noise of rests; table and mounting get the others."""
+
+LONGEST_REST = 3600.0
+"""s: of a rest that an operator waits for."""
 
 BiasEstimator = Literal["programme", "vertical", "polar"]
 
@@ -61,7 +70,7 @@ class Requirements(Brief):
     """All requirements, and what meets those that can be met: the smallest tolerances and the longest rest."""
 
     setup: Setup
-    method: BudgetedMethod
+    method: PlannedMethod
     iteration: int
     rows: tuple[Requirement, ...]
 
@@ -90,25 +99,35 @@ def require(
     wanted: Mapping[str, float],
     setup: Setup,
     *,
-    method: BudgetedMethod = "sequential",
+    method: PlannedMethod = "joint",
     iteration: int = 1,
     gyro_bias: BiasEstimator = "programme",
 ) -> Requirements:
     """Tolerances of table and mounting, and duration of the rests, for wanted rms errors by group of parameters, SI.
 
     Of `setup` the programme, noises, spreads, turn rate and site are used, and the ratio of table to mounting error;
-    if both are zero they get equal tolerances. `gyro_bias`: instead of what the method does with the whole programme,
-    "vertical" is one rest per gyro with its axis vertical, Eq. (18), and "polar" one along the Earth's axis, Eq. (17).
+    if both are zero they get equal tolerances. `iteration` and `gyro_bias` are for the other methods. `gyro_bias`:
+    instead of what the method does with the whole programme, "vertical" is one rest per gyro with its axis vertical,
+    Eq. (18), and "polar" one along the Earth's axis, Eq. (17).
     Raises InputError for a group that does not exist or values that make no sense.
 
     >>> import tumble
-    >>> setup = tumble.Setup.of(rest=120.0)
+    >>> setup = tumble.Setup.of(terms="full")
     >>> tumble.require({"accel.scale": 10e-6}, setup).feasible
     True
+    >>> tumble.require({"accel.scale": 3.5e-6}, setup).feasible
+    False
     """
     check_setup(setup, iteration)
+    if method == "joint":
+        if gyro_bias != "programme":
+            raise InputError(
+                f"gyro_bias: expected programme with the method joint, found {gyro_bias!r}; take another method"
+            )
+        return Requirements(setup=setup, method=method, iteration=1, rows=_rows_of_joint(wanted, setup))
+    expect_linear(setup, method)
     pipeline = pipeline_of(_unit_ratio(setup), method)
-    _check_wanted(wanted, pipeline)
+    _check_wanted(wanted, pipeline.groups)
     rows = []
     for group, value in wanted.items():
         if group == "gyro.bias" and gyro_bias != "programme":
@@ -137,6 +156,51 @@ def wanted_of(texts: Sequence[str], relative_percent: float | None, setup: Setup
     if not wanted:
         raise InputError("expected --want GROUP=VALUE or --relative PERCENT, found neither")
     return wanted
+
+
+def _rows_of_joint(wanted: Mapping[str, float], setup: Setup) -> tuple[Requirement, ...]:
+    """Of the method joint: the shortest rests of at most LONGEST_REST with which the bound is what is wanted."""
+    _check_wanted(wanted, GROUPS)
+    rests = [1.0]
+    while rests[-1] < LONGEST_REST:
+        rests.append(min(2.0 * rests[-1], LONGEST_REST))
+    bounds = [bound(replace(setup, rest=rest)) for rest in rests]
+    rows = []
+    for group, value in wanted.items():
+        least = [each.rms(group) for each in bounds]
+        best = min(range(len(rests)), key=lambda i: least[i])
+        enough = next((i for i, error in enumerate(least) if error <= value), None)
+        if enough is None:
+            size, unit = engineering(UNITS[group], least[best])
+            reached = (
+                "which this programme does not determine"
+                if math.isinf(least[best])
+                else f"expected an accuracy of at least {least[best] / size:.3g} {unit}, which the method joint has "
+                f"with rests of {rests[best]:.0f} s, found {value / size:.3g} {unit}"
+            )
+            reason = f"{group}: {reached}; take another programme (tumble plan), average launches, or a better grade"
+        else:
+            reason = ""
+        rest = math.inf if enough is None else _shortest(setup, group, value, rests[max(enough - 1, 0)], rests[enough])
+        table = 0.0 if enough is None else LARGEST_DEVIATION
+        row = Requirement(
+            group=group, estimator=MAXIMUM_LIKELIHOOD, wanted=value, unit=UNITS[group], feasible=enough is not None,
+            limited=enough is None, table_error=table, mounting_error=table, tilt=table * math.sqrt(2.0 / 3.0),
+            rest=rest, reason=reason,
+        )  # fmt: skip
+        rows.append(row)
+    return tuple(rows)
+
+
+def _shortest(setup: Setup, group: str, wanted: float, short: float, long: float) -> float:
+    """The shortest rest, s, to 1 %, between one that is too short, unless they are one, and one that is long enough."""
+    while long > 1.01 * short:
+        middle = math.sqrt(short * long)
+        if bound(replace(setup, rest=middle)).rms(group) <= wanted:
+            long = middle
+        else:
+            short = middle
+    return long
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -259,9 +323,9 @@ def _unit_ratio(setup: Setup) -> Setup:
     return replace(setup, table_error=table, mounting_error=mounting)
 
 
-def _check_wanted(wanted: Mapping[str, float], pipeline: Pipeline) -> None:
+def _check_wanted(wanted: Mapping[str, float], groups: Sequence[str]) -> None:
     """Raise InputError for a group the programme does not give or an accuracy that is none."""
     for group, value in wanted.items():
-        if group not in pipeline.groups:
-            raise InputError(f"wanted: expected some of {', '.join(pipeline.groups)}, found {group!r}")
+        if group not in groups:
+            raise InputError(f"wanted: expected some of {', '.join(groups)}, found {group!r}")
         expect(group, value, least="more than 0")

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
-from tumble.errors import InputError
-from tumble.files import FilePath, whole_file
 from tumble.programme.positions import Programme
 from tumble.programme.sheet_pictures import (
     BODY_COLOURS,
@@ -88,20 +85,28 @@ td svg { display: block; width: 28mm; height: 28mm }
 
 
 def sheet_page(
-    programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE, serial: str = ""
+    programme: Programme,
+    *,
+    rest: float = REST,
+    rate: float = RATE,
+    move: float = MOVE,
+    serial: str = "",
+    number: str = "",
+    revision: str = "",
 ) -> str:
     """A page of HTML to print on A4 and take to the table: every position with its picture, a box to tick and lines
-    for times and notes. It needs nothing else: no script, no other file. Without a serial number a line is left
-    for it."""
+    for times and notes, and at the end to sign on. It needs nothing else: no script, no other file. Without a serial
+    number of the device, or number and revision of the sheet, a line is left for it."""
     rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
     head = element("head", element("meta", charset="utf-8"), text_element("title", programme.name), _style())
     body = element(
         "body",
         text_element("h1", programme.name),
         text_element("p", pace_of(programme, rows, rate, move)),
-        _form(serial),
+        *(_form(asked) for asked in form_of(serial, number, revision)),
         _head(programme),
         _positions(rows),
+        _form(SIGNATURES),
     )
     return "<!DOCTYPE html>\n" + element("html", head, body, lang="en") + "\n"
 
@@ -110,8 +115,20 @@ def _style() -> str:
     return element("style", _STYLE)
 
 
-def _form(serial: str) -> str:
-    asked = (f"Device {serial}".rstrip(), "Operator", "Date", "Place", "Log")
+SIGNATURES = ("Recorded: name, date, signature", "Checked: name, date, signature")
+"""What is signed at the end of a sheet."""
+
+
+def form_of(serial: str, number: str, revision: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What stands above the lines to write on, in two rows, with what is known of it."""
+    device, sheet, issue = (
+        f"{word} {known}".rstrip()
+        for word, known in (("Device", serial), ("Sheet no.", number), ("Revision", revision))
+    )
+    return (device, "Operator", "Date", "Place"), (sheet, issue, "Log", "Conditions, equipment")
+
+
+def _form(asked: Sequence[str]) -> str:
     return element("div", *(text_element("span", text) for text in asked), class_="form")
 
 
@@ -143,32 +160,3 @@ def _position(row: SheetRow) -> str:
     note = element("div", "", class_="line")
     cells = (number, picture(row.position, row.move), "".join(words), times + 2 * note)
     return element("tr", *(element("td", cell) for cell in cells))
-
-
-def write_sheet(
-    path: FilePath,
-    programme: Programme,
-    *,
-    rest: float = REST,
-    rate: float = RATE,
-    move: float = MOVE,
-    serial: str = "",
-) -> None:
-    """Write the page (.html) or the drawing (.svg) by the ending of `path`. Raises InputError for another ending and
-    where it cannot be written, and ProgrammeError as `sheet_rows`.
-
-    >>> import tumble
-    >>> tumble.write_sheet("sheet.svg", tumble.programme_of("nine"), rest=30.0)
-    """
-    path = Path(path)
-    if path.suffix == ".html":
-        text = sheet_page(programme, rest=rest, rate=rate, move=move, serial=serial)
-    elif path.suffix == ".svg":
-        text = sheet_drawing(programme, rest=rest, rate=rate, move=move)
-    else:
-        raise InputError(f"{path}: expected a name that ends in .html or .svg, found {path.suffix or 'no ending'!r}")
-    try:
-        with whole_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: expected a file that can be written: {error.strerror or error}") from error

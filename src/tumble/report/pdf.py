@@ -23,9 +23,14 @@ def pdf(document: Document) -> bytes:
     if content["letterhead"] is not None:
         content["letterhead"]["logo"] = list(base64.b64decode(content["letterhead"]["logo"]))
     template = files("tumble.report").joinpath("templates/document.typ").read_bytes()
+    return set_in_type(template, json.dumps(content), timestamp=_timestamp(document.created))
+
+
+def set_in_type(template: bytes, content: str, *, timestamp: int) -> bytes:
+    """The PDF/A-2b that a template makes of `content`, as JSON, with a date in seconds since 1970."""
     fonts = typst.Fonts(include_system_fonts=False, font_paths=[f"{get_data_path()}/fonts/ttf"])
-    compiler = typst.Compiler(template, font_paths=fonts, sys_inputs={"document": json.dumps(content)})
-    made = compiler.compile(format="pdf", pdf_standards=["a-2b"], timestamp=_timestamp(document.created))
+    compiler = typst.Compiler(template, font_paths=fonts, sys_inputs={"document": content})
+    made = compiler.compile(format="pdf", pdf_standards=["a-2b"], timestamp=timestamp)
     assert isinstance(made, bytes)
     return made
 

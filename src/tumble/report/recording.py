@@ -11,7 +11,7 @@ import numpy as np
 from tumble.calibration.calibration_file import Calibration
 from tumble.calibration.results import Launch, Readings, RestResult, SensorsAtRest, TurnResult
 from tumble.errors import ProgrammeError
-from tumble.estimation.diagnosis.site_gravity import MILLIGAL, gravity_difference
+from tumble.estimation.diagnosis.site_gravity import against_normal
 from tumble.estimation.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
@@ -69,9 +69,10 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
     elif site.gravity_u == 0.0:
         gravity = f"{fixed(site.gravity, 7)} m/s², taken as exact: no uncertainty of it was stated"
     height = () if site.latitude is None else (("height", f"{fixed(site.height, 1)} m"),)
-    difference = None if site.gravity_is_unit else gravity_difference(site)
-    against = () if difference is None else (("from normal gravity", f"{difference / MILLIGAL:+z.0f} mGal"),)
-    return (("latitude", latitude), *height, ("gravity", gravity), *against)
+    against = None if site.gravity_is_unit else against_normal(site)
+    if against is not None:
+        gravity = f"{gravity}; {against}"
+    return (("latitude", latitude), *height, ("gravity", gravity))
 
 
 def site(all_of_them: Sequence[RecordedSession]) -> Section:

@@ -190,7 +190,7 @@ def calibration_report(
     """All that `tumble calibrate` says about an accepted or rejected result; `others` are calibrations of the same
     sessions by other methods. The tables have the parameters of the linear model, then a line for each further group;
     with `every`, all parameters."""
-    whole, calibration = calibration, calibration if every else _of_linear_model(calibration)
+    whole, calibration = calibration, calibration if every else linear_of(calibration)
     parts: list[RenderableType] = []
     device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
     parts.append(Text(f"device {device} · method {calibration.method} · frame {calibration.frame}"))
@@ -226,7 +226,7 @@ def calibration_report(
     return Group(*parts)
 
 
-def _of_linear_model(calibration: Calibration) -> Calibration:
+def linear_of(calibration: Calibration) -> Calibration:
     """The calibration with the parameters of the linear model alone, in its launches too."""
     launches = tuple(replace(one, parameters=linear_parameters(one.parameters)) for one in calibration.launches)
     return replace(calibration, parameters=linear_parameters(calibration.parameters), launches=launches)

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tumble.calibration.further import group_lines, predicted
 from tumble.calibration.readings_table import Nominal
-from tumble.estimation.ellipsoid import EllipsoidFit
-from tumble.terminal.calibration import parameter_table
+from tumble.estimation.ellipsoid import TRIAD, EllipsoidFit
+from tumble.sensors.frames import Convention, frame_of
+from tumble.terminal.calibration import group_table, linear_of, parameter_table
 from tumble.terminal.table import add_numbers, plain_table
 from tumble.units import engineering, rounded
 
@@ -26,14 +28,52 @@ def result_report(result: ReadingsCalibration) -> RenderableType:
     parts: list[RenderableType] = [
         Text(f"{result.table.path.name} · {nominal.sensor} · method ellipsoid · frame {calibration.frame}")
     ]
-    if result.fit is not None:
-        parts += [Text(""), parameter_table(calibration)]
+    if result.fit is not None and result.recorded:
+        parts += [Text(""), _correction_table(result), Text(""), Text(_samples_line(result, result.fit))]
+    elif result.fit is not None:
+        parts += [Text(""), parameter_table(linear_of(calibration))]
+        if group_lines(calibration):
+            parts += [Text(""), group_table(calibration)]
         if calibration.frame == "paper":
             parts += [Text(""), _paper_table(result)]
         parts += [Text(""), _positions_table(result), Text(""), Text(_fit_line(nominal, result.fit))]
+    if calibration.prediction is not None:
+        parts.append(Text(predicted(calibration.prediction)))
     parts += [Text(note) for note in calibration.notes]
-    parts += [Text(""), Text("accepted" if calibration.outcome.accepted else "not accepted")]
+    parts += [Text(f"remark: {remark}") for remark in calibration.outcome.remarks]
+    parts += [Text(""), Text(calibration.outcome.verdict)]
     return Group(*parts)
+
+
+def _correction_table(result: ReadingsCalibration) -> RenderableType:
+    """What corrects the readings, an axis a line: true = matrix (reading − bias), the bias in the unit of the readings,
+    the matrix in that of the result per unit of the readings, each row with the largest u of its elements."""
+    calibration, nominal = result.calibration, result.nominal
+    hard, soft = ("hard iron", "soft iron") if nominal.sensor == "mag" else ("bias", "matrix")
+    values = np.array([p.value for p in calibration.parameters[:9]])
+    convention = Convention(frame=frame_of(calibration.frame), block=TRIAD)
+    by_values, matrix = convention.jacobian(values)[:, :3], convention.model(values).inverse()
+    to_result = 1.0 / (nominal.scale * nominal.per_factor)
+    change = -np.einsum("ip,pqm,qj->ijm", matrix, by_values, matrix) * to_result[:, None]
+    known = np.zeros((9, 9)) if calibration.covariance is None else calibration.covariance[:9, :9]
+    u = np.sqrt(np.einsum("ijm,mn,ijn->ij", change, known, change)).max(axis=1)
+    table = plain_table("axis")
+    add_numbers(table, f"{hard} {nominal.unit}", "u (k=1)", f"{soft}: x", "y", "z", "u (k=1)")
+    for i, axis in enumerate("xyz"):
+        bias, of_bias = rounded(values[i] * nominal.scale[i], float(np.sqrt(known[i, i]) * abs(nominal.scale[i])))
+        row = [rounded(float(element), float(u[i])) for element in matrix[i] * to_result]
+        table.add_row(axis, bias, of_bias, *(element for element, _ in row), row[i][1])
+    return table
+
+
+def _samples_line(result: ReadingsCalibration, found: EllipsoidFit) -> str:
+    """How many samples there are, how they scatter and what u is made from."""
+    nominal = result.nominal
+    return (
+        f"a recording, {len(found.used)} samples: true = matrix · (reading − bias), in {nominal.per}; a sample "
+        f"scatters by {100.0 * found.scatter / nominal.modulus:.2g} % of the vector; u is of "
+        f"{found.noise_degrees + 1:.0f} stretches left out in turn, since neighbours err alike"
+    )
 
 
 def _paper_table(result: ReadingsCalibration) -> RenderableType:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from tumble.earth import normal_gravity
 from tumble.recording.session import Site
+from tumble.units import two_digits
 
 MILLIGAL = 1e-5  # m/s²
 GRAVITY_DOUBTED = 300.0 * MILLIGAL
@@ -19,11 +20,21 @@ def gravity_difference(site: Site) -> float | None:
     return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
 
 
-def gravity_said(site: Site) -> str:
-    """Gravity, and where the latitude is known how far from normal gravity."""
+def against_normal(site: Site) -> str | None:
+    """How far gravity is from normal gravity; where it is that to the last digit and no better known than a milligal,
+    which any measurement is, none was measured: then the uncertainty it has. None where the latitude is not known."""
     difference = gravity_difference(site)
-    against = "" if difference is None else f", {difference / MILLIGAL:+z.0f} mGal from normal gravity"
-    return f"gravity {site.gravity:.6f} m/s^2{against}"
+    if difference is None:
+        return None
+    if difference == 0.0 and site.gravity_u > MILLIGAL:
+        return f"normal gravity assumed, u {two_digits(1e6 * site.gravity_u / site.gravity)} ppm"
+    return f"{difference / MILLIGAL:+z.0f} mGal from normal gravity"
+
+
+def gravity_said(site: Site) -> str:
+    """Gravity, and where the latitude is known what it is against normal gravity."""
+    against = against_normal(site)
+    return f"gravity {site.gravity:.6f} m/s^2" + ("" if against is None else f", {against}")
 
 
 def gravity_doubted(site: Site) -> tuple[str, ...]:

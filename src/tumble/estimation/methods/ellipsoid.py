@@ -1,4 +1,4 @@
-"""Ellipsoid method: the accelerometers alone, from the rest means of any log in any orientation.
+"""Ellipsoid method: the accelerometers alone, from the rest means of any log in any orientation, or a table of them.
 
 The rest means lie on an ellipsoid (`tumble.estimation.ellipsoid`); their covariances are the weights, and a scatter
 between rests is estimated on top. Where the rests are good this is stage 1 of the method `staged`, to a small part
@@ -44,13 +44,22 @@ def ellipsoid(observations: Observations) -> Estimate:
     )
     if isinstance(found, Refusal):
         return _refused(observations, found)
-    assert found.covariance is not None
+    return estimate_of(found, observations)
+
+
+def estimate_of(found: EllipsoidFit, observations: Observations) -> Estimate:
+    """The estimate of a fit to the rests of observations, its covariance zero where the fit has none."""
+    block, gravity = observations.accel_block, observations.site.gravity
+    covariance = np.zeros((9, 9)) if found.covariance is None else found.covariance
+    variance = np.diag(covariance)
+    by_noise = variance - found.by_modulus**2
+    parts = np.divide(variance, by_noise, out=np.full(9, np.inf), where=by_noise > 0.0)
     estimate = Estimate(
         method="ellipsoid",
         names=block.names,
         units=block.units,
         values=found.values,
-        covariance=found.covariance,
+        covariance=covariance,
         observable=np.ones(9, dtype=bool),
         null=np.empty((0, 9)),
         accel=found.model,
@@ -61,11 +70,11 @@ def ellipsoid(observations: Observations) -> Estimate:
         increments=found.increments,
         fits={"accelerometers": found.fit("m/s^2")},
         converged=found.converged,
+        degrees=found.noise_degrees * parts**2,  # Welch, Satterthwaite
     )
     if not observations.usual:
         return estimate
-    degrees = float(found.degrees) if found.scatter > 0.0 else np.inf
-    return with_left_out(estimate, left_out_of(observations, _sigma(found, observations)), degrees, site.gravity)
+    return with_left_out(estimate, left_out_of(observations, _sigma(found, observations)), gravity)
 
 
 def _sigma(found: EllipsoidFit, observations: Observations) -> Array:
