@@ -1,5 +1,5 @@
 """The command line. Data to standard output, talk to standard error. Exit status 0 accepted, 1 not accepted (reasons
-on standard error), 2 unusable input or arguments."""
+on standard error), 2 unusable input or arguments, 70 an error of the program, 130 stopped."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from tumble import __version__, commands
 from tumble.compiled import record
 from tumble.documents import one_line
 from tumble.errors import TumbleError
+from tumble.program_errors import ended_by
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
 atexit.register(gc.freeze)  # a process that ends needs no search for garbage, which takes a fifth of a short command
@@ -55,6 +56,8 @@ def _in_one_line() -> Iterator[None]:
     except KeyboardInterrupt:
         click.echo("tumble: stopped", err=True)
         raise SystemExit(128 + signal.SIGINT) from None
+    except EOFError as error:  # which click would take for the end of what is typed, and end with the status 1
+        raise RuntimeError("a file ended where more was expected") from error
     except OSError as error:
         if error.errno == errno.EPIPE:
             raise
@@ -117,7 +120,15 @@ def first_sentence(command: click.Command) -> str:
 
 
 class _Commands(click.Group):
-    """Commands whose errors are one line on standard error, with exit status 2."""
+    """Commands whose errors are one line on standard error, with exit status 2; those of the program itself with 70."""
+
+    def __call__(self, *args: Any, **extra: Any) -> Any:
+        try:
+            return super().__call__(*args, **extra)
+        except (SystemExit, GeneratorExit):
+            raise
+        except BaseException as error:  # a panic of polars is no Exception
+            raise SystemExit(ended_by(error)) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands by what they are for, each with its first sentence."""

@@ -49,8 +49,8 @@ class Follower:
             if numbers is not None:
                 return numbers
         rows = lines.feed(data)
-        text = ",".join(row.text for row in rows)
-        return np.fromstring(text, sep=",").reshape(-1, len(self.columns))
+        numbers = [float(value) for row in rows for value in row.text.split(",")]
+        return np.array(numbers).reshape(-1, len(self.columns))
 
 
 def growing_file(spec: LogSpec) -> Path:
