@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -27,6 +28,7 @@ from tumble.compiled import record
 from tumble.documents import one_line
 from tumble.errors import TumbleError
 from tumble.program_errors import ended_by
+from tumble.recording.panic import COMMAND_LINE
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
 atexit.register(gc.freeze)  # a process that ends needs no search for garbage, which takes a fifth of a short command
@@ -158,6 +160,8 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:
     if not record() and not quiet:
         click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)
     context.call_on_close(_ended_in_order())
+    context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
+    warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file
     if verbose:
         started = time.monotonic()
         context.call_on_close(lambda: _say_what_it_took(time.monotonic() - started))

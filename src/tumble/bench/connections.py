@@ -16,7 +16,9 @@ REQUEST_SECONDS = 10.0
 """How long a connection may be without a whole head of a request."""
 MOST = 256
 """Connections at once: four pages with six connections each on eight benches, and some."""
-WAITING = 16
+ACCEPTED_AT_ONCE = 4
+"""Connections that are accepted before those that are too many are ended."""
+WAITING = 128
 """Connections that wait to be accepted."""
 
 
@@ -39,9 +41,10 @@ class Connection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         super().connection_made(transport)
         self._wait()
-        if len(self.connections) > most_connections():
-            idle = [each for each in self.connections if isinstance(each, Connection) and each.idle]
-            min(idle, key=lambda each: each.idle_since).transport.abort()
+        ours = [each for each in self.connections if isinstance(each, Connection)]
+        lasting = [each for each in ours if not each.transport.is_closing()]
+        if len(lasting) > most_connections():
+            min((each for each in lasting if each.idle), key=lambda each: each.idle_since).transport.abort()
 
     def on_response_complete(self) -> None:
         super().on_response_complete()

@@ -33,7 +33,7 @@ def serve(
     with needs_extra("the bench page", "bench", "fastapi", "uvicorn", "starlette"):
         import uvicorn
 
-        from tumble.bench.connections import WAITING, Connection
+        from tumble.bench.connections import ACCEPTED_AT_ONCE, WAITING, Connection
         from tumble.bench.server import app_of
     with _listening(host, port) as bound, ExitStack() as running:
         opened = _started(stations, folders)
@@ -46,13 +46,13 @@ def serve(
             app,
             http=Connection,
             ws="none",
-            backlog=WAITING,
+            backlog=ACCEPTED_AT_ONCE,
             log_config=None,
             log_level="error",  # what strangers send that is no request is none
             access_log=False,  # a request may have the token
             timeout_graceful_shutdown=3,
         )
-        server = _server(uvicorn, config)
+        server = _server(uvicorn, config, WAITING)
         link = f"http://{_reachable(host)}:{port}/?token={access.token}"
         say(f"the page: {link}")
         if not access.loopback:
@@ -90,10 +90,15 @@ def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path])
     return opened
 
 
-def _server(uvicorn: Any, config: Any) -> Any:
-    """A server that ends the streams of its pages when it ends."""
+def _server(uvicorn: Any, config: Any, waiting: int) -> Any:
+    """A server that ends the streams of its pages when it ends, and lets so many connections be `waiting`."""
 
     class Server(uvicorn.Server):  # type: ignore[misc]  # of an extra, so Any here
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            for listening in sockets or ():
+                listening.listen(waiting)
+
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
             config.app.state.stopping = True
             await super().shutdown(sockets)
@@ -109,7 +114,7 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
             bound = opened.enter_context(socket.socket(family, socket.SOCK_STREAM))
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind((host, port))
-            bound.listen(128)
+            bound.listen()
         except OSError as error:
             raise InputError(f"--host {host} --port {port}: expected a free address, found: {error.strerror}") from None
         yield bound

@@ -105,16 +105,13 @@ def _list_of(app: FastAPI, stations: Sequence[Station]) -> APIRouter:
 def _page_of(app: FastAPI, station: Station, access: Access, others: Callable[[], dict[str, Any]]) -> APIRouter:
     """The page of a station; `others` goes with its state."""
     routes = _files("index.html")
+    shown = _Shown(station, others)
     workers = ThreadPoolExecutor(_COMMANDS_AT_ONCE, thread_name_prefix="command")
 
     @routes.get("/events")
     async def events(request: Request) -> Response:
         may_command = access.knows(request.cookies.get(access.cookie))
-
-        def more() -> dict[str, Any]:
-            return {"may_command": may_command, **others()}
-
-        return StreamingResponse(_events(app, station, request, more), media_type="text/event-stream")
+        return StreamingResponse(_events(app, shown, request, may_command), media_type="text/event-stream")
 
     @routes.get("/picture/{number}.svg")
     async def drawing(number: int) -> Response:
@@ -179,20 +176,37 @@ def _plain(status: int, said: str) -> Response:
     return Response(said, status_code=status, media_type="text/plain")
 
 
-async def _events(
-    app: FastAPI, station: Station, request: Request, more: Callable[[], dict[str, Any]]
-) -> AsyncIterator[str]:
-    """The states as they change with what there is `more`, each with the block means that are new since the one
-    before."""
+class _Shown:
+    """The states of a station as its pages get them, with what the page of a bench shows of the `others`: written once
+    for all pages that have got the same."""
+
+    def __init__(self, station: Station, others: Callable[[], dict[str, Any]]) -> None:
+        self.station, self._others = station, others
+        self._state: dict[str, Any] = {}
+        self._written: dict[tuple[int, bool], tuple[str, int]] = {}
+
+    def event(self, state: dict[str, Any], since: int, may_command: bool) -> tuple[str, int]:
+        """A state with the block means from number `since` on, and the number after the last."""
+        if state is not self._state:
+            self._state, self._written = state, {}
+        if (since, may_command) not in self._written:
+            trace = self.station.trace(since)
+            whole = state | {"trace": trace, "may_command": may_command} | self._others()
+            self._written[since, may_command] = _event(whole), trace["next"]
+        return self._written[since, may_command]
+
+
+async def _events(app: FastAPI, shown: _Shown, request: Request, may_command: bool) -> AsyncIterator[str]:
+    """The states as they change, each with the block means that are new since the one before."""
     yield _AGAIN
     before: dict[str, Any] = {}
     since, said = 0, 0.0
     while not app.state.stopping and not await request.is_disconnected():
-        state = station.state
+        state = shown.station.state
         if state is not before:
-            trace = station.trace(since)
-            before, since = state, trace["next"]
-            yield _event(state | {"trace": trace} | more())
+            before = state
+            event, since = shown.event(state, since, may_command)
+            yield event
         elif time.monotonic() - said > _KEEP_ALIVE:
             yield _STILL_HERE
         else:

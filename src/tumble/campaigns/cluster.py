@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, cast
 from tumble import __version__
 from tumble.campaigns.engine import Chunk, Chunks, Done, Executor, Job, compute, failed, parquet_of, serially
 from tumble.errors import InputError, MissingExtraError, TumbleError
+from tumble.recording.panic import COMMAND_LINE
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -40,6 +41,8 @@ _SETTINGS = {
     "distributed.scheduler.http.routes": [],  # the servers cannot be left out, but serve nothing
     "distributed.worker.http.routes": [],
     # Ctrl-C goes to all processes of a terminal: this one ends the others
+    # -P: Python that is started anew takes no module of the working folder for one of its own
+    "distributed.nanny.pre-spawn-environ.PYTHONSAFEPATH": "1",
     "distributed.worker.preload": ["import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"],
 }
 
@@ -194,6 +197,12 @@ def _alone(job: Job, number: int, client: Client) -> bytes:
     return parquet_of([failed(number, job.label(job.items[number]), said)], job.columns)
 
 
+def _computed_there(*work: Any) -> tuple[bytes, float]:
+    """`compute` in a process of the cluster, which is nobody's but ours."""
+    COMMAND_LINE.set(True)
+    return compute(*work)
+
+
 def _submit(job: Job, chunk: Chunk, client: Client) -> Future[Any]:
     tasks = [(number, job.items[number]) for number in chunk]
-    return client.submit(compute, job.task, job.label, job.columns, tasks, pure=False)
+    return client.submit(_computed_there, job.task, job.label, job.columns, tasks, pure=False)
