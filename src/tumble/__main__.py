@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+
 from tumble.program_errors import ended_by
 
 
 def run() -> None:
-    """The command line, as the process it is in."""
+    """The command line, as the process it is in. No process that it starts takes a module of the working folder for one
+    of Python's."""
+    os.environ.setdefault("PYTHONSAFEPATH", "1")
     try:
         from tumble.cli import main
     except (Exception, KeyboardInterrupt) as error:

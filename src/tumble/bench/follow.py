@@ -51,9 +51,8 @@ class Follower:
             numbers = numbers_in(data, len(self.columns))
             if numbers is not None:
                 return numbers
-        rows = lines.feed(data)
-        numbers = [float(value) for row in rows for value in row.text.split(",")]
-        return np.array(numbers).reshape(-1, len(self.columns))
+        values = [float(value) for row in lines.feed(data) for value in row.text.split(",")]
+        return np.array(values).reshape(-1, len(self.columns))
 
 
 def growing_file(spec: LogSpec) -> Path:

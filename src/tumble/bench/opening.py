@@ -95,7 +95,7 @@ def _make(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any]
         log = in_si()
         log["gyro"] = log["gyro"] | {"range": FULL_SCALE}
         there = {"latitude_deg": LATITUDE_DEG, "gravity": GRAVITY}
-        if there | site != there:
+        if {**there, **site} != there:
             raise InputError(
                 f"--latitude, --gravity: expected those of the simulated unit, {LATITUDE_DEG}° and {GRAVITY} m/s², "
                 "found others; leave them out"
