@@ -167,6 +167,16 @@ def test_an_estimate_that_fails_is_said_and_the_next_is_made(bench: Bench, monke
     assert bench.station.state["estimate"]["groups"]
 
 
+def test_a_source_that_stutters_leaves_few_faults(bench: Bench) -> None:
+    rows = [bench.table.line().split(",", 1)[1] for _ in range(100)]
+    times = [0.01 * k for k in range(1, 1001)] + [10.0 + 0.4 * k for k in range(1, 301)]
+    bench.file.writelines(f"{at:.2f},{rows[k % 100]}" for k, at in enumerate(times))
+    bench.file.flush()
+    bench.station.step()
+    assert bench.station.state["received"]["lost"] == 299 * 39
+    assert len(bench.station._live.faults) == 64
+
+
 def test_a_state_that_cannot_be_made_is_said(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench.station, "step", lambda: [][1])
     bench.station.start()
