@@ -121,7 +121,10 @@ def latency(unit: Unit, station: Station, seconds: float) -> Array:
     """Times, s, from a sample to the first state with it: of each state the longest."""
     found, end, state = [], time.monotonic() + seconds, station.state
     while time.monotonic() < end:
-        before, state = state, station.wait(state, 1.0)
+        if station.state is state:
+            time.sleep(0.002)
+            continue
+        before, state = state, station.state
         now, shown, seen = time.monotonic(), before["received"]["samples"], state["received"]["samples"]
         found += [now - next(at for count, at in unit.times if count > shown)] if seen > shown else []
     return np.array(found)

@@ -12,6 +12,7 @@ from pathlib import Path
 import uvicorn
 
 from tumble.bench.access import Access
+from tumble.bench.connections import Connection
 from tumble.bench.folder import begin
 from tumble.bench.server import app_of
 from tumble.bench.sources import in_si
@@ -84,7 +85,8 @@ def served(*stations: Station) -> Iterator[str]:
     with socket.create_server(("127.0.0.1", 0)) as bound:
         port = bound.getsockname()[1]
         app = app_of(stations, Access(host="127.0.0.1", port=port, token=TOKEN))
-        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=1))
+        config = uvicorn.Config(app, http=Connection, log_level="warning", timeout_graceful_shutdown=1)
+        server = uvicorn.Server(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
         thread.start()
         while not server.started:

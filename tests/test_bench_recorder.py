@@ -20,6 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tumble.bench.folder import begin, begin_next, leave_out, session_to_record, take_back
+from tumble.bench.follow import Clock
 from tumble.bench.intake import Intake
 from tumble.bench.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
 from tumble.bench.mavlink import Mavlink, line_of
@@ -159,14 +160,50 @@ def test_a_lost_row_holds_up_others_for_a_tenth_of_a_second_only() -> None:
     assert order.feed([Row(text="5", time=0.05)]) == []
     clock[0] = 0.11
     assert order.feed([]) == ["5"]
-    assert order.feed([Row(text="4", time=0.04)]) == []
+    assert order.feed([Row(text="4", time=0.04), Row(text="6", time=0.06)]) == ["6"]
     assert order.late == 1
 
 
 def test_a_clock_that_starts_anew_is_said() -> None:
-    _, order = _in_order([1000, 1001, 1], unordered=False)
+    out, order = _in_order([*range(1000, 1010), *range(1, 10)], unordered=False)
     assert order.restarted
-    assert order.late == 1
+    assert order.late == 9
+    assert out == [str(k) for k in range(1000, 1010)]
+
+
+DAMAGED = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from([900.5, 1e308, -1e308, 0.0])
+
+
+@given(
+    st.dictionaries(st.integers(0, 39).map(lambda k: 5 * k), DAMAGED, max_size=12),
+    st.lists(st.integers(1, 30), min_size=1, max_size=30),
+    st.booleans(),
+)
+def test_damaged_times_cost_their_own_rows_alone(damaged: dict[int, float], cuts: list[int], unordered: bool) -> None:
+    sent = [Row(text=str(k), time=damaged.get(k, 10.0 + k / RATE)) for k in range(200)]
+    order, out = Order(unordered=unordered, seconds=1.0, refuse=lambda _: None), []
+    for cut in [*cuts, len(sent)]:
+        piece, sent = sent[:cut], sent[cut:]
+        times = np.array([float(row.time or 0.0) for row in piece])
+        out += [row.text for row in piece] if len(piece) and order.passes(times) else order.feed(piece)
+    out += order.end()
+    assert {str(k) for k in range(3, 200) if k not in damaged} <= set(out)
+    assert not order.restarted
+
+
+def test_a_time_that_leaps_is_not_recorded_and_a_pause_is() -> None:
+    refused: list[bytes] = []
+    order = Order(unordered=False, seconds=1e-3, refuse=refused.append)
+    times = [10.0, 20.0, 30.0, 900_500.0, 40.0, 1e308, 1e308, 50.0, 700_000.0, 700_010.0, 700_020.0, 700_030.0]
+    out = order.feed([Row(text=f"{at}", time=at) for at in times])
+    assert out == [f"{at}" for at in times if at < 800_000.0]
+    assert refused == [b"900500.0", b"1e+308"]
+    assert (order.leapt, order.repeated, order.late) == (2, 1, 0)
+
+
+def test_rows_of_a_slow_unit_pass() -> None:
+    out, _ = _in_order([3000 * k for k in range(10)], unordered=False)
+    assert out == [str(3000 * k) for k in range(10)]
 
 
 # -------------------- recorder --------------------
@@ -209,6 +246,83 @@ def test_a_full_disk_is_said_and_nothing_is_lost(folder: Path, monkeypatch: pyte
     assert recorder.trouble is None
     recorder.close()
     assert log_of(folder) == [HEADER, row(1), row(2)]
+
+
+class FullDisk:
+    """Takes so many bytes more and then none."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
+        self.room, self._write = room, os.write
+        monkeypatch.setattr(os, "write", self.write)
+
+    def write(self, descriptor: int, data: bytearray) -> int:
+        if not self.room:
+            raise OSError(28, "No space left on device")
+        taken = bytes(data[: self.room])
+        self.room -= len(taken)
+        return self._write(descriptor, taken)
+
+
+def test_lines_that_neither_disk_nor_memory_takes_are_lost_whole(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [f"0.{k:02},1,2,3,4,5,6" for k in range(1, 13)]
+    monkeypatch.setattr("tumble.bench.recorder.KEPT_BYTES", 4 * len(rows[0]) + 10)
+    recorder = Recorder(folder / "log.csv", HEADER)
+    disk = FullDisk(monkeypatch, len(rows[0]) + 10)
+    for line in rows[:-1]:
+        recorder.append([line])
+    disk.room = 1 << 20
+    recorder.append(rows[-1:])
+    assert log_of(folder)[1:] == [*rows[:5], rows[-1]]
+    assert recorder.trouble == "6 samples are lost, which the disk did not take"
+    recorder.close()
+
+
+def test_a_recording_that_ends_on_a_full_disk_ends_with_a_whole_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = Recorder(folder / "log.csv", HEADER)
+    FullDisk(monkeypatch, len(row(1)) + 10)
+    recorder.append([row(1), row(2), row(3)])
+    recorder.close()
+    assert log_of(folder)[1:] == [row(1)]
+    assert recorder.trouble == "2 samples are lost, which the disk did not take"
+
+
+def test_a_machine_that_lost_its_power_leaves_whole_lines(folder: Path) -> None:
+    path = folder / "log.csv"
+    path.write_bytes(f"{HEADER}\n{row(1)}\n".encode() + bytes(3 << 20))
+    recorder = Recorder(path, HEADER)
+    recorder.append([row(2)])
+    recorder.close()
+    assert log_of(folder) == [HEADER, row(1), row(2)]
+
+
+class Faulty:
+    """A source of rows, which fails in other ways than sources are known to."""
+
+    name, unordered, trouble = "faulty", False, None
+
+    def __init__(self) -> None:
+        self.sent = 0
+
+    def read(self, timeout: float) -> bytes:
+        self.sent += 1
+        if self.sent in (5, 6):
+            raise ZeroDivisionError("a driver")
+        if self.sent > 10:
+            time.sleep(timeout)
+            return b""
+        return f"{row(self.sent)}\n".encode()
+
+    def close(self) -> None:
+        raise ZeroDivisionError("a driver")
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_error_in_receiving_is_said_and_the_recording_goes_on(folder: Path) -> None:
+    intake = _recorded(folder, Faulty(), lambda: None, 8)
+    assert log_of(folder)[1:] == [row(k) for k in (1, 2, 3, 4, 7, 8, 9, 10)]
+    assert "an error of the program while receiving (ZeroDivisionError: a driver)" in intake.received.trouble
 
 
 def test_a_folder_that_is_gone_is_said_and_the_recording_goes_on(folder: Path) -> None:
@@ -271,6 +385,35 @@ def test_tcp_connections_one_after_the_other(folder: Path) -> None:
     assert intake.received.refused == 2
 
 
+def test_a_tcp_sender_that_lost_its_power_gives_way_to_the_next(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tumble.bench.sources._SILENT_SECONDS", 0.05)
+    source = Tcp("127.0.0.1", 0)
+    intake = Intake(source, session_to_record(folder))
+    intake.start()
+    try:
+        with socket.create_connection(("127.0.0.1", source.port)) as dead:
+            dead.sendall("".join(f"{row(k)}\n" for k in range(1, 11)).encode() + row(11)[:5].encode())
+            eventually(lambda: intake.rows == 10)
+            with socket.create_connection(("127.0.0.1", source.port)) as successor:
+                successor.sendall("".join(f"{row(k)}\n" for k in range(12, 22)).encode())
+                eventually(lambda: intake.rows == 20)
+    finally:
+        intake.stop()
+    assert log_of(folder)[1:] == [row(k) for k in range(1, 22) if k != 11]
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 400])
+def test_a_time_that_leaps_costs_its_row_on_the_page_too(folder: Path, pieces: int) -> None:
+    (folder / "log.csv").touch()
+    sent = np.column_stack([np.arange(1, 401) / RATE, np.ones((400, 6))])
+    sent[[150, 220, 300], 0] = [900.5, 1e308, 3.4]
+    clock = Clock(spec=read_session(folder).log)
+    found = [clock.samples(rows) for rows in np.array_split(sent, pieces)]
+    times = np.concatenate([samples.time for samples in found if samples is not None])
+    np.testing.assert_array_equal(times, np.delete(sent[:, 0], [150, 220, 300]))
+    assert sum(int(samples.lost.sum()) for samples in found if samples is not None) == 3
+
+
 def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(folder: Path, tmp_path: Path) -> None:
     link, (master, slave) = tmp_path / "tty", pty.openpty()
     link.symlink_to(os.ttyname(slave))
@@ -280,9 +423,12 @@ def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(folder: Path, tm
     try:
         os.write(
             master,
-            row(1)[4:].encode() + b"\n\xff\xf0\x80\n" + f"{row(2)}\r\n{row(3)}\n".encode() + row(4)[:11].encode(),
+            row(1)[4:].encode()
+            + b"\n\xff\xf0\x80\n"
+            + f"{row(2)}\r\n{row(3)}\n{row(4)}\n".encode()
+            + row(5)[:11].encode(),
         )
-        eventually(lambda: intake.rows == 2)
+        eventually(lambda: intake.rows == 3)
         os.close(slave)
         os.close(master)
         eventually(lambda: intake.source.trouble is not None)
@@ -291,13 +437,13 @@ def test_serial_line_with_garbage_half_lines_and_a_pulled_cable(folder: Path, tm
         link.unlink()
         link.symlink_to(os.ttyname(slave))
         eventually(lambda: intake.source.trouble is None)
-        os.write(master, f"{row(5)}\n{row(6)}\n".encode())
-        eventually(lambda: intake.rows == 4)
+        os.write(master, f"{row(6)}\n{row(7)}\n".encode())
+        eventually(lambda: intake.rows == 5)
     finally:
         intake.stop()
         os.close(slave)
         os.close(master)
-    assert log_of(folder)[1:] == [row(k) for k in (2, 3, 5, 6)]
+    assert log_of(folder)[1:] == [row(k) for k in (2, 3, 4, 6, 7)]
     assert intake.received.refused == 3
 
 

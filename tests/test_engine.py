@@ -21,9 +21,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tumble.campaigns import engine
-from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.cluster import executor_for, on_cluster
 from tumble.campaigns.engine import Chunks, Done, Executor, Job, Row, run, serially
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError, MissingExtraError, TumbleError
 
 BAD, DEADLY = 7, 13
 SCHEMA = {"name": pl.String, "x": pl.Float64, "k": pl.Int64}
@@ -256,6 +256,41 @@ def test_a_task_that_ends_every_process_is_a_row_and_the_others_finish(processes
     assert row["name"] == f"task {DEADLY}"
     serial = rows(job(partial(deadly, os.getpid())), tmp_path / "serial")
     assert found.filter(pl.col("task") != DEADLY).equals(serial.filter(pl.col("task") != DEADLY))
+
+
+class Deserted:
+    """A cluster whose processes were ended, and begin no more."""
+
+    def nthreads(self) -> dict[str, int]:
+        return {}
+
+    def submit(self, *_work: object, **_how: object) -> object:
+        return object()
+
+
+def test_a_cluster_that_has_lost_all_processes_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing_done(*_: object, timeout: float, **__: object) -> None:
+        time.sleep(timeout)
+        raise TimeoutError
+
+    monkeypatch.setattr("distributed.wait", nothing_done)
+    monkeypatch.setattr("tumble.campaigns.cluster.LOOK_SECONDS", 0.01)
+    monkeypatch.setattr("tumble.campaigns.cluster.LOST_SECONDS", 0.05)
+    with pytest.raises(
+        TumbleError, match="the processes were ended, and no other has begun; what was computed is kept"
+    ):
+        run(job(), tmp_path / "out", executor=on_cluster(cast(Any, Deserted())))
+
+
+def test_processes_that_end_while_they_begin_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(**_: object) -> None:
+        raise RuntimeError("Nanny failed to start.")
+
+    monkeypatch.setattr("distributed.LocalCluster", fails)
+    with pytest.raises(TumbleError, match=r"the processes could not be begun \(Nanny failed"), executor_for(workers=2):
+        pass
 
 
 def test_everything_listens_on_the_loopback_and_not_at_the_port_of_a_dashboard(processes: Executor) -> None:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import errno
+import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import polars as pl
 import pytest
 
+import tumble
 from tumble.errors import LogError
 from tumble.files import nothing_left, whole_file
+from tumble.recording.panic import COMMAND_LINE
 from tumble.recording.readers import source_of
 
 
@@ -65,9 +70,53 @@ def test_nothing_is_left_of_a_folder_that_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_panics_at_a_damaged_parquet_file_stay_off_the_terminal(
+def test_panics_at_a_damaged_parquet_file_stay_off_the_terminal_of_a_command(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    in_a_command(damaged_parquet, tmp_path)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_program_that_uses_the_library_keeps_its_standard_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "dup2", lambda *_: pytest.fail("standard error is that of the whole process"))
+        patched.setattr(os, "umask", lambda *_: pytest.fail("the mask is that of the whole process"))
+        damaged_parquet(tmp_path)
+        with whole_file(tmp_path / "file") as temporary:
+            temporary.write_text("")
+
+
+STATE_OF_THE_PROCESS = r"\b(umask|dup2|chdir|catch_warnings|simplefilter|filterwarnings|redirect_std\w+|signal)\("
+
+
+def test_nothing_but_a_command_changes_what_the_whole_process_has() -> None:
+    source = Path(tumble.__file__).parent
+    found = {
+        str(path.relative_to(source))
+        for path in source.rglob("*.py")
+        if re.search(STATE_OF_THE_PROCESS, path.read_text(encoding="utf-8"))
+    }
+    assert found == {
+        "cli.py",
+        "campaigns/cluster.py",  # in the processes of the cluster
+        "recording/panic.py",  # in a command alone
+        "recording/formats/ardupilot.py",
+    }
+
+
+def in_a_command(do: Callable[[Path], None], folder: Path) -> None:
+    """Do something as a command does."""
+    token = COMMAND_LINE.set(True)
+    try:
+        do(folder)
+    finally:
+        COMMAND_LINE.reset(token)
+
+
+def damaged_parquet(tmp_path: Path) -> None:
+    """Read a Parquet file that is damaged."""
     path = tmp_path / "log.parquet"
     columns = {name: [float(i) for i in range(2000)] for name in ("t", "ax", "ay", "az")}
     pl.DataFrame(columns).write_parquet(path, compression="uncompressed", statistics=False)
@@ -76,4 +125,3 @@ def test_panics_at_a_damaged_parquet_file_stay_off_the_terminal(
     with pytest.raises(LogError) as raised:
         list(source_of(path).tables(["t", "ax"]))
     assert "\n" not in str(raised.value)
-    assert capfd.readouterr().err == ""

@@ -25,6 +25,7 @@ from scipy.io import savemat
 from tumble.drafting.new_session import new_session
 from tumble.errors import InputError
 from tumble.recording.formats import Message, as_log, is_recording, messages
+from tumble.recording.panic import COMMAND_LINE
 from tumble.units import Array
 
 RATE = 100
@@ -363,8 +364,12 @@ def test_what_a_library_prints_of_a_damaged_recording_stays_away(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "r.bin").write_bytes(b"abc" * 1000)
-    with pytest.raises(InputError):
-        messages(tmp_path / "r.bin")
+    token = COMMAND_LINE.set(True)
+    try:
+        with pytest.raises(InputError):
+            messages(tmp_path / "r.bin")
+    finally:
+        COMMAND_LINE.reset(token)
     said = capfd.readouterr()
     assert said.out == said.err == ""
 

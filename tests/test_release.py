@@ -28,7 +28,7 @@ def test_the_wheel_holds_the_package_its_pages_its_types_and_its_command(tmp_pat
     assert {"tumble/py.typed", "tumble/bench/page/index.html", "tumble/bench/page/vendor/uPlot.LICENSE"} <= names
     metadata = (name for name in wheel.namelist() if ".dist-info/" in name)
     described = {name.partition(".dist-info/")[2]: wheel.read(name).decode() for name in metadata}
-    assert "tumble = tumble.cli:main" in described["entry_points.txt"]
+    assert "tumble = tumble.__main__:run" in described["entry_points.txt"]
     compiled = "tumble/compiled.json" in names
     assert f"Root-Is-Purelib: {str(not compiled).lower()}" in described["WHEEL"]
     assert ("Tag: cp311-abi3-" if compiled else "Tag: py3-none-any") in described["WHEEL"]  # any Python from 3.11

@@ -1,5 +1,5 @@
 """The command line. Data to standard output, talk to standard error. Exit status 0 accepted, 1 not accepted (reasons
-on standard error), 2 unusable input or arguments."""
+on standard error), 2 unusable input or arguments, 70 an error of the program, 130 stopped."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import gc
 import os
 import platform
 import signal
+import socket
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
@@ -26,6 +28,8 @@ from tumble import __version__, commands
 from tumble.compiled import record
 from tumble.documents import one_line
 from tumble.errors import TumbleError
+from tumble.program_errors import check_address_space, ended_by
+from tumble.recording.panic import COMMAND_LINE
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
 atexit.register(gc.freeze)  # a process that ends needs no search for garbage, which takes a fifth of a short command
@@ -55,11 +59,16 @@ def _in_one_line() -> Iterator[None]:
     except KeyboardInterrupt:
         click.echo("tumble: stopped", err=True)
         raise SystemExit(128 + signal.SIGINT) from None
+    except EOFError as error:  # which click would take for the end of what is typed, and end with the status 1
+        raise RuntimeError("a file ended where more was expected") from error
     except OSError as error:
         if error.errno == errno.EPIPE:
             raise
         raise _Refused(f"{error.filename or 'standard output'}: {error.strerror or error}") from error
 
+
+STUCK_SECONDS = 5.0
+"""How long a command may take to notice that it is to end."""
 
 GROUPS = {
     "From a recording to a calibration": (
@@ -117,7 +126,15 @@ def first_sentence(command: click.Command) -> str:
 
 
 class _Commands(click.Group):
-    """Commands whose errors are one line on standard error, with exit status 2."""
+    """Commands whose errors are one line on standard error, with exit status 2; those of the program itself with 70."""
+
+    def __call__(self, *args: Any, **extra: Any) -> Any:
+        try:
+            return super().__call__(*args, **extra)
+        except (SystemExit, GeneratorExit):
+            raise
+        except BaseException as error:  # a panic of polars is no Exception
+            raise SystemExit(ended_by(error)) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands by what they are for, each with its first sentence."""
@@ -144,24 +161,47 @@ class _Commands(click.Group):
 @click.pass_context
 def main(context: click.Context, quiet: bool, verbose: bool) -> None:
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
+    if context.invoked_subcommand in (*GROUPS["From a recording to a calibration"], *GROUPS["Many at once"]):
+        check_address_space()
     if not record() and not quiet:
         click.echo("tumble: the loops over samples are not compiled and run as plain Python, slowly", err=True)
     context.call_on_close(_ended_in_order())
+    context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
+    warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file
     if verbose:
         started = time.monotonic()
         context.call_on_close(lambda: _say_what_it_took(time.monotonic() - started))
 
 
 def _ended_in_order() -> Callable[[], object]:
-    """Ends the command where the system asks it to (SIGTERM) as an error does: nothing half written is left. Gives a
+    """Ends the command where the system asks it to (SIGTERM) as an error does: nothing half written is left. Where the
+    command does not get to it, as in a library whose threads wait for each other, it ends without that. Gives a
     function that undoes this."""
+    ending = threading.Event()
 
     def end(number: int, _frame: object) -> NoReturn:
+        ending.set()
         raise SystemExit(128 + number)
+
+    def end_if_stuck() -> None:
+        with heard:
+            while number := heard.recv(1):
+                asked = number[0] == signal.SIGTERM and signal.getsignal(signal.SIGTERM) is end
+                if asked and not ending.wait(STUCK_SECONDS):
+                    with suppress(OSError):
+                        os.write(2, b"tumble: stopped\n")
+                    os._exit(128 + signal.SIGTERM)
 
     if threading.current_thread() is not threading.main_thread():
         return lambda: None
-    return partial(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, end))
+    heard, told = socket.socketpair()
+    told.setblocking(False)
+    undo = ExitStack()
+    undo.enter_context(told)
+    undo.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False))
+    undo.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, end))
+    threading.Thread(target=end_if_stuck, name="stuck", daemon=True).start()
+    return undo.close
 
 
 def _say_what_it_took(seconds: float) -> None:

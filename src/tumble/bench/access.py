@@ -19,6 +19,8 @@ from urllib.parse import urlsplit
 
 TOKEN_VARIABLE = "TUMBLE_BENCH_TOKEN"
 _LEAST = 16
+_OF_OTHERS = 0 if os.name == "nt" else 0o077
+"""Bits of the mode of a file that let others than its owner at it."""
 
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (
@@ -34,7 +36,8 @@ HEADERS: Mapping[str, str] = {
 
 
 def lasting_token() -> str:
-    """The token of this user: that of the environment, else that of a file only the user can read, made if need be."""
+    """The token of this user: that of the environment, else that of a file only the user can read, made if need be;
+    made anew where others could read the file, who may then know it."""
     given = os.environ.get(TOKEN_VARIABLE, "")
     if len(given) >= _LEAST:
         return given
@@ -42,14 +45,15 @@ def lasting_token() -> str:
     path = state / "bench-token"
     try:
         found = path.read_text(encoding="ascii").strip()
-        if len(found) >= _LEAST:
+        if len(found) >= _LEAST and not path.stat().st_mode & _OF_OTHERS:
             return found
-    except OSError:
+    except (OSError, UnicodeDecodeError):
         pass
     token = secrets.token_urlsafe(24)
     try:
         state.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        path.unlink(missing_ok=True)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "w", encoding="ascii") as file:
             file.write(token)
     except OSError as error:
@@ -81,9 +85,9 @@ class Access:
 
     def answers_to(self, host: str | None) -> bool:
         """Whether a Host header names this server: by an address, by localhost, or as it was told to be called. Another
-        site's name that leads here is none."""
+        site's name that leads here is none. Beyond the loopback the port may be that of a proxy before it."""
         name, port = _split(host)
-        if port != self.port or name is None:
+        if name is None or (self.loopback and port != self.port):
             return False
         if name in ("localhost", self.host):
             return True
@@ -92,11 +96,8 @@ class Access:
         return not self.loopback and _is_address(name)
 
     def same_origin(self, origin: str | None, host: str | None) -> bool:
-        """Whether a page of this server sends the request."""
-        if origin is None:
-            return False
-        parts = urlsplit(origin)
-        return parts.scheme == "http" and parts.netloc == host
+        """Whether a page of this server sends the request, itself or through a proxy that encrypts."""
+        return origin is not None and origin in (f"http://{host}", f"https://{host}")
 
 
 def is_loopback(host: str) -> bool:

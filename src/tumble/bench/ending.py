@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
+import threading
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
 
 CALIBRATION_FILE = "calibration.json"
 REPORT_FILE = "report.html"
-_RESULTS = (0, 1)  # accepted and not
+_VERDICTS = {0: True, 1: False}
+"""Whether a calibration is accepted, by the exit status of `tumble calibrate`; any other is no verdict."""
+_LOOK_SECONDS = 0.05
 _ENDINGS = {"c": ".h", "px4": ".params", "ardupilot": ".parm", "csv": ".csv", "mat": ".mat", "dcc": ".xml"}
 
 
@@ -52,25 +56,48 @@ class Results:
         return asdict(self)
 
 
-def calibrated(folder: Path) -> Calibration:
+def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
     """The calibration of a session folder, written into it by `tumble calibrate`: in a process of its own, which leaves
-    this one its time and gives back its memory. Raises CalibrationError with what that says."""
+    this one its time and gives back its memory, and is ended when the bench is `stopped`.
+
+    The process writes a new file, which is empty before it, and what stands there is believed only where it agrees with
+    how the process has ended. Raises CalibrationError with what that says; the file of an earlier calibration then
+    stays as it is."""
     from tumble.calibration.calibration_file import read_calibration
 
-    target = folder / CALIBRATION_FILE
-    words = ["calibrate", "--force", "--out", str(target), "--", str(folder)]
-    run = subprocess.run(
-        [sys.executable, "-m", "tumble", *words],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        check=False,
-    )
-    if run.returncode not in _RESULTS:
-        said = run.stderr.strip().splitlines() or [f"it ended with status {run.returncode}"]
-        raise CalibrationError(said[-1].removeprefix("tumble: "))
-    return read_calibration(target)
+    with whole_file(folder / CALIBRATION_FILE) as fresh:
+        status, said = _run("calibrate", "--force", "--out", str(fresh), "--", str(folder), stopped=stopped)
+        if status not in _VERDICTS:
+            raise CalibrationError(said or f"nothing is calibrated: the calibration was ended with the status {status}")
+        if not fresh.stat().st_size:
+            raise CalibrationError(f"nothing is calibrated: the calibration has ended without a result; {said}")
+        calibration = read_calibration(fresh)
+        if calibration.outcome.accepted is not _VERDICTS[status]:
+            raise CalibrationError(
+                f"nothing is calibrated: expected a result that agrees with the exit status {status}, found another"
+            )
+    return calibration
+
+
+def _run(*words: str, stopped: threading.Event) -> tuple[int, str]:
+    """The exit status of a command of tumble and the last line that it says on standard error. No module of the folder
+    it runs in is taken for one of Python's or of tumble's (-P)."""
+    with (
+        tempfile.TemporaryFile() as said,
+        subprocess.Popen(
+            [sys.executable, "-P", "-m", "tumble", *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=said,
+        ) as process,
+    ):
+        while process.poll() is None:
+            if stopped.wait(_LOOK_SECONDS):
+                process.terminate()
+                process.wait()
+        said.seek(0)
+        lines = said.read().decode("utf-8", errors="replace").strip().splitlines()
+    return process.returncode, lines[-1].removeprefix("tumble: ") if lines else ""
 
 
 def report_of(folder: Path) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from concurrent.futures import Executor, Future
@@ -20,6 +21,8 @@ from tumble.reduction.blocks import Reduction
 from tumble.reduction.segmentation import RestSpan
 from tumble.units import G_STANDARD, Array
 
+log = logging.getLogger(__name__)
+
 _NO_ESTIMATE: dict[str, Any] = {
     "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0,
     "seconds": 0.0,
@@ -33,7 +36,7 @@ class Estimates:
     def __init__(self, task: Task, worker: Executor) -> None:
         self.shown: dict[str, Any] | None = None
         self._task, self._worker = task, worker
-        self._made_of: tuple[object, ...] = ()
+        self._made_of: tuple[tuple[int, ...], int] = (), 0
         self._future: Future[dict[str, Any]] | None = None
 
     @property
@@ -42,9 +45,17 @@ class Estimates:
         return self._future is not None
 
     def take(self) -> None:
-        """Take the one that was being made, if it is done."""
-        if self._future is not None and self._future.done():
-            self.shown, self._future = self._future.result(), None
+        """Take the one that was being made, if it is done. One that has failed is said; the next is made as ever."""
+        if self._future is None or not self._future.done():
+            return
+        done, self._future = self._future, None
+        error = done.exception()
+        if error is None:
+            self.shown = done.result()
+            return
+        log.error("an estimate has failed", exc_info=error)
+        cause = f"the estimate has failed ({type(error).__name__}: {error}); the recording goes on"
+        self.shown = _NO_ESTIMATE | {"rests": len(self._made_of[0]), "cause": " ".join(cause.split())}
 
     def ask(self, now: Followed, progress: Progress, excluded: tuple[Exclusion, ...]) -> None:
         """Have one made when there is another rest to make it from."""

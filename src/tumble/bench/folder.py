@@ -4,19 +4,17 @@ operator leaves out written into it."""
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError, SessionError
-from tumble.files import whole_file
+from tumble.files import plain_name, whole_file
 from tumble.recording.session import Exclusion, Session
 from tumble.recording.session_file import SESSION_FILE, read_session, write_session
 
 _DIALECT = ("delimiter", "decimal", "comment", "header", "encoding")
-_NOT_IN_A_NAME = re.compile(r"[^\w.+-]+")
 
 
 def begin(
@@ -63,7 +61,7 @@ def session_to_record(folder: Path) -> Session:
 
 def next_folder(folder: Path, serial: str) -> Path:
     """A new folder beside `folder` for the unit of this serial number."""
-    name = _NOT_IN_A_NAME.sub("_", serial).strip("._") or "unit"
+    name = plain_name(serial)
     number, found = 1, folder.parent / name
     while found.exists():
         number += 1

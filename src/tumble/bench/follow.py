@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tumble.bench.lines import Lines, numbers_in
+from tumble.recording.gaps import JUMP
 from tumble.recording.session import LogSpec
+from tumble.recording.timed_rows import leaping
 from tumble.units import Array
 
 PIECE_BYTES = 1 << 18
@@ -48,9 +51,8 @@ class Follower:
             numbers = numbers_in(data, len(self.columns))
             if numbers is not None:
                 return numbers
-        rows = lines.feed(data)
-        text = ",".join(row.text for row in rows)
-        return np.fromstring(text, sep=",").reshape(-1, len(self.columns))
+        values = [float(value) for row in lines.feed(data) for value in row.text.split(",")]
+        return np.array(values).reshape(-1, len(self.columns))
 
 
 def growing_file(spec: LogSpec) -> Path:
@@ -82,7 +84,8 @@ _HEAD = 100
 @dataclass(kw_only=True, slots=True, eq=False)
 class Clock:
     """Makes samples of rows: in the order of their times, with the interval of each. `interval` is None until there
-    are enough rows to know it."""
+    are enough rows to know it. A row that leaps beyond the next one is none, as in the log that is calibrated; a last
+    one that may is held until the next has come."""
 
     spec: LogSpec
     interval: float | None = None
@@ -90,6 +93,7 @@ class Clock:
     count: int = 0
     start: float = 0.0
     _head: list[Array] | None = None
+    _held: Array | None = None
 
     def samples(self, rows: Array) -> SoundSamples | None:
         """The samples of the next rows; None while the interval is not known."""
@@ -100,16 +104,28 @@ class Clock:
             rows, self._head = np.concatenate(self._head), None
             self._learn(rows)
         assert self.interval is not None
-        sound = np.isfinite(rows).all(axis=1)
-        values = rows if self.spec.time is None else rows[:, 1:]
         if self.spec.time is None or self.spec.regular:
             time = np.asarray(self.start + self.interval * np.arange(self.count, self.count + len(rows)), dtype=float)
             self.count += len(rows)
         else:
-            time = rows[:, 0] * self.spec.time_factor
-            before = -np.inf if self.last is None else self.last
-            sound &= time > np.maximum.accumulate(np.concatenate([[before], time[:-1]]))
+            rows, time = self._in_order(rows, JUMP * self.interval)
+        values = rows if self.spec.time is None else rows[:, 1:]
+        sound = np.isfinite(rows).all(axis=1)
         return self._steps(time[sound], values[sound], self.interval)
+
+    def _in_order(self, rows: Array, step: float) -> tuple[Array, Array]:
+        """The rows whose times, s, increase, without those that leap by more than a `step` beyond the next."""
+        rows = rows if self._held is None else np.concatenate([self._held, rows])
+        time = rows[:, 0] * self.spec.time_factor
+        before = -math.inf if self.last is None else self.last
+        keep = ~leaping(time, before, step)
+        times = np.concatenate([[before], time])
+        self._held = rows[-1:] if len(time) and times[-1] - times[-2] > step else None
+        if self._held is not None:
+            keep[-1] = False
+        rows, time = rows[keep], time[keep]
+        later = time > np.maximum.accumulate(np.concatenate([[before], time]))[:-1]
+        return rows[later], time[later]
 
     def _learn(self, rows: Array) -> None:
         if self.spec.time is None:

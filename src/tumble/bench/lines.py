@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -164,10 +163,8 @@ def numbers_in(data: bytes, columns: int) -> Array | None:
     commas = np.searchsorted(np.flatnonzero(text == ord(",")), ends)
     if np.any(np.diff(commas, prepend=0) != columns - 1):
         return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)
-        try:
-            found = np.fromstring(data.replace(b"\n", b",")[:-1].decode("ascii"), sep=",")
-        except (DeprecationWarning, ValueError):
-            return None
-    return found.reshape(-1, columns) if len(found) == len(ends) * columns and np.isfinite(found).all() else None
+    try:
+        found = np.array(list(map(float, data.replace(b"\n", b",")[:-1].split(b","))))
+    except ValueError:
+        return None
+    return found.reshape(-1, columns) if np.isfinite(found).all() else None

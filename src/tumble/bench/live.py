@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,8 @@ from tumble.reduction.segmentation import RestSpan, Segmentation
 
 _WINDOW = 1200
 _PIECES = 32
+_MOST_FAULTS = 64
+"""Faults of samples that are kept: nobody answers more, and a source that stutters for hours has one a second."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -38,7 +41,7 @@ class Live:
 
     def __init__(self, task: Task) -> None:
         self.now: Followed | None = None
-        self.faults: list[Fault] = []
+        self.faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self.samples = self.lost = 0
         self._task = task
         self._follower = Follower.of(task.session.log)

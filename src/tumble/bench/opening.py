@@ -10,11 +10,11 @@ from typing import Any
 from tumble.bench import folder as folders
 from tumble.bench.sources import MOTIONCAL_LOG, LineSource, in_si, is_recorded, source_of
 from tumble.bench.station import Station
+from tumble.bench.virtual_table import FULL_SCALE, GRAVITY
 from tumble.errors import InputError
 from tumble.programme.positions import programme as built_in
 from tumble.recording.session_file import SESSION_FILE, read_session
-
-FULL_SCALE_OF_VIRTUAL = 5.235987755982989  # rad/s: 300 °/s
+from tumble.usual_setup import LATITUDE_DEG
 
 
 def stations_of(
@@ -93,8 +93,14 @@ def _make(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any]
         return
     if kind == "simulator":
         log = in_si()
-        log["gyro"] = log["gyro"] | {"range": FULL_SCALE_OF_VIRTUAL}
-        site = {"latitude_deg": 56.84, "gravity": 9.81579, "gravity_u": 1e-6}
+        log["gyro"] = log["gyro"] | {"range": FULL_SCALE}
+        there = {"latitude_deg": LATITUDE_DEG, "gravity": GRAVITY}
+        if {**there, **site} != there:
+            raise InputError(
+                f"--latitude, --gravity: expected those of the simulated unit, {LATITUDE_DEG}° and {GRAVITY} m/s², "
+                "found others; leave them out"
+            )
+        site = there | {"gravity_u": 1e-6}
         programme, serial = programme or rest.partition("@")[0] or "rough-table", serial or "virtual-1"
         folders.begin(folder, log=log, serial=serial, site=site, programme=programme)
         return

@@ -1,4 +1,10 @@
-"""Rows in the order of their times, where a network may exchange, repeat or lose them."""
+"""Rows in the order of their times, where a network may exchange, repeat or lose them, and damage a time.
+
+A row that follows the last one within a second passes. One that leaps farther ahead, or is late, is set apart: if the
+next row follows the last one, its time was wrong. If three in succession agree with each other, they are believed: the
+stream has paused, or the time of a row that has passed before them was wrong, which the readers of logs leave out. Rows
+that agree and are late behind three or more are late, or of a clock that was started anew.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +23,13 @@ WAIT_SECONDS = 0.1
 MOST_WAITING = 256
 JUMP = 1.5
 """Intervals: a longer step leaves room for rows that may still come."""
+LEAP_SECONDS = 1.0
+LEAP_INTERVALS = 10.0
+"""A row that comes later than the longer of these after the last one leaps. Less would set rows apart wherever a stream
+stutters; a wrong time within it passes, and the three rows after it are believed against it."""
+AGREE = 3
+"""Rows that agree are believed: of random times within an hour two follow each other within a second once in 3,600
+times, three once in 10⁷."""
 RESTARTED = 5.0
 """s: a clock that goes back by more has been started anew."""
 
@@ -25,9 +38,9 @@ RESTARTED = 5.0
 class Order:
     """Lets rows pass in the order of their times. From an `unordered` source a row after a missing one waits for it,
     a tenth of a second at most. `seconds` is one unit of the log's time in s. `late` counts rows that came too late,
-    `repeated` those that came twice; `restarted` says whether the clock was seen to start anew. Rows up to
-    the `last` one of an earlier recording, which a
-    source may send again, are passed over until a new one comes."""
+    `leapt` those whose time was too far ahead, `repeated` those that came twice; `restarted` says whether the clock was
+    seen to start anew. Rows up to the `last` one of an earlier recording, which a source may send again, are passed
+    over until a new one comes."""
 
     unordered: bool
     seconds: float
@@ -35,11 +48,14 @@ class Order:
     now: Callable[[], float] = time.monotonic
     last: float | None = None
     late: int = 0
+    leapt: int = 0
     repeated: int = 0
     restarted: bool = False
     _interval: float | None = None
     _waiting: list[tuple[float, str, float]] = field(default_factory=list)
     """Times, rows, and when they came."""
+    _apart: list[tuple[float, str]] = field(default_factory=list)
+    """Times and rows that do not follow the last one, fewer than AGREE."""
     _passed: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
 
     def feed(self, rows: list[Row]) -> list[str]:
@@ -54,11 +70,12 @@ class Order:
         return out
 
     def passes(self, times: Array) -> bool:
-        """Let rows pass whose times rise, after those before; False, and nothing is done, where one by one must be
-        looked at."""
-        if self.unordered or self._waiting or len(times) < 2 or not np.all(np.diff(times) > 0.0):
+        """Let rows pass whose times follow each other and those before; False, and nothing is done, where one by one
+        must be looked at."""
+        if self.unordered or self.last is None or self._interval is None or self._waiting or self._apart:
             return False
-        if self.last is not None and times[0] <= self.last:
+        steps = np.diff(times, prepend=self.last)
+        if not np.all((steps > 0.0) & (steps <= self._longest(self._interval))):
             return False
         for at in times[-MOST_WAITING:].tolist():
             self._note(at)
@@ -66,16 +83,21 @@ class Order:
 
     @property
     def waiting(self) -> list[str]:
-        """The rows that wait, in order."""
-        return [text for _, text, _ in sorted(self._waiting)]
+        """The rows that wait or are set apart, in the order in which they would pass."""
+        return [text for _, text, _ in sorted(self._waiting)] + [text for _, text in self._apart]
 
     def end(self) -> list[str]:
-        """The rows that wait, when nothing comes any more."""
-        out, self._waiting = self.waiting, []
+        """The rows that wait, when nothing comes any more: of those set apart the ones that were the first of all."""
+        if self.last is not None or np.any(np.diff([at for at, _ in self._apart]) <= 0.0):
+            self._refuse_apart()
+        out, self._waiting, self._apart = self.waiting, [], []
         return out
 
     def _is_new(self, row: Row) -> bool:
         assert row.time is not None
+        if any(row.time == apart for apart, _ in self._apart):
+            self.repeated += 1
+            return False
         if self.last is None or (row.time > self.last and not self._waiting):
             return True
         if self.last is not None and self._interval is None and row.time <= self.last:
@@ -83,20 +105,62 @@ class Order:
         if row.time in self._passed or any(row.time == waiting for waiting, _, _ in self._waiting):
             self.repeated += 1
             return False
-        if self.last is not None and row.time < self.last:
-            self.restarted = self.restarted or (self.last - row.time) * self.seconds > RESTARTED
-            self.late += 1
-            self.refuse(row.text.encode())
-            return False
         return True
 
     def _take(self, at: float, text: str, out: list[str]) -> None:
+        if self.last is None or not self.last < at <= self._newest(self.last) + self._longest(self._interval or 0.0):
+            self._set_apart(at, text, out)
+            return
+        self._refuse_apart()
         if not self.unordered or not self._leaves_room(at):
             self._pass(at, text, out)
             self._contiguous(out)
             return
         heapq.heappush(self._waiting, (at, text, self.now()))
         self._contiguous(out)
+
+    def _newest(self, last: float) -> float:
+        """The latest time of the rows that follow each other, also of those that wait."""
+        return max([last, *(at for at, _, _ in self._waiting)])
+
+    def _longest(self, interval: float) -> float:
+        """The longest step between rows that follow each other, in units of the log."""
+        return max(LEAP_SECONDS / self.seconds, LEAP_INTERVALS * interval)
+
+    def _set_apart(self, at: float, text: str, out: list[str]) -> None:
+        """Keep a row that does not follow the last one until it is known what to think of it."""
+        if len(self._apart) == AGREE - 1 and not self._agree([*(apart for apart, _ in self._apart), at]):
+            self._refuse_apart(1)
+        self._apart.append((at, text))
+        if len(self._apart) < AGREE:
+            return
+        first = self._apart[0][0]
+        behind = sum(passed > first for passed in self._passed)
+        if self.last is None or first > self.last or (behind < AGREE and any(p < first for p in self._passed)):
+            agreed, self._apart = self._apart, []
+            while self._waiting and self._waiting[0][0] < first:
+                self._pass(*heapq.heappop(self._waiting)[:2], out)
+            if self._interval is None:
+                self._interval = float(np.diff([when for when, _ in agreed]).min())
+            for when, row in agreed:
+                self._pass(when, row, out)
+            return
+        self.restarted = self.restarted or (self.last - first) * self.seconds > RESTARTED
+        self._refuse_apart()
+
+    def _agree(self, times: list[float]) -> bool:
+        """Whether rows with these times follow each other."""
+        steps = np.diff(times)
+        interval = float(steps.min()) if self._interval is None else self._interval
+        return bool(np.all((steps > 0.0) & (steps <= self._longest(interval))))
+
+    def _refuse_apart(self, count: int = AGREE) -> None:
+        """Refuse the first rows that are set apart: their times are wrong, or they are late."""
+        refused, self._apart = self._apart[:count], self._apart[count:]
+        for at, text in refused:
+            ahead = self.last is None or at > self.last
+            self.leapt, self.late = self.leapt + ahead, self.late + (not ahead)
+            self.refuse(text.encode())
 
     def _contiguous(self, out: list[str]) -> None:
         while self._waiting and not self._leaves_room(self._waiting[0][0]):

@@ -2,7 +2,7 @@
 
 Lines are appended whole, in one write without a buffer, so that a process that is killed leaves all it has received,
 and are forced to the disk once a second, so that a machine that loses its power leaves all but the last second. Where
-the disk takes no more, lines are kept in memory and written when it does again.
+the disk takes no more, lines are kept in memory and written when it does again; what is lost is whole lines.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Recorder:
         self.path = path
         self.refused, self.held = path.with_name("refused.txt"), path.with_name("held.csv")
         self.trouble: str | None = None
-        self.bytes = 0
+        self.bytes = self.lost = 0
         self._pending = bytearray()
         self._synced = time.monotonic()
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
@@ -49,9 +49,9 @@ class Recorder:
     def _go_on(self, header: str) -> None:
         """Cut the line that was not finished, and check the header or write it."""
         size = os.fstat(self._descriptor).st_size
-        whole, rest = _whole(self._descriptor, size)
-        if rest:
-            self.refuse(rest)
+        whole = _whole(self._descriptor, size)
+        if whole < size:
+            self.refuse(os.pread(self._descriptor, min(size - whole, _WRITE_BYTES), whole))
             os.ftruncate(self._descriptor, whole)
         self.bytes = whole
         if whole == 0:
@@ -72,13 +72,18 @@ class Recorder:
                 written = os.write(self._descriptor, self._pending[:_WRITE_BYTES])
                 self.bytes += written
                 del self._pending[:written]
-            self.trouble = None
+            self.trouble = f"{self.lost} samples are lost, which the disk did not take" if self.lost else None
         except OSError as error:
-            kept = f"{len(self._pending) / 1e6:.1f} MB are kept in memory"
-            self.trouble = f"the disk takes nothing: {error.strerror}; {kept}"
             if len(self._pending) > KEPT_BYTES:
-                self.trouble = f"the disk takes nothing: {error.strerror}; samples are being lost"
-                del self._pending[KEPT_BYTES : self._pending.rfind(b"\n") + 1]
+                self._lose(self._pending.rfind(b"\n", 0, KEPT_BYTES) + 1)
+            kept = f"{len(self._pending) / 1e6:.1f} MB are kept in memory"
+            lost = f", {self.lost} samples are lost" if self.lost else ""
+            self.trouble = f"the disk takes nothing: {error.strerror}; {kept}{lost}"
+
+    def _lose(self, kept: int) -> None:
+        """Give up what waits for the disk behind so many bytes of it, the end of a line."""
+        self.lost += self._pending.count(b"\n", kept)
+        del self._pending[kept:]
 
     def refuse(self, raw: bytes) -> None:
         """Keep what was received and is no row of the log."""
@@ -124,8 +129,14 @@ class Recorder:
             self._synced = time.monotonic()
 
     def close(self) -> None:
-        """End the recording; it may go on later."""
+        """End the recording; it may go on later. What the disk does not take now is lost, and the log ends with a whole
+        line."""
         self._write()
+        if self._pending:
+            self._lose(0)
+            self.trouble = f"{self.lost} samples are lost, which the disk did not take"
+            with self._troubled():
+                os.ftruncate(self._descriptor, _whole(self._descriptor, os.fstat(self._descriptor).st_size))
         with self._troubled():
             os.fsync(self._descriptor)
         os.close(self._descriptor)
@@ -133,12 +144,16 @@ class Recorder:
             self.held.unlink()
 
 
-def _whole(descriptor: int, size: int) -> tuple[int, bytes]:
-    """How many bytes of a file are whole lines, and what follows them."""
-    start = max(0, size - (1 << 16))
-    tail = os.pread(descriptor, size - start, start)
-    end = tail.rfind(b"\n") + 1
-    return start + end, tail[end:]
+def _whole(descriptor: int, size: int) -> int:
+    """How many bytes of a file are whole lines."""
+    stop = size
+    while stop > 0:
+        start = max(0, stop - _WRITE_BYTES)
+        end = os.pread(descriptor, stop - start, start).rfind(b"\n")
+        if end >= 0:
+            return start + end + 1
+        stop = start
+    return 0
 
 
 def _lock(descriptor: int, path: Path) -> None:

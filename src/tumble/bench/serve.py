@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import tempfile
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -32,6 +33,7 @@ def serve(
     with needs_extra("the bench page", "bench", "fastapi", "uvicorn", "starlette"):
         import uvicorn
 
+        from tumble.bench.connections import ACCEPTED_AT_ONCE, WAITING, Connection
         from tumble.bench.server import app_of
     with _listening(host, port) as bound, ExitStack() as running:
         opened = _started(stations, folders)
@@ -40,14 +42,35 @@ def serve(
         port = bound.getsockname()[1]
         access = Access(host=host, port=port, token=lasting_token())
         app = app_of(opened, access)
-        server = _server(uvicorn, app)
+        config = uvicorn.Config(
+            app,
+            http=Connection,
+            ws="none",
+            backlog=ACCEPTED_AT_ONCE,
+            log_config=None,
+            log_level="error",  # what strangers send that is no request is none
+            access_log=False,  # a request may have the token
+            timeout_graceful_shutdown=3,
+        )
+        server = _server(uvicorn, config, WAITING)
         link = f"http://{_reachable(host)}:{port}/?token={access.token}"
         say(f"the page: {link}")
         if not access.loopback:
             say(_qr(link))
         if browser:
-            webbrowser.open(link)
+            running.enter_context(_in_browser(link))
         server.run(sockets=[bound])
+
+
+@contextmanager
+def _in_browser(link: str) -> Iterator[None]:
+    """A browser with the link: it gets the name of a file that only this user can read and that leads to it, for the
+    words of a process are seen by all who use the machine."""
+    with tempfile.TemporaryDirectory(prefix="tumble-bench-") as private:
+        way = Path(private) / "bench.html"
+        way.write_text(f'<meta http-equiv="refresh" content="0; url={link}">\n', encoding="ascii")
+        webbrowser.open(way.as_uri())
+        yield
 
 
 def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path]) -> Sequence[Station]:
@@ -67,15 +90,19 @@ def _started(stations: Callable[[], Sequence[Station]], folders: Sequence[Path])
     return opened
 
 
-def _server(uvicorn: Any, app: Any) -> Any:
-    """A server that ends the streams of its pages when it ends; no request is logged, for one of them has the token."""
+def _server(uvicorn: Any, config: Any, waiting: int) -> Any:
+    """A server that ends the streams of its pages when it ends, and lets so many connections be `waiting`."""
 
     class Server(uvicorn.Server):  # type: ignore[misc]  # of an extra, so Any here
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            for listening in sockets or ():
+                listening.listen(waiting)
+
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            app.state.stopping = True
+            config.app.state.stopping = True
             await super().shutdown(sockets)
 
-    config = uvicorn.Config(app, log_config=None, log_level="warning", access_log=False, timeout_graceful_shutdown=3)
     return Server(config)
 
 
@@ -87,7 +114,7 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
             bound = opened.enter_context(socket.socket(family, socket.SOCK_STREAM))
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind((host, port))
-            bound.listen(128)
+            bound.listen()
         except OSError as error:
             raise InputError(f"--host {host} --port {port}: expected a free address, found: {error.strerror}") from None
         yield bound

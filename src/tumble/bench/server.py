@@ -6,12 +6,14 @@ import asyncio
 import json
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request, Response
-from fastapi.responses import FileResponse, RedirectResponse, StreamingResponse
+from fastapi.responses import FileResponse, StreamingResponse
+from starlette.requests import ClientDisconnect
 
 from tumble.bench.access import HEADERS, Access
 from tumble.bench.laboratory import listed
@@ -28,9 +30,16 @@ ASSETS = {
     "vendor/uPlot.min.css": "text/css",
 }
 _KEEP_ALIVE = 1.0
+_LOOK_SECONDS = 0.25 * STEP_SECONDS
 _AGAIN, _STILL_HERE = "retry: 500\n\n", ": still here\n\n"
 _YEAR = 365 * 86400
+_WAY_IN = '<meta http-equiv="refresh" content="0; url=/">'
+"""Instead of a redirection: that of a link in another page would come back without the cookie."""
 _LONGEST_COMMAND = 4096
+_COMMAND_SECONDS = 10.0
+"""How long the few bytes of a command may take to come."""
+_COMMANDS_AT_ONCE = 2
+"""Of one bench: one that takes minutes, and one that is told so."""
 
 
 def app_of(stations: Sequence[Station], access: Access) -> FastAPI:
@@ -96,15 +105,13 @@ def _list_of(app: FastAPI, stations: Sequence[Station]) -> APIRouter:
 def _page_of(app: FastAPI, station: Station, access: Access, others: Callable[[], dict[str, Any]]) -> APIRouter:
     """The page of a station; `others` goes with its state."""
     routes = _files("index.html")
+    shown = _Shown(station, others)
+    workers = ThreadPoolExecutor(_COMMANDS_AT_ONCE, thread_name_prefix="command")
 
     @routes.get("/events")
     async def events(request: Request) -> Response:
         may_command = access.knows(request.cookies.get(access.cookie))
-
-        def more() -> dict[str, Any]:
-            return {"may_command": may_command, **others()}
-
-        return StreamingResponse(_events(app, station, request, more), media_type="text/event-stream")
+        return StreamingResponse(_events(app, shown, request, may_command), media_type="text/event-stream")
 
     @routes.get("/picture/{number}.svg")
     async def drawing(number: int) -> Response:
@@ -122,16 +129,30 @@ def _page_of(app: FastAPI, station: Station, access: Access, others: Callable[[]
 
     @routes.post("/command")
     async def command(request: Request) -> Response:
-        body = await request.body()
+        body = await _body(request)
         try:
-            given = json.loads(body if len(body) <= _LONGEST_COMMAND else b"")
+            given = json.loads(body)
             name, value = str(given["do"]), str(given.get("value", ""))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return _plain(400, "expected a command")
-        said = await asyncio.to_thread(station.command, name, value)
+        said = await asyncio.get_running_loop().run_in_executor(workers, station.command, name, value)
         return Response(json.dumps({"said": said}), media_type="application/json")
 
     return routes
+
+
+async def _body(request: Request) -> bytes:
+    """The body of a command; nothing of one that is too long, or does not come."""
+    body = b""
+    try:
+        async with asyncio.timeout(_COMMAND_SECONDS):
+            async for piece in request.stream():
+                body += piece
+                if len(body) > _LONGEST_COMMAND:
+                    return b""
+    except (TimeoutError, ClientDisconnect):
+        return b""
+    return body
 
 
 def _refusal(request: Request, access: Access) -> Response | None:
@@ -140,7 +161,7 @@ def _refusal(request: Request, access: Access) -> Response | None:
         return _plain(421, "this server does not answer to that name")
     given = request.query_params.get("token")
     if request.url.path == "/" and given is not None and access.knows(given):
-        response = RedirectResponse("/", status_code=303)
+        response = Response(_WAY_IN, media_type="text/html")
         response.set_cookie(access.cookie, access.token, max_age=_YEAR, httponly=True, samesite="strict")
         return response
     holds = access.knows(request.cookies.get(access.cookie))
@@ -155,23 +176,43 @@ def _plain(status: int, said: str) -> Response:
     return Response(said, status_code=status, media_type="text/plain")
 
 
-async def _events(
-    app: FastAPI, station: Station, request: Request, more: Callable[[], dict[str, Any]]
-) -> AsyncIterator[str]:
-    """The states as they change with what there is `more`, each with the block means that are new since the one
-    before."""
+class _Shown:
+    """The states of a station as its pages get them, with what the page of a bench shows of the `others`: written once
+    for all pages that have got the same."""
+
+    def __init__(self, station: Station, others: Callable[[], dict[str, Any]]) -> None:
+        self.station, self._others = station, others
+        self._state: dict[str, Any] = {}
+        self._written: dict[tuple[int, bool], tuple[str, int]] = {}
+
+    def event(self, state: dict[str, Any], since: int, may_command: bool) -> tuple[str, int]:
+        """A state with the block means from number `since` on, and the number after the last."""
+        if state is not self._state:
+            self._state, self._written = state, {}
+        if (since, may_command) not in self._written:
+            trace = self.station.trace(since)
+            whole = state | {"trace": trace, "may_command": may_command} | self._others()
+            self._written[since, may_command] = _event(whole), trace["next"]
+        return self._written[since, may_command]
+
+
+async def _events(app: FastAPI, shown: _Shown, request: Request, may_command: bool) -> AsyncIterator[str]:
+    """The states as they change, each with the block means that are new since the one before."""
     yield _AGAIN
     before: dict[str, Any] = {}
-    since = 0
+    since, said = 0, 0.0
     while not app.state.stopping and not await request.is_disconnected():
-        state = await asyncio.to_thread(station.wait, before, _KEEP_ALIVE)
-        if state is before:
+        state = shown.station.state
+        if state is not before:
+            before = state
+            event, since = shown.event(state, since, may_command)
+            yield event
+        elif time.monotonic() - said > _KEEP_ALIVE:
             yield _STILL_HERE
+        else:
+            await asyncio.sleep(_LOOK_SECONDS)
             continue
-        before = state
-        trace = station.trace(since)
-        since = trace["next"]
-        yield _event(state | {"trace": trace} | more())
+        said = time.monotonic()
 
 
 async def _lists(app: FastAPI, stations: Sequence[Station], request: Request) -> AsyncIterator[str]:

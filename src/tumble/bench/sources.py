@@ -28,6 +28,7 @@ from tumble.recording.session_file import read_session
 
 _READ_BYTES = 1 << 16
 _AGAIN_SECONDS = 0.5
+_SILENT_SECONDS = 2.0
 _BUFFER_BYTES = 1 << 22
 LOOPBACK = "127.0.0.1"
 
@@ -143,7 +144,8 @@ class Udp:
 
 
 class Tcp:
-    """One connection at a time that sends lines; when it ends, the next is waited for."""
+    """One connection at a time that sends lines; when it ends, the next is waited for. One that has sent nothing for
+    two seconds gives way to the next: a sender that has lost its power ends no connection."""
 
     unordered = False
 
@@ -156,21 +158,35 @@ class Tcp:
         self._listening.listen(1)
         self.port = self._listening.getsockname()[1]
         self._connection: socket.socket | None = None
+        self._heard = 0.0
 
     def read(self, timeout: float) -> bytes:
-        waited_for = self._listening if self._connection is None else self._connection
-        if not select.select([waited_for], [], [], timeout)[0]:
+        waited_for = [self._listening] if self._connection is None else [self._connection]
+        if self._connection is not None and time.monotonic() - self._heard > _SILENT_SECONDS:
+            waited_for.append(self._listening)
+        ready = select.select(waited_for, [], [], timeout)[0]
+        if self._connection in ready:
+            return self._received(self._connection)
+        if self._listening not in ready:
             return b""
-        if self._connection is None:
-            self._connection, _ = self._listening.accept()
-            self.trouble = None
-            return b""
+        if self._connection is not None:
+            self._connection.close()
+        self._connection, _ = self._listening.accept()
+        self._connection.setblocking(False)
+        self.trouble, self._heard = None, time.monotonic()
+        return b"\n"
+
+    def _received(self, connection: socket.socket) -> bytes:
+        """What a connection has sent."""
+        self._heard = time.monotonic()
         try:
-            data = self._connection.recv(_READ_BYTES)
+            data = connection.recv(_READ_BYTES)
+        except BlockingIOError:
+            return b""
         except OSError:
             data = b""
         if not data:
-            self._connection.close()
+            connection.close()
             self._connection, self.trouble = None, "the connection ended; the next is waited for"
             return b"\n"
         return data

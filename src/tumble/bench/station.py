@@ -34,7 +34,13 @@ from tumble.errors import TumbleError
 log = logging.getLogger(__name__)
 
 STEP_SECONDS = 0.2
-_BUSY = "calibrating: wait until it is done"
+_LONG = {
+    "calibrate": "calibrating",
+    "report": "writing the report",
+    "export": "exporting",
+    "register": "registering",
+}
+"""Buttons whose work takes long: the page goes on meanwhile. All but the first are about a result."""
 
 
 class Station:
@@ -52,7 +58,6 @@ class Station:
         """`registry` is where the button registers, None for the user's."""
         self._listen, self._grade, self._registry = listen, grade, registry
         self._wanted = Wanted.of(wanted, grade)
-        self._changed = threading.Condition()
         self._guard = threading.RLock()
         self._stop = threading.Event()
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="estimate")
@@ -65,10 +70,11 @@ class Station:
             "take_back": lambda _: self._answers.take_back(),
             "stop": lambda _: self._stop_recording(),
             "resume": lambda _: self._resume(),
+            "calibrate": lambda _: self._calibrate(),
             "report": lambda _: self._written(ending.report_of(self.folder)),
             "export": lambda to: self._written(ending.exported(self.folder, to)),
             "register": lambda _: self._register(),
-            "next_unit": lambda serial: self._next_unit(serial.strip()),
+            "next_unit": lambda serial: self._next_unit(serial),
             "table": self._turn_table,
         }
         self.intake: Intake | None = None
@@ -83,7 +89,7 @@ class Station:
         self._answers = Answers(folder, self.task.session.excluded)
         self._estimates = Estimates(self.task, self._worker)
         self._results: Results | None = None
-        self._calibrating = False
+        self._busy = ""
         self._message = ""
         self._wrong: tuple[str, int] | None = None
 
@@ -96,7 +102,12 @@ class Station:
 
     def _record(self) -> None:
         if self._listen is not None:
-            self.intake = Intake(self._listen(), self.task.session)
+            source = self._listen()
+            try:
+                self.intake = Intake(source, self.task.session)
+            except BaseException:
+                source.close()
+                raise
             self.intake.start()
 
     def _run(self) -> None:
@@ -105,14 +116,12 @@ class Station:
                 self.step()
             except OSError as error:
                 self._say(f"{self.folder}: cannot be read: {error.strerror}")
-            except Exception:
-                log.exception("the state could not be made")
+            except Exception as error:
+                self._say(_said_of(error, "the page stands still; what is received is recorded"))
 
     def _say(self, message: str) -> None:
         """Show the state as it was, with a message."""
-        with self._changed:
-            self.state = {**self.state, "message": message}
-            self._changed.notify_all()
+        self.state = {**self.state, "message": message}
 
     def stop(self) -> None:
         """End following and recording."""
@@ -128,16 +137,7 @@ class Station:
         with self._guard:
             self._live.read(self._answers.excluded)
             self._estimates.take()
-            state = self._state()
-        with self._changed:
-            self.state = state
-            self._changed.notify_all()
-
-    def wait(self, before: Mapping[str, Any], timeout: float) -> dict[str, Any]:
-        """The state, as soon as it is another one than that of `before`."""
-        with self._changed:
-            self._changed.wait_for(lambda: self.state is not before, timeout)
-            return self.state
+            self.state = self._state()
 
     # -------------------- the state --------------------
 
@@ -183,7 +183,7 @@ class Station:
             "estimate": self._estimates.shown,
             "estimating": self._estimates.under_way,
             "result": None if self._results is None else self._results.shown(),
-            "calibrating": self._calibrating,
+            "calibrating": self._busy == _LONG["calibrate"],
             "message": self._message,
             "excluded": len(self._answers.excluded),
             "table": self.intake is not None and isinstance(self.intake.source, VirtualTable),
@@ -198,18 +198,34 @@ class Station:
 
     def command(self, name: str, value: str = "") -> str:
         """Do what a button asks for; what came of it, in a sentence."""
-        if name == "calibrate":
-            return self._calibrate()
         with self._guard:
             if name not in self._buttons:
                 return "no such command"
-            if self._calibrating:
-                return _BUSY
-            try:
-                self._message = self._buttons[name](value)
-            except (TumbleError, OSError) as error:
-                self._message = " ".join(str(error).split())
-            return self._message
+            if self._busy:
+                return f"{self._busy}: wait until it is done"
+            if name not in _LONG:
+                left_out = self._answers.excluded
+                self._message = self._answered(name, value)
+                if self._answers.excluded != left_out:
+                    self._results = None  # which was of what was left out before
+                return self._message
+            if name != "calibrate" and self._results is None:
+                return "nothing is calibrated yet"
+            self._busy = _LONG[name]
+            self._message = f"{self._busy} …"
+        said = self._answered(name, value)
+        with self._guard:
+            self._busy, self._message = "", said
+        return said
+
+    def _answered(self, name: str, value: str) -> str:
+        """What came of a button, whatever it was."""
+        try:
+            return self._buttons[name](value)
+        except (TumbleError, OSError) as error:
+            return " ".join(str(error).split())
+        except Exception as error:
+            return _said_of(error, f"{name}: not done")
 
     def _present_fault(self) -> tuple[Fault | None, float]:
         """What is wrong with the log as it was read last, and the time until which it was read, s."""
@@ -220,22 +236,28 @@ class Station:
         return 0 if self._live.now is None else len(self._live.now.spans)
 
     def _stop_recording(self) -> str:
+        """Stop recording; that it is so, and what of it the disk has not taken."""
+        trouble = None
         if self.intake is not None:
             self.intake.stop()
-            self.intake = None
-        return "recording has stopped"
+            trouble, self.intake = self.intake.recorder.trouble, None
+        return "recording has stopped" + (f": {trouble}" if trouble else "")
 
     def _resume(self) -> str:
         if self.intake is None:
-            self._results = None
             self._record()
+            self._results = None
         return "recording goes on"
 
-    def _next_unit(self, serial: str) -> str:
+    def _next_unit(self, given: str) -> str:
+        """Begin the unit of a serial number, typed or scanned; separators in a bar code, which no text shows, become
+        spaces. What is recorded goes on until the folder of the next unit is there."""
+        serial = " ".join("".join(c if c.isprintable() else " " for c in given).split())
         if not serial:
             return "expected the serial number of the next unit"
+        folder = folders.begin_next(self.folder, serial)
         self._stop_recording()
-        self._begin(folders.begin_next(self.folder, serial))
+        self._begin(folder)
         self._record()
         return f"next unit: {serial}"
 
@@ -246,27 +268,18 @@ class Station:
         return ""
 
     def _calibrate(self) -> str:
-        """Stop recording and calibrate; the page goes on meanwhile."""
+        """Stop recording and calibrate. Whatever comes of it, an earlier result is none of this."""
         with self._guard:
-            if self._calibrating:
-                return _BUSY
-            self._stop_recording()
-            self._calibrating, self._message = True, "calibrating …"
-        results = self._results
-        try:
-            results = Results.of(ending.calibrated(self.folder))
-            said = "calibrated: accepted" if results.accepted else "calibrated: not accepted"
-        except (TumbleError, OSError) as error:
-            said = " ".join(str(error).split())
-        with self._guard:
-            self._calibrating, self._message, self._results = False, said, results
-        return said
+            stopped, self._results = self._stop_recording(), None
+        results = Results.of(ending.calibrated(self.folder, self._stop))
+        self._results = results
+        said = "calibrated: accepted" if results.accepted else "calibrated: not accepted"
+        return f"{said}; {stopped}" if ":" in stopped else said
 
     def _register(self) -> str:
-        if self._results is None:
-            return "nothing is calibrated yet"
         said = ending.registered(self.folder, self._registry)
-        self._results = self._results.registered_as(said)
+        if self._results is not None:
+            self._results = self._results.registered_as(said)
         return said
 
     def _written(self, name: str) -> str:
@@ -289,3 +302,9 @@ class Station:
     def file(self, name: str) -> Path | None:
         """A result that can be fetched."""
         return self.folder / name if self._results is not None and name in self._results.files else None
+
+
+def _said_of(error: Exception, what: str) -> str:
+    """What is said of an error of the program, which the log of the process has in full."""
+    log.error(what, exc_info=error)
+    return " ".join(f"{what} ({type(error).__name__}: {error})".split())

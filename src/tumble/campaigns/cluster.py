@@ -12,15 +12,17 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from tumble import __version__
 from tumble.campaigns.engine import Chunk, Chunks, Done, Executor, Job, compute, failed, parquet_of, serially
 from tumble.errors import InputError, MissingExtraError, TumbleError
+from tumble.recording.panic import COMMAND_LINE
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -33,6 +35,10 @@ AHEAD = 2
 """Chunks that are sent out for each process: one at work, one waiting for it."""
 
 CONNECT_SECONDS = 10
+LOOK_SECONDS = 5.0
+LOST_SECONDS = 60.0
+"""How long there may be no process at all: on a busy machine one takes half a minute to begin."""
+_GO_ON = "what was computed is kept: give the same command again to go on"
 
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
@@ -70,20 +76,21 @@ def cores() -> int:
 def _local(workers: int) -> Iterator[Executor]:
     """A cluster of so many processes of one thread each on this machine."""
     dask, distributed = _imported()
-    with (
-        dask.config.set(_SETTINGS),
-        distributed.LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",  # None would be port 8787
-            scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        yield on_cluster(client)
+    with dask.config.set(_SETTINGS), ExitStack() as opened:
+        try:
+            cluster = distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",  # None would be port 8787
+                scheduler_kwargs={"dashboard": False},
+                silence_logs=logging.CRITICAL,
+            )
+            client = distributed.Client(opened.enter_context(cluster))
+        except (OSError, RuntimeError) as error:
+            raise TumbleError(f"the processes could not be begun ({error}); {_GO_ON}") from error
+        yield on_cluster(opened.enter_context(client))
 
 
 @contextmanager
@@ -147,36 +154,46 @@ def _computed(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Done
         for number in suspects:
             yield [number], _alone(job, number, client)
     except (CancelledError, OSError) as error:
-        raise TumbleError(
-            "the cluster is lost; what was computed is kept: give the same command again to go on"
-        ) from error
+        raise TumbleError(f"the cluster is lost; {_GO_ON}") from error
 
 
 def _spread(job: Job, pending: Sequence[int], client: Client, suspects: list[int]) -> Iterator[Done]:
     """Chunks that were finished; the tasks of the others are added to `suspects`."""
-    _, distributed = _imported()
     workers = max(1, sum(cast(Any, client).nthreads().values()))
     chunks = Chunks(pending, workers=workers)
     sent: dict[Future[Any], Chunk] = {}
-    arriving = distributed.as_completed()
     while True:
         while len(sent) < AHEAD * workers and (chunk := chunks.next()):
-            future = _submit(job, chunk, client)
-            sent[future] = chunk
-            arriving.add(future)
+            sent[_submit(job, chunk, client)] = chunk
         if not sent:
             return
-        future = next(arriving)
-        chunk = sent.pop(future)
+        for future in _first_done(sent, client):
+            chunk = sent.pop(future)
+            try:
+                part, seconds = future.result()
+            except CancelledError:
+                raise
+            except Exception:
+                suspects += chunk
+                continue
+            chunks.took(len(chunk), seconds)
+            yield chunk, part
+
+
+def _first_done(sent: Iterable[Future[Any]], client: Client) -> set[Future[Any]]:
+    """Those that are done, as soon as one is. Raises TumbleError where no process has been there for a minute."""
+    _, distributed = _imported()
+    seen = time.monotonic()
+    while True:
         try:
-            part, seconds = future.result()
-        except CancelledError:
-            raise
-        except Exception:
-            suspects += chunk
-            continue
-        chunks.took(len(chunk), seconds)
-        yield chunk, part
+            waited = distributed.wait(list(sent), timeout=LOOK_SECONDS, return_when="FIRST_COMPLETED")
+        except TimeoutError:
+            if cast(Any, client).nthreads():
+                seen = time.monotonic()
+            elif time.monotonic() - seen > LOST_SECONDS:
+                raise TumbleError(f"the processes were ended, and no other has begun; {_GO_ON}") from None
+        else:
+            return cast(set[Any], waited.done)
 
 
 def _alone(job: Job, number: int, client: Client) -> bytes:
@@ -184,7 +201,8 @@ def _alone(job: Job, number: int, client: Client) -> bytes:
     from distributed import KilledWorker
 
     try:
-        return bytes(_submit(job, [number], client).result()[0])
+        (done,) = _first_done([_submit(job, [number], client)], client)
+        return bytes(done.result()[0])
     except CancelledError:
         raise
     except KilledWorker:
@@ -194,6 +212,12 @@ def _alone(job: Job, number: int, client: Client) -> bytes:
     return parquet_of([failed(number, job.label(job.items[number]), said)], job.columns)
 
 
+def _computed_there(*work: Any) -> tuple[bytes, float]:
+    """`compute` in a process of the cluster, which is nobody's but ours."""
+    COMMAND_LINE.set(True)
+    return compute(*work)
+
+
 def _submit(job: Job, chunk: Chunk, client: Client) -> Future[Any]:
     tasks = [(number, job.items[number]) for number in chunk]
-    return client.submit(compute, job.task, job.label, job.columns, tasks, pure=False)
+    return client.submit(_computed_there, job.task, job.label, job.columns, tasks, pure=False)

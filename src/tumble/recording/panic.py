@@ -1,7 +1,8 @@
 """What polars prints of itself where a file is damaged, kept off the terminal.
 
 Threads of polars that stop at a damaged Parquet file print where in its sources they did so, past Python, while the
-caller gets too few rows, or an error. One line of ours says it then.
+caller gets too few rows, or an error. One line of ours says it then. Standard error is kept from them in a command
+alone: it is that of the whole process, and a program that uses the library may write to it meanwhile.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from threading import Lock, get_native_id
 
+COMMAND_LINE: ContextVar[bool] = ContextVar("COMMAND_LINE", default=False)
+"""Whether the process is that of a command, and this its thread."""
 _ONE_AT_A_TIME = Lock()
 _STANDARD_ERROR = 2
 LAST_WORDS = 0.1, 2.0
@@ -23,7 +27,11 @@ _MARK = b" panicked at "
 
 @contextmanager
 def without_panic() -> Iterator[None]:
-    """Whatever is written to standard error while the block runs appears after it, unless it tells of a panic."""
+    """In a command, whatever is written to standard error while the block runs appears after it, unless it tells of a
+    panic."""
+    if not COMMAND_LINE.get():
+        yield
+        return
     with _ONE_AT_A_TIME, ExitStack() as stack:
         try:
             held = stack.enter_context(tempfile.TemporaryFile())

@@ -21,6 +21,7 @@ from pymavlink.DFReader import DFReader_binary, DFReader_text
 
 from tumble.recording.autopilot import AutopilotSensor
 from tumble.recording.formats.message import AXES, TIME, Message, triad
+from tumble.recording.panic import COMMAND_LINE
 
 NOTHING = "no messages IMU or ACC; set bit 'IMU' of LOG_BITMASK and record again"
 
@@ -75,7 +76,11 @@ def _sensors(kind: str, number: int, ids: Mapping[str, int]) -> dict[str, Autopi
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """pymavlink prints a line for every byte that it skips, from Python and from C."""
+    """In a command, nothing is printed: pymavlink prints a line for every byte that it skips, from Python and from
+    C."""
+    if not COMMAND_LINE.get():
+        yield
+        return
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
         kept = os.dup(_STDERR)
         os.dup2(nowhere.fileno(), _STDERR)

@@ -7,7 +7,6 @@ length make a table, of which the sensors are taken by name, else by their numbe
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -18,7 +17,7 @@ import h5py
 import numpy as np
 import polars as pl
 from scipy.io import loadmat
-from scipy.io.matlab import MatlabOpaque, MatReadError, MatReadWarning
+from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from tumble.errors import InputError
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, columns_by_name
@@ -73,8 +72,7 @@ def _check_no_tables(path: Path) -> None:
     """Raises InputError for a MATLAB file with tables or timetables, which only MATLAB reads."""
     if path.suffix.lower() != ".mat" or h5py.is_hdf5(path):
         return
-    with warnings.catch_warnings(action="ignore", category=MatReadWarning):
-        opaque = [v for v in loadmat(path).values() if isinstance(v, MatlabOpaque)]
+    opaque = [v for v in loadmat(path).values() if isinstance(v, MatlabOpaque)]
     kinds = {bytes(kind).decode(errors="replace") for v in opaque for kind in v["s2"]} & {"table", "timetable"}
     if kinds:
         kind = sorted(kinds)[-1]
@@ -160,8 +158,7 @@ def _arrays(path: Path) -> dict[str, tuple[tuple[int, ...], Read]]:
         return dict(_nested(_of_numpy(path)))
     if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
         try:
-            with warnings.catch_warnings(action="ignore", category=MatReadWarning):
-                return dict(_nested(loadmat(path, simplify_cells=True)))
+            return dict(_nested(loadmat(path, simplify_cells=True)))
         except (MatReadError, ValueError) as error:
             raise ValueError(f"not a MATLAB file: {error}") from None
     return _datasets(path)

@@ -1,0 +1,111 @@
+"""An error of the program is a line, a file and a status of its own, and a process that is to end ends."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+COMMAND = "from tumble.cli import main\nmain(['inspect', 'launch'], prog_name='tumble')\n"
+FAILS = "import tumble.recording.session_file as module\ndef fails(*_): {}\nmodule.read_session = fails\n"
+
+
+def ended(code: str, folder: Path, limits: Callable[[], None] | None = None) -> tuple[int, str, list[tuple[Path, str]]]:
+    """Status and standard error of a process, and the tracebacks that it has kept."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env=os.environ | {"TMPDIR": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100.0,
+        preexec_fn=limits,
+    )
+    assert done.stdout == ""
+    return done.returncode, done.stderr, [(path, path.read_text()) for path in folder.glob("tumble-error-*")]
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ("raise ValueError('Out of range\\nfloat values')", "ValueError: Out of range float values"),
+        ("raise EOFError", "RuntimeError: a file ended where more was expected"),
+        ("raise type('PanicException', (BaseException,), {})('could not spawn')", "PanicException: could not spawn"),
+        ("return [][1]", "IndexError: list index out of range"),
+    ],
+)
+def test_an_error_of_the_program_is_no_verdict(fault: str, said: str, tmp_path: Path) -> None:
+    status, line, ((path, traceback),) = ended(FAILS.format(fault) + COMMAND, tmp_path)
+    assert status == 70
+    expected = f"tumble: an error of the program: {said}; please report it: the traceback is in {path}"
+    assert line == f"{expected}\n"
+    assert "in fails" in traceback
+
+
+def test_memory_that_does_not_suffice_is_said(tmp_path: Path) -> None:
+    status, line, _ = ended(FAILS.format("raise MemoryError('Unable to allocate 3 GiB')") + COMMAND, tmp_path)
+    assert status == 70
+    assert line.startswith("tumble: the memory does not suffice: Unable to allocate 3 GiB; ")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such limit")
+@pytest.mark.parametrize("kilobytes", [700_000, 400_000])
+def test_an_address_space_that_is_too_small_is_said_before_anything_is_read(kilobytes: int, tmp_path: Path) -> None:
+    import resource
+
+    limit = (1024 * kilobytes,) * 2
+    status, line, _ = ended(COMMAND, tmp_path, lambda: resource.setrlimit(resource.RLIMIT_AS, limit))
+    assert status == 70
+    assert re.fullmatch(r"tumble: the memory does not suffice: expected an address space of at least [^\n]+\n", line)
+
+
+def test_a_command_that_is_stopped_before_it_has_begun_says_so(tmp_path: Path) -> None:
+    code = """
+import sys
+class Stopped:
+    def find_spec(self, name, *_):
+        if name == "tumble.commands":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Stopped())
+from tumble.__main__ import run
+run()
+"""
+    assert ended(code, tmp_path) == (130, "tumble: stopped\n", [])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a lock of the C library that is waited for without end")
+def test_a_command_that_is_stuck_in_a_library_ends_when_it_is_asked_to(tmp_path: Path) -> None:
+    stuck = """
+import ctypes, os, signal, threading, tumble.cli
+tumble.cli.STUCK_SECONDS = 0.1
+library, lock = ctypes.CDLL(None), ctypes.create_string_buffer(64)
+import tumble.recording.session_file as module
+def fails(*_):
+    threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    library.pthread_mutex_lock(lock)
+    library.pthread_mutex_lock(lock)
+module.read_session = fails
+"""
+    assert ended(stuck + COMMAND, tmp_path) == (143, "tumble: stopped\n", [])
+
+
+def test_a_command_that_is_asked_to_end_leaves_nothing_half_written(tmp_path: Path) -> None:
+    code = """
+import os, signal
+from pathlib import Path
+from tumble.files import whole_file
+def writes(*_):
+    with whole_file(Path("result")) as temporary:
+        os.kill(os.getpid(), signal.SIGTERM)
+        temporary.write_text("half")
+import tumble.recording.session_file as module
+module.read_session = writes
+"""
+    assert ended(code + COMMAND, tmp_path) == (143, "", [])
+    assert list(tmp_path.iterdir()) == []
