@@ -22,7 +22,6 @@ from tumble.units import Array, BoolArray
 CALM_BLOCKS = 5
 """Half a second without movement is a rest that begins."""
 _LOOKED_AT = 256
-_MOST_LOOKED_AT = 100_000
 BIAS_LIMIT = 0.15
 SHORTEST_REST = 4.0
 NOTHING_MORE = 0.93
@@ -119,18 +118,20 @@ def scatter_now(blocks: Blocks) -> float:
     return float(np.sqrt(blocks.force[-10:].var(axis=0).sum()))
 
 
-def calm_since(blocks: Blocks, limits: StillLimits) -> int | None:
-    """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together."""
+def calm_since(blocks: Blocks, limits: StillLimits, calm_from: int = 0, calm_to: int = 0) -> int | None:
+    """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together; of those
+    between `calm_from` and `calm_to` it is known that nothing moves in them."""
     last = len(blocks)
+    unseen = max(calm_from, calm_to - CALM_BLOCKS + 1)
     first = last
-    while first > max(0, last - _MOST_LOOKED_AT):
-        start = max(0, first - _LOOKED_AT)
+    while first > unseen:
+        start = max(unseen, first - _LOOKED_AT)
         moving = np.flatnonzero(~_calm(blocks, start, min(first + CALM_BLOCKS - 1, last), limits))
-        if len(moving):
-            first = start + int(moving[-1]) + 1
-            break
         first = start
-    return first if last - first >= CALM_BLOCKS else None
+        if len(moving):
+            calm_from = start + int(moving[-1]) + 1
+            break
+    return calm_from if last - calm_from >= CALM_BLOCKS else None
 
 
 def _calm(blocks: Blocks, start: int, stop: int, limits: StillLimits) -> BoolArray:

@@ -76,15 +76,17 @@ class SoundSamples:
 
 BRIDGED = 25
 """Samples in a row that may be missing without a turn being lost."""
-_HEAD = 100
+FEWEST_ROWS = 100
+"""From which the interval is known well enough to begin with."""
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class Clock:
     """Makes samples of rows: in the order of their times, with the interval of each. `interval` is None until there
-    are enough rows to know it."""
+    are `head` rows to know it from."""
 
     spec: LogSpec
+    head: int = FEWEST_ROWS
     interval: float | None = None
     last: float | None = None
     count: int = 0
@@ -95,10 +97,10 @@ class Clock:
         """The samples of the next rows; None while the interval is not known."""
         if self.interval is None:
             self._head = [*(self._head or []), rows]
-            if sum(map(len, self._head)) < _HEAD:
+            if sum(map(len, self._head)) < self.head:
                 return None
             rows, self._head = np.concatenate(self._head), None
-            self._learn(rows)
+            self._learn(rows[: self.head])
         assert self.interval is not None
         sound = np.isfinite(rows).all(axis=1)
         values = rows if self.spec.time is None else rows[:, 1:]
