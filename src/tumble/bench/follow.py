@@ -76,17 +76,17 @@ class SoundSamples:
 
 BRIDGED = 25
 """Samples in a row that may be missing without a turn being lost."""
-FEWEST_ROWS = 100
-"""From which the interval is known well enough to begin with."""
+_HEAD = 100
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class Clock:
     """Makes samples of rows: in the order of their times, with the interval of each. `interval` is None until there
-    are `head` rows to know it from."""
+    are enough rows to know it."""
 
     spec: LogSpec
-    head: int = FEWEST_ROWS
+    head: int = _HEAD
+    """Rows from which the interval is learned."""
     interval: float | None = None
     last: float | None = None
     count: int = 0

@@ -10,7 +10,7 @@ import numpy as np
 from tumble.bench.chain import Blocks, Chain, known
 from tumble.bench.course import Judged, Progress, Rest, StillLimits, calm_since, grouped, judged, rest_of
 from tumble.bench.faults import Fault, channel_fault, gap_fault
-from tumble.bench.follow import BRIDGED, FEWEST_ROWS, Clock, Follower, SoundSamples
+from tumble.bench.follow import BRIDGED, Clock, Follower, SoundSamples
 from tumble.bench.task import Task
 from tumble.bench.watch import Watch
 from tumble.recording.log import HEAD_ROWS
@@ -48,15 +48,15 @@ class Live:
         self._closed: dict[tuple[int, int], Rest] = {}
         self._judged: dict[int, tuple[int, Judged]] = {}
         self._enough: list[tuple[int, int]] = []
-        self._begin(FEWEST_ROWS)
+        self._begin(Clock(spec=task.session.log))
 
-    def _begin(self, head: int) -> None:
-        """Follow the log from its beginning, with the interval of so many rows."""
+    def _begin(self, clock: Clock) -> None:
+        """Follow the log from its beginning."""
         self.now: Followed | None = None
         self.faults: list[Fault] = []
         self.samples = self.lost = 0
         self._follower = Follower.of(self._task.session.log)
-        self._clock = Clock(spec=self._task.session.log, head=head)
+        self._clock = clock
         self._chain: Chain | None = None
         self._watches: list[Watch] = []
         self._searched: tuple[object, ...] = ()
@@ -86,7 +86,7 @@ class Live:
             if samples is not None and self._clock.interval is not None:
                 self._take(samples, self._clock.interval)
             if self._clock.head < HEAD_ROWS <= self.samples:
-                self._begin(HEAD_ROWS)
+                self._begin(Clock(spec=self._task.session.log, head=HEAD_ROWS))
         reduction = None if self._chain is None else self._chain.now()
         if self._chain is not None and reduction is not None and reduction.files:
             self.now = self._followed(self._chain, reduction, excluded)
