@@ -145,13 +145,14 @@ class Station:
         state = self._header()
         progress = self._live.progress(self._answers.excluded)
         if progress is None or self._live.now is None:
-            return state | screens.WAITING
+            state |= screens.WAITING
+            return state | {"answers": screens.answers(state)}
         if progress.calm_from is None:
             self._answers.moved(progress.now)
         fault = self._fault(progress)
         self._estimates.ask(self._live.now, progress, self._answers.excluded)
         state |= screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-        return state | {"message": self._still_said(fault)}
+        return state | {"answers": screens.answers(state), "message": self._still_said(fault)}
 
     def _fault(self, progress: Progress) -> Fault | None:
         """The first fault that is not answered."""
@@ -171,6 +172,7 @@ class Station:
             "unit": {"serial": device.serial, "model": device.model},
             "session": self.folder.name,
             "listening": received is not None and not received.ended,
+            "can_record": self._listen is not None,
             "received": {
                 "source": self._source_name(),
                 "samples": live.samples,
@@ -180,6 +182,7 @@ class Station:
             },
             "programme": None if programme is None else programme.name,
             "positions": self.task.positions,
+            "wanted": dict(self.task.wanted.group),
             "estimate": self._estimates.shown,
             "estimating": self._estimates.under_way,
             "result": None if self._results is None else self._results.shown(),
