@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
 import tempfile
 import time
@@ -27,7 +28,6 @@ import numpy as np
 from tumble.bench.folder import begin
 from tumble.bench.sources import in_si
 from tumble.bench.station import STEP_SECONDS, Station
-from tumble.calibration.calibrate import calibrate
 from tumble.calibration.observed import inspect_session
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
@@ -169,7 +169,8 @@ def followed(sent: Path, rests: Array, folder: Path) -> Followed:
     found = None if station._live.now is None else station._live.now.spans
     station.command("calibrate")
     station.stop()
-    calibrate(sent).write(sent / "batch.json", force=True)
+    words = ["calibrate", "--out", str(sent / "batch.json"), "--", str(sent)]
+    subprocess.run([sys.executable, "-m", "tumble", *words], stdout=subprocess.DEVNULL, check=False)
     return Followed(
         looks=looks,
         wrong=wrong,
