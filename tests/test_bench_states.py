@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -107,7 +108,7 @@ def test_no_time_is_told_that_is_not_known(bench: Bench) -> None:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Iterator[Station]:
-    folder = tmp_path / "launch"
+    folder = tmp_path / "recording"
     begin(folder, log=in_si(), serial="A", site=SITE, programme="nine")
     station = Station(folder, lambda: VirtualTable("nine@20x"))
     station.start()
@@ -116,15 +117,18 @@ def recording(tmp_path: Path) -> Iterator[Station]:
 
 
 def test_recording_goes_on_after_a_calibration_that_is_refused(recording: Station) -> None:
-    eventually(lambda: recording.state["received"]["samples"] > 500)
-    said = recording.command("calibrate")
-    assert not said.startswith("calibrated")
-    state = eventually(lambda: recording.state if recording.state["answers"] else None)
-    offered = {each["do"]: each["primary"] for each in state["answers"]}
-    assert offered == {"resume": True, "calibrate": False}
-    before = state["received"]["samples"]
+    before = refused(recording)["received"]["samples"]
     recording.command("resume")
     eventually(lambda: recording.state["listening"] and recording.state["received"]["samples"] > before + 100)
+
+
+def refused(station: Station) -> dict[str, Any]:
+    """Have a calibration of a rest alone refused; the state after it."""
+    eventually(lambda: station.state["received"]["samples"] > 500)
+    assert not station.command("calibrate").startswith("calibrated")
+    state = eventually(lambda: station.state if station.state["answers"] else None)
+    assert {each["do"]: each["primary"] for each in state["answers"]} == {"resume": True, "calibrate": False}
+    return dict(state)
 
 
 # -------------------- the page --------------------
@@ -143,6 +147,9 @@ class Shown:
             if not self.browser.js("document.documentElement.scrollWidth <= window.innerWidth"):
                 self.faults.append(f"{name}: wider than {width}")
             self.browser.picture(self.pictures / f"bench-{name}-{width}.png")
+        small = {"x": 0, "y": 0, "width": 1100, "height": 740, "scale": 0.6}
+        found = self.browser.send("Page.captureScreenshot", format="png", clip=small)
+        (self.pictures / f"bench-{name}.png").write_bytes(base64.b64decode(found["data"]))
         self.faults += [f"{name}: {fault}" for fault in inaccessible(self.browser)]
 
     def until(self, selector: str, text: str) -> None:
@@ -157,7 +164,7 @@ class Shown:
 
 
 @needs_browser
-def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path) -> None:
+def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path, recording: Station) -> None:
     bench, browser = Bench(tmp_path / "launch", "nine"), Browser(tmp_path)
     pictures = Path(os.environ.get("TUMBLE_SCREENSHOTS") or tmp_path)
     shown = Shown(bench, browser, pictures)
@@ -200,9 +207,26 @@ def test_every_state_of_a_session_as_an_operator_sees_it(tmp_path: Path) -> None
             rows = browser.js("[...document.querySelectorAll('#finish tbody tr')].map(r => r.innerText)")
             assert len(rows) == len(read_calibration(tmp_path / "launch" / "calibration.json").parameters)
             shown.look("result")
+            browser.js("document.getElementById('unit-serial').focus()")
+            browser.write("B-2")
+            browser.press("Enter")
+            eventually(lambda: (bench.run(0.2), browser.text("#serial"))[1] == "B-2")
+            of_the_unit_before = browser.text("#groups") + browser.text("#residuals") + browser.text("#next")
+            assert of_the_unit_before + browser.text("#cause") == ""
+            assert browser.js("document.getElementById('finish').hidden")
+            assert browser.text("#estimated") == "No estimate yet"
         shown.until("#trouble", "The server does not answer")
         assert browser.js("[...document.querySelectorAll('main button')].every(b => b.disabled)")
         shown.look("no-server")
+        refused(recording)
+        with served(recording) as link:
+            browser.open(link)
+            shown.until("h1", "Recording has stopped")
+            assert shown.primary().startswith("Record on R")
+            shown.look("stopped")
+            browser.press("r")
+            eventually(lambda: recording.state["listening"])
+            eventually(lambda: "Recording has stopped" not in browser.text("h1"))
     finally:
         browser.close()
         bench.close()

@@ -28,7 +28,7 @@ ASSETS = {
     "vendor/uPlot.min.css": "text/css",
 }
 _KEEP_ALIVE = 1.0
-_AGAIN, _STILL_HERE = "retry: 500\n\n", ": still here\n\n"
+_AGAIN, _STILL_HERE = "retry: 500\n\n", "event: here\ndata: \n\n"
 _YEAR = 365 * 86400
 _LONGEST_COMMAND = 4096
 

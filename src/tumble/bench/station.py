@@ -86,6 +86,7 @@ class Station:
         self._calibrating = False
         self._message = ""
         self._wrong: tuple[str, int] | None = None
+        self._taken = 0
 
     # -------------------- running --------------------
 
@@ -152,17 +153,17 @@ class Station:
         fault = self._fault(progress)
         self._estimates.ask(self._live.now, progress, self._answers.excluded)
         state |= screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-        return state | {"answers": screens.answers(state), "message": self._still_said(fault)}
+        return state | {"answers": screens.answers(state), "message": self._still_said(fault, len(progress.groups))}
 
     def _fault(self, progress: Progress) -> Fault | None:
         """The first fault that is not answered."""
         return self._answers.first_of([*self._live.faults, *faults_of_rests(self.task, progress)])
 
-    def _still_said(self, fault: Fault | None) -> str:
-        """What was answered last, until something else is wrong."""
-        if fault is not None and fault.key != self._wrong:
+    def _still_said(self, fault: Fault | None, taken: int) -> str:
+        """What was answered last, until something else is wrong or another position is taken."""
+        if (fault is not None and fault.key != self._wrong) or taken > self._taken:
             self._message = ""
-        self._wrong = None if fault is None else fault.key
+        self._wrong, self._taken = None if fault is None else fault.key, taken
         return self._message
 
     def _header(self) -> dict[str, Any]:

@@ -272,14 +272,18 @@ of("sound").addEventListener("click", () => of("sound").setAttribute("aria-press
 
 // -------------------- a server that does not answer --------------------
 
-const SILENT_MS = 3000; // states come five times a second
+const SILENT_MS = 3000; // states come five times a second, or once a second a word that there is none
 let heardAt = new Date();
 let silence = 0;
 
-/** A state has come. */
+/** The server has said something. */
 function alive() {
   heardAt = new Date();
-  delete document.body.dataset.dead;
+  if (document.body.dataset.dead) {
+    delete document.body.dataset.dead;
+    header();
+    buttons();
+  }
   clearTimeout(silence);
   silence = setTimeout(dead, SILENT_MS);
 }
@@ -296,4 +300,5 @@ function dead() {
 
 const events = new EventSource("events");
 events.onmessage = (event) => update(JSON.parse(event.data));
+events.addEventListener("here", alive);
 events.onerror = dead;
