@@ -147,7 +147,9 @@ class Shown:
             if not self.browser.js("document.documentElement.scrollWidth <= window.innerWidth"):
                 self.faults.append(f"{name}: wider than {width}")
             self.browser.picture(self.pictures / f"bench-{name}-{width}.png")
-        small = {"x": 0, "y": 0, "width": 1100, "height": 740, "scale": 0.6}
+        result = "document.getElementById('finish')"
+        top = self.browser.js(f"{result}.hidden ? 0 : {result}.offsetTop")
+        small = {"x": 0, "y": top, "width": 1100, "height": 960 if top else 740, "scale": 0.6}
         found = self.browser.send("Page.captureScreenshot", format="png", clip=small)
         (self.pictures / f"bench-{name}.png").write_bytes(base64.b64decode(found["data"]))
         self.faults += [f"{name}: {fault}" for fault in inaccessible(self.browser)]

@@ -40,8 +40,8 @@ function now() {
   const { fault, position } = state;
   const { result } = state;
   const ended = verdict();
-  const stopped = state.can_record && !state.listening && !state.received.ended ? "Recording has stopped" : "";
-  say(of("headline"), ended || (state.calibrating ? "Calibrating …" : stopped || state.headline));
+  const stopped = hasStopped();
+  say(of("headline"), ended || (state.calibrating ? "Calibrating …" : stopped ? "Recording has stopped" : state.headline));
   const wrong = fault && !ended && !stopped && !state.calibrating;
   say(of("fault"), wrong ? fault.said : "");
   show(of("fault"), Boolean(wrong));
@@ -59,6 +59,11 @@ function now() {
   figures();
 }
 
+/** Whether nothing is recorded although it could be. */
+function hasStopped() {
+  return state.can_record && !state.listening && !state.received.ended;
+}
+
 /** What the calibration says, and which wishes it leaves; nothing before there is one. */
 function verdict() {
   const { result, wanted } = state;
@@ -70,8 +75,8 @@ function verdict() {
 function figures() {
   const { rest, turn, scatter } = state;
   const degrees = state.temperature === null || state.temperature === undefined ? "" : `${state.temperature.toFixed(2)} °C`;
-  if (state.result || state.screen === "done") {
-    const left = state.result || !state.estimate ? [] : state.estimate.groups.filter((group) => !group.enough);
+  if (state.result || state.screen === "done" || hasStopped()) {
+    const left = state.result || !state.estimate || hasStopped() ? [] : state.estimate.groups.filter((group) => !group.enough);
     say(of("big"), "");
     details(of("details"), left.map((group) => [group.group, group.determined ? `${number(group.u)} of ${number(group.wanted)} ${group.unit}` : "not determined"]));
   } else if (state.screen === "rest") {

@@ -149,7 +149,7 @@ export function sphere(box, data) {
       if (!i && !j && !l) continue;
       const gain = data.gains ? 1 - data.gains[k] : 0;
       const length = Math.hypot(i, j, l);
-      const [fill, stroke] = k === best ? ["#7d3c98", "#7d3c98"] : ["none", "#b3141c"];
+      const [fill, stroke] = k === best ? ["#7d3c98", "#7d3c98"] : ["none", "#5b6470"];
       mark(picture, [i / length, j / length, l / length], side, x, 2 + 14 * Math.sqrt(Math.max(0, gain)), fill, stroke);
       k += 1;
     }
