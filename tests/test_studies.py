@@ -16,6 +16,7 @@ PICTURES = {"gallery.py", "readme_picture.py"}
 
 ANSWERS = {
     "bench_endurance.py": "Does the bench last a day? Yes",
+    "bench_in_real_time.py": "at the pace of reality, however long its rests are? Yes.",
     "bench_interruptions.py": "on when the bench is killed? No.",
     "aliased_turns.py": "Does u contain what instantaneous samples do to jerky turns? Yes",
     "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",

@@ -15,7 +15,7 @@ from tumble.recording.gaps import Gap
 from tumble.recording.log import Chunk
 from tumble.recording.session import Exclusion, Session
 from tumble.reduction.blemishes import without_blemishes
-from tumble.reduction.blocks import FileBlocks, Reducer, Reduction, Tail
+from tumble.reduction.blocks import Reducer, Reduction
 from tumble.reduction.coloured_noise import fit_coloured_noise
 from tumble.reduction.exclusion import without_rests, without_times
 from tumble.reduction.matching import Match
@@ -103,15 +103,13 @@ class Chain:
             temperature=None if file.temperature is None else file.temperature.mean(axis=1),
         )
 
-    def rests(self, reduction: Reduction, excluded: tuple[Exclusion, ...], first: int = 0) -> Segmentation | None:
-        """The rests from block `first` on, without the times that are left out; None while there is too little."""
-        file = reduction.files[-1] if reduction.files else None
-        if file is None or len(file.accel) - first < _LEAST_BLOCKS:
+    def rests(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Segmentation | None:
+        """The rests so far, without the times that are left out; None while there is too little."""
+        if not reduction.files or len(reduction.files[-1].accel) < _LEAST_BLOCKS:
             return None
-        part = without_blemishes(replace(reduction, files=(_from(file, first),)))
-        found = find_rests(part, self.session.accel_block, self.session.gyro_block)
-        spans = tuple(replace(span, first=span.first + first, last=span.last + first) for span in found.rests)
-        return without_times(reduction, replace(found, rests=spans), excluded)
+        reduction = without_blemishes(reduction)
+        found = find_rests(reduction, self.session.accel_block, self.session.gyro_block)
+        return without_times(reduction, found, excluded)
 
 
 def known(reduction: Reduction, first: int, last: int) -> MeanUncertainty | None:
@@ -145,27 +143,6 @@ def estimate_so_far(
 def _in_body(series: Array, to_body: Array | None) -> Array:
     """Readings in the body."""
     return series if to_body is None or np.array_equal(to_body, np.eye(3)) else series @ to_body
-
-
-def _from(file: FileBlocks, first: int) -> FileBlocks:
-    """The blocks of a file from `first` on."""
-    if first == 0:
-        return file
-    return replace(
-        file,
-        first_sample=file.first_sample + first * file.size,
-        edges=file.edges[first:],
-        accel=file.accel[first:],
-        gyro=None if file.gyro is None else file.gyro[first:],
-        accel_end=file.accel_end[first:],
-        gyro_end=None if file.gyro_end is None else file.gyro_end[first:],
-        accel_tail=_tail_from(file.accel_tail, first),
-        gyro_tail=None if file.gyro_tail is None else _tail_from(file.gyro_tail, first),
-    )
-
-
-def _tail_from(tail: Tail, first: int) -> Tail:
-    return replace(tail, blocks=tail.blocks[first:])
 
 
 def _uncertain(series: Array) -> tuple[float, float]:

@@ -22,9 +22,12 @@ from tumble.units import Array, BoolArray
 CALM_BLOCKS = 5
 """Half a second without movement is a rest that begins."""
 _LOOKED_AT = 256
-_MOST_LOOKED_AT = 100_000
 BIAS_LIMIT = 0.15
 SHORTEST_REST = 4.0
+KNOWN_SECONDS = 300.0
+"""For how long gyros of 0.01 °/s carry an attitude to 3°, which is about what a picture shows."""
+OPPOSITE = 0.01
+"""Sine of the angle between two verticals that are opposite: the way from one to the other is none in particular."""
 NOTHING_MORE = 0.93
 """Where twice the time leaves more than this of u, longer gives nothing."""
 
@@ -119,18 +122,20 @@ def scatter_now(blocks: Blocks) -> float:
     return float(np.sqrt(blocks.force[-10:].var(axis=0).sum()))
 
 
-def calm_since(blocks: Blocks, limits: StillLimits) -> int | None:
-    """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together."""
+def calm_since(blocks: Blocks, limits: StillLimits, calm_from: int = 0, calm_to: int = 0) -> int | None:
+    """The block from which on nothing moves, None if something does now. CALM_BLOCKS are looked at together; of those
+    between `calm_from` and `calm_to` it is known that nothing moves in them."""
     last = len(blocks)
+    unseen = max(calm_from, calm_to - CALM_BLOCKS + 1)
     first = last
-    while first > max(0, last - _MOST_LOOKED_AT):
-        start = max(0, first - _LOOKED_AT)
+    while first > unseen:
+        start = max(unseen, first - _LOOKED_AT)
         moving = np.flatnonzero(~_calm(blocks, start, min(first + CALM_BLOCKS - 1, last), limits))
-        if len(moving):
-            first = start + int(moving[-1]) + 1
-            break
         first = start
-    return first if last - first >= CALM_BLOCKS else None
+        if len(moving):
+            calm_from = start + int(moving[-1]) + 1
+            break
+    return calm_from if last - calm_from >= CALM_BLOCKS else None
 
 
 def _calm(blocks: Blocks, start: int, stop: int, limits: StillLimits) -> BoolArray:
@@ -188,6 +193,28 @@ def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
     bias = np.median(forces - gravity * expected[np.argmax(unit @ expected.T, axis=1)], axis=0)
     free = forces - bias if len(rests) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity else forces
     return np.asarray(free / np.linalg.norm(free, axis=1, keepdims=True))
+
+
+def attitude_now(programme: Programme, progress: Progress, index: int, at: int) -> Array | None:
+    """Body → geographic (3, 3) now, of a unit that is to be in position `index` of a programme, its `at`-th, from 0:
+    from the position before by what the gyros read since. In any order, without gyros, or long after it, the attitude
+    nearest to that position with the vertical as it is read; None where that is none."""
+    blocks, groups, wanted = progress.blocks, progress.groups, programme.positions[index].matrix
+    before = groups[at - 1][-1] if 0 < at <= len(groups) else None
+    if programme.ordered and index and before is not None and before.rate is not None and blocks.rate is not None:
+        since = slice(before.last, len(blocks))
+        seconds = np.diff(blocks.edges[since.start : since.stop + 1])[:, None]
+        if seconds.sum() < KNOWN_SECONDS:
+            turns = rotation_matrix((blocks.rate[since] - before.rate) * seconds)
+            return np.asarray(reduce(np.matmul, turns, programme.positions[index - 1].matrix))
+    vertical = blocks.force[-CALM_BLOCKS:].mean(axis=0)
+    vertical = vertical / np.linalg.norm(vertical)
+    across = np.cross(vertical, expected := programme.positions[index].vertical_b)
+    sine = float(np.linalg.norm(across))
+    if sine < OPPOSITE and vertical @ expected < 0.0:
+        return None
+    angle = float(np.arctan2(sine, vertical @ expected))
+    return np.asarray(wanted @ rotation_matrix(angle * across / max(sine, OPPOSITE)))
 
 
 def against(move: Move, before: Position, turned: Array) -> float:

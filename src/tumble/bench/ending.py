@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from tumble.errors import CalibrationError
 from tumble.files import whole_file
+from tumble.sensors.parameters import group_name
+from tumble.units import rounded
 
 if TYPE_CHECKING:
     from tumble.calibration.calibration_file import Calibration
@@ -26,22 +28,28 @@ _ENDINGS = {"c": ".h", "px4": ".params", "ardupilot": ".parm", "csv": ".csv", "m
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Results:
-    """What has come of a session: whether its calibration is accepted, and the reasons; how many parameters it has; the
-    files that can be fetched, and what the registry said."""
+    """What has come of a session: whether its calibration is accepted, and the reasons; its parameters as `tumble
+    calibrate` shows them; the files that can be fetched, and what the registry said."""
 
     accepted: bool
     reasons: tuple[str, ...]
-    parameters: int
+    parameters: tuple[dict[str, Any], ...]
     files: tuple[str, ...] = (CALIBRATION_FILE,)
     registered: str = ""
 
     @staticmethod
     def of(calibration: Calibration) -> Results:
         """Of a calibration that is written."""
-        outcome = calibration.outcome
-        return Results(
-            accepted=outcome.accepted, reasons=tuple(outcome.reasons), parameters=len(calibration.parameters)
-        )
+        from tumble.terminal.text import shown_units
+
+        outcome, units = calibration.outcome, shown_units(calibration.parameters)
+        rows = []
+        for each in calibration.parameters:
+            (size, unit), u = units[each.name], each.u or 0.0
+            value, last = rounded(each.value / size, u / size)
+            row = {"name": each.name, "group": group_name(each.name), "value": value, "u": last, "unit": unit}
+            rows.append(row | {"size": size, "u_si": each.u})
+        return Results(accepted=outcome.accepted, reasons=tuple(outcome.reasons), parameters=tuple(rows))
 
     def with_file(self, name: str) -> Results:
         """With one file more."""

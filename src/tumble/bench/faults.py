@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,12 +35,14 @@ PUT_DOWN_SIGMAS = 10.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fault:
-    """What is wrong, from `start` on, s: its kind, and a sentence. `kept` says whether a first part is good."""
+    """What is wrong, from `start` on, s: its kind, and a sentence. `kept` says whether a first part is good; `place`
+    which position it is about, from 0, None where that in which the unit is."""
 
     kind: str
     said: str
     start: float
     stop: float
+    place: int | None = None
     kept: bool = False
     choices: tuple[str, ...] = ("again", "go_on")
 
@@ -118,7 +120,7 @@ def _first_misplaced(listed: Programme, progress: Progress, last: list[Rest], un
             before, move = listed.positions[k - 1], listed.moves[k - 1]
             found = turn_fault(move, before, turned, groups[k][0].start, rest.stop)
         if found is not None:
-            return found
+            return replace(found, place=k)
     return None
 
 

@@ -88,6 +88,8 @@ class Clock:
     one that may is held until the next has come."""
 
     spec: LogSpec
+    head: int = _HEAD
+    """Rows from which the interval is learned."""
     interval: float | None = None
     last: float | None = None
     count: int = 0
@@ -99,10 +101,10 @@ class Clock:
         """The samples of the next rows; None while the interval is not known."""
         if self.interval is None:
             self._head = [*(self._head or []), rows]
-            if sum(map(len, self._head)) < _HEAD:
+            if sum(map(len, self._head)) < self.head:
                 return None
             rows, self._head = np.concatenate(self._head), None
-            self._learn(rows)
+            self._learn(rows[: self.head])
         assert self.interval is not None
         if self.spec.time is None or self.spec.regular:
             time = np.asarray(self.start + self.interval * np.arange(self.count, self.count + len(rows)), dtype=float)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,25 +14,32 @@ from tumble.bench.faults import Fault, channel_fault, gap_fault
 from tumble.bench.follow import BRIDGED, Clock, Follower, SoundSamples
 from tumble.bench.task import Task
 from tumble.bench.watch import Watch
+from tumble.recording.log import HEAD_ROWS
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks import Reduction
 from tumble.reduction.segmentation import RestSpan, Segmentation
 
-_WINDOW = 1200
 _PIECES = 32
+_GROWN = 0.01
+"""Of the length of a log: by so much it grows between searches where nothing else asks for one, so that all of them
+together cost as much as a hundred of its whole length."""
+_LEVEL_BLOCKS = 600
+"""At the end of a rest: their rate is what the gyros read at rest now, however far they have drifted since it began."""
 _MOST_FAULTS = 64
 """Faults of samples that are kept: nobody answers more, and a source that stutters for hours has one a second."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Followed:
-    """What the log says so far: its blocks, the rests in them, and the limits of a calm block, None while there is too
-    little to find rests in."""
+    """What the log says so far: its blocks; the rests that were found in them last, and the limits of a calm block,
+    None while there is too little to find rests in; and the block from which on nothing moves, None where something
+    does now."""
 
     reduction: Reduction
     blocks: Blocks
     spans: tuple[RestSpan, ...] = ()
     limits: StillLimits | None = None
+    calm_from: int | None = None
 
 
 class Live:
@@ -40,16 +47,23 @@ class Live:
     samples, of which `samples` were read and `lost` are missing."""
 
     def __init__(self, task: Task) -> None:
+        self._task = task
+        self._closed: dict[tuple[int, int], Rest] = {}
+        self._judged: dict[int, tuple[int, Judged]] = {}
+        self._enough: list[tuple[int, int]] = []
+        self._begin(Clock(spec=task.session.log))
+
+    def _begin(self, clock: Clock) -> None:
+        """Follow the log from its beginning."""
         self.now: Followed | None = None
         self.faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self.samples = self.lost = 0
-        self._task = task
-        self._follower = Follower.of(task.session.log)
-        self._clock = Clock(spec=task.session.log)
+        self._follower = Follower.of(self._task.session.log)
+        self._clock = clock
         self._chain: Chain | None = None
         self._watches: list[Watch] = []
-        self._closed: dict[tuple[int, int], Rest] = {}
-        self._judged: dict[tuple[int, int], Judged] = {}
+        self._searched: tuple[object, ...] = ()
+        self._searched_blocks = 0
 
     @property
     def at(self) -> int:
@@ -64,7 +78,9 @@ class Live:
     # -------------------- from the log to rests --------------------
 
     def read(self, excluded: tuple[Exclusion, ...]) -> None:
-        """Read what has come, without the times that are left out."""
+        """Read what has come, without the times that are left out. Once there are as many rows as the calibration takes
+        the interval from, the log is read again with theirs: of fewer it may differ by its rounding, and with it
+        where a window ends."""
         for _ in range(_PIECES):
             rows = self._follower.rows()
             if not len(rows):
@@ -72,6 +88,8 @@ class Live:
             samples = self._clock.samples(rows)
             if samples is not None and self._clock.interval is not None:
                 self._take(samples, self._clock.interval)
+            if self._clock.head < HEAD_ROWS <= self.samples:
+                self._begin(Clock(spec=self._task.session.log, head=HEAD_ROWS))
         reduction = None if self._chain is None else self._chain.now()
         if self._chain is not None and reduction is not None and reduction.files:
             self.now = self._followed(self._chain, reduction, excluded)
@@ -92,15 +110,31 @@ class Live:
             self.faults.append(gap_fault(float(samples.time[i]), int(samples.lost[i]), float(samples.dt[i])))
 
     def _followed(self, chain: Chain, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Followed:
-        blocks = chain.blocks(reduction)
-        spans = () if self.now is None else self.now.spans
-        limits = None if self.now is None else self.now.limits
-        first = _looked_at_from(blocks, spans)
-        found = chain.rests(reduction, excluded, first)
-        if found is not None:
-            spans = (*(span for span in spans if span.last <= first), *found.rests)
-            limits = _limits_of(found, blocks, spans)
-        return Followed(reduction=reduction, blocks=blocks, spans=spans, limits=limits)
+        """What the log says now. Rests are looked for in the whole of it, as the calibration looks for them, whenever
+        others may be found: when movement begins or ends, a rest becomes long enough, something is left out, the log
+        has grown by a hundredth, or has ended."""
+        now = Followed(reduction=reduction, blocks=chain.blocks(reduction))
+        before, length = self.now, len(now.blocks)
+        if before is not None:
+            calm_from = _calm_from(now.blocks, before)
+            now = replace(now, spans=before.spans, limits=before.limits, calm_from=calm_from)
+        longer = length - self._searched_blocks
+        ended = before is not None and length == len(before.blocks) and longer > 0
+        if self._seen(now, excluded) == self._searched and not ended and longer <= _GROWN * length:
+            return now
+        found = chain.rests(reduction, excluded)
+        if found is None:
+            return now
+        limits = _limits_of(found, now.blocks)
+        now = replace(now, spans=found.rests, limits=limits, calm_from=calm_since(now.blocks, limits))
+        self._searched, self._searched_blocks = self._seen(now, excluded), length
+        return now
+
+    def _seen(self, now: Followed, excluded: tuple[Exclusion, ...]) -> tuple[object, ...]:
+        """What other rests may be found with: since when nothing moves, whether that is long enough, and what is left
+        out."""
+        current = _lasting(now, excluded)
+        return now.calm_from, current is not None and self._judge(now.reduction, current).enough, excluded
 
     # -------------------- from rests to progress --------------------
 
@@ -109,8 +143,7 @@ class Live:
         now = self.now
         if now is None or now.limits is None:
             return None
-        calm_from = calm_since(now.blocks, now.limits)
-        current = None if calm_from is None else _lasting(now.blocks, calm_from, excluded)
+        calm_from, current = now.calm_from, _lasting(now, excluded)
         ended = [(span.first, span.last) for span in now.spans if calm_from is None or span.last <= calm_from]
         self._closed = {each: self._closed.get(each) or rest_of(now.blocks, *each) for each in ended}
         rests = [*self._closed.values(), *([] if current is None else [current])]
@@ -125,33 +158,43 @@ class Live:
         )
 
     def _judge(self, reduction: Reduction, rest: Rest) -> Judged:
-        """How good a rest is; of a rest that lasts, anew every half second."""
-        key = rest.first, rest.last // 5
-        if key not in self._judged:
-            self._judged = {k: v for k, v in self._judged.items() if k[0] != rest.first}
-            found = known(reduction, rest.first, rest.last)
-            self._judged[key] = judged(found, rest.stop - rest.start, self._task.wanted)
-        return self._judged[key]
+        """How good a rest is; of one that lasts, anew every half second, later as it grows by a hundredth. What was
+        enough stays so: u is known to some percent and crosses the wanted one more than once, and the rest that is
+        found in the end is shorter by its margins."""
+        last, found = self._judged.get(rest.first, (0, None))
+        if found is None or not 0 <= rest.last - last < max(5.0, _GROWN * (rest.last - rest.first)):
+            found = judged(known(reduction, rest.first, rest.last), rest.stop - rest.start, self._task.wanted)
+            if found.enough:
+                self._enough.append((rest.first, rest.last))
+            elif any(first < rest.last and rest.first < last for first, last in self._enough):
+                found = replace(found, enough=True)
+            self._judged[rest.first] = rest.last, found
+        return found
 
 
-def _looked_at_from(blocks: Blocks, spans: tuple[RestSpan, ...]) -> int:
-    """The block from which on rests are looked for: of a long log the end of a rest, some minutes ago."""
-    if len(blocks) <= 5 * _WINDOW:
-        return 0
-    first = len(blocks) - _WINDOW
-    return max([span.last for span in spans if span.last <= first], default=first)
+def _calm_from(blocks: Blocks, before: Followed) -> int | None:
+    """The block from which on nothing moves, where it is known of fewer blocks."""
+    if before.limits is None:
+        return None
+    if before.calm_from is None:
+        return calm_since(blocks, before.limits)
+    return calm_since(blocks, before.limits, before.calm_from, len(before.blocks))
 
 
-def _limits_of(found: Segmentation, blocks: Blocks, spans: tuple[RestSpan, ...]) -> StillLimits:
-    """The limits of a calm block, with the rate of the last rest."""
+def _limits_of(found: Segmentation, blocks: Blocks) -> StillLimits:
+    """The limits of a calm block, with the rate at the end of the last rest."""
     level = None
-    if blocks.rate is not None and spans:
-        level = blocks.rate[spans[-1].first : spans[-1].last].mean(axis=0)
+    if blocks.rate is not None and found.rests:
+        first, last = found.rests[-1].first, found.rests[-1].last
+        level = blocks.rate[max(first, last - _LEVEL_BLOCKS) : last].mean(axis=0)
     return StillLimits(scatter=found.scatter_limit, rate=found.rate_limit, level=level)
 
 
-def _lasting(blocks: Blocks, first: int, excluded: tuple[Exclusion, ...]) -> Rest | None:
-    """The rest since block `first`, after what is left out of it; None if nothing is left."""
+def _lasting(now: Followed, excluded: tuple[Exclusion, ...]) -> Rest | None:
+    """The rest that lasts, after what is left out of it; None where something moves, or nothing is left."""
+    blocks, first = now.blocks, now.calm_from
+    if first is None:
+        return None
     for one in excluded:
         if one.start is not None and one.stop is not None and one.stop > blocks.edges[first]:
             if math.isinf(one.stop) and one.start <= blocks.edges[-1]:

@@ -10,15 +10,27 @@ from typing import Any
 import numpy as np
 
 from tumble.bench.chain import Blocks
-from tumble.bench.course import Judged, Progress, Rest, nearest_positions, scatter_now, turned_between, verticals
+from tumble.bench.course import (
+    SHORTEST_REST,
+    Judged,
+    Progress,
+    Rest,
+    attitude_now,
+    nearest_positions,
+    scatter_now,
+    turned_between,
+    verticals,
+)
 from tumble.bench.faults import Fault
 from tumble.bench.intake import Received
 from tumble.bench.task import Task
 from tumble.bench.wishes import better_by
 from tumble.programme.positions import ANY_MOVE, Move
+from tumble.programme.sheet_pictures import ghost
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
 from tumble.reduction.rest_noise import drift
 from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS, Array
+from tumble.usual_setup import MOVE
 
 STILL_TURNING = 3.0 * DEGREE
 """s⁻¹: a turn that is nearly done and goes on more slowly is a unit put down with movement."""
@@ -26,6 +38,9 @@ NEARLY = 10.0 * DEGREE
 _SETTLING = 20.0
 """Of u: a drift over a rest that is no noise; that of white noise is √12 u."""
 _TRACE = 600
+FORESEEN = 9.0
+"""Times as long as a rest has lasted: u is known to some 20 % from its beginning, and its square, which is what it will
+take, to half of that time; further ahead no time is told."""
 
 WAITING: dict[str, Any] = {"screen": "waiting", "headline": "Waiting for data", "fault": None}
 """The screen while there is too little to see rests in."""
@@ -59,12 +74,12 @@ def screen(
         "fault": None,
     }
     if fault is None:
-        return shown | _screen(task, progress, go_on=go_on, enough=estimate is not None and estimate["enough"])
+        return shown | _screen(task, progress, estimate, go_on=go_on)
     said = {"kind": fault.kind, "said": fault.said, "at": fault.start, "choices": list(fault.choices)}
-    return shown | {"screen": "fault", "headline": "Not good", "fault": said, **_where(task, progress)}
+    return shown | {"screen": "fault", "headline": "Not good", "fault": said, **_where(task, progress, fault.place)}
 
 
-def _screen(task: Task, progress: Progress, *, go_on: bool, enough: bool) -> dict[str, Any]:
+def _screen(task: Task, progress: Progress, estimate: Mapping[str, Any] | None, *, go_on: bool) -> dict[str, Any]:
     """The screen where nothing is wrong."""
     taken = len(progress.groups)
     if not taken:
@@ -73,8 +88,8 @@ def _screen(task: Task, progress: Progress, *, go_on: bool, enough: bool) -> dic
     if current is not None and not judged.enough:
         return _at_rest(task, progress, current, judged)
     all_taken = task.positions is not None and taken >= task.positions
-    if all_taken or (current is not None and enough and not go_on):
-        return _done(task, taken, complete=all_taken, enough=enough)
+    if all_taken or (current is not None and estimate is not None and estimate["enough"] and not go_on):
+        return _done(task, taken, estimate, complete=all_taken)
     return _turn(task, progress)
 
 
@@ -85,26 +100,31 @@ def _sphere(progress: Progress, estimate: Mapping[str, Any] | None) -> dict[str,
 
 
 def _to_go(task: Task, progress: Progress) -> float | None:
-    """The time, s, that the positions of the programme still take, as long each as those before were on average; None
-    where that is not known."""
+    """The time, s, that the positions of the programme still take. One takes the rest and the move that the programme
+    allows for or, as soon as they outvote that, what those before took: the median of all, of the first rest, which may
+    be a warm-up, no more than is allowed for. What goes beyond that now shortens nothing."""
     groups = progress.groups
     if task.positions is None or not groups:
         return None
-    left = progress.judged[-1].left if progress.lasts else 0.0
+    rest = max(task.wanted.rest, SHORTEST_REST)
+    begun = [group[0].start for group in groups]
+    begun[0] = max(begun[0], groups[0][-1].stop - rest)
+    each = float(np.median([rest + MOVE, *np.diff(begun)]))
     further = max(0, task.positions - len(groups))
-    if left is None or (further and len(groups) < 2):
-        return None
-    each = (groups[-1][0].start - groups[0][0].start) / (len(groups) - 1) if further else 0.0
-    return left + further * each
+    ahead = each if further else rest
+    return (
+        max(0.0, groups[-1][0].start + ahead - progress.now) + max(0, further - 1) * each + (rest if further else 0.0)
+    )
 
 
 # -------------------- the position --------------------
 
 
-def _where(task: Task, progress: Progress) -> dict[str, Any]:
-    """Which position the unit is in, or is to be in next."""
-    at = len(progress.groups) - (1 if progress.lasts else 0)
-    return {"rest": _number(task, at + 1), "position": _position(task, _index(task, progress.groups, at), at)}
+def _where(task: Task, progress: Progress, place: int | None = None) -> dict[str, Any]:
+    """Which position the unit is in, or is to be in: that of this place in the course, from 0, or the present one."""
+    at = len(progress.groups) - (1 if progress.lasts else 0) if place is None else place
+    index = _index(task, progress.groups, at)
+    return {"rest": _number(task, at + 1), "position": _position(task, progress, index, at)}
 
 
 def _number(task: Task, number: int) -> dict[str, Any]:
@@ -127,12 +147,13 @@ def _index(task: Task, groups: list[list[Rest]], at: int) -> int | None:
     return next((k for k in range(len(programme.positions)) if k not in seen), None)
 
 
-def _position(task: Task, index: int | None, at: int) -> dict[str, Any] | None:
+def _position(task: Task, progress: Progress, index: int | None, at: int) -> dict[str, Any] | None:
     if task.programme is None or index is None:
         return None
     position = task.programme.positions[index]
     move = task.move(index) if at else ANY_MOVE
     x, y, z = points_of(position)
+    attitude = attitude_now(task.programme, progress, index, at)
     return {
         "number": index + 1,
         "label": position.label,
@@ -140,6 +161,7 @@ def _position(task: Task, index: int | None, at: int) -> dict[str, Any] | None:
         "move": move_text(move),
         "angle": None if move.angle is None else signed_angle(move.angle),
         "picture": f"picture/{index}.svg?{hashlib.sha256(position.attitude.encode()).hexdigest()[:8]}",
+        "ghost": None if attitude is None else ghost(attitude),
     }
 
 
@@ -150,6 +172,7 @@ def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> d
     where = _where(task, progress)
     number, of = where["rest"]["number"], f" of {task.positions}" if task.positions else ""
     known, wanted = judged.known, task.wanted
+    foreseen = judged.left is not None and judged.left <= FORESEEN * (current.stop - current.start)
     drifted = float(np.abs(drift([progress.blocks.force[current.first : current.last]])).max())
     return {
         "screen": "rest",
@@ -158,7 +181,7 @@ def _at_rest(task: Task, progress: Progress, current: Rest, judged: Judged) -> d
         "rest": where["rest"]
         | {
             "seconds": current.stop - current.start,
-            "left": judged.left,
+            "left": judged.left if foreseen else None,
             "u": None if known is None else known.accel / G_STANDARD * 1e6,
             "wanted": wanted.accel / G_STANDARD * 1e6,
             "gyro_u": None if known is None or known.gyro is None else known.gyro / DEGREE * 3600.0,
@@ -188,7 +211,7 @@ def _turn(task: Task, progress: Progress) -> dict[str, Any]:
         "screen": "turn",
         "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
         "rest": _number(task, at + 1),
-        "position": _position(task, index, at),
+        "position": _position(task, progress, index, at),
         "early": "" if progress.judged[-1].enough else f"rest {at} was left before the wanted u",
         "turn": {
             "done": None if done is None else done / DEGREE,
@@ -221,15 +244,95 @@ def _arrived(move: Move, done: float) -> bool:
 # -------------------- done --------------------
 
 
-def _done(task: Task, taken: int, *, complete: bool, enough: bool) -> dict[str, Any]:
-    said = f"All wanted u reached at rest {taken}" if enough else f"All {taken} positions taken"
+def _done(task: Task, taken: int, estimate: Mapping[str, Any] | None, *, complete: bool) -> dict[str, Any]:
+    """`complete`: all positions of the programme are taken. `missed` are the groups whose wanted u is not reached, None
+    where no estimate has all the rests."""
+    known = estimate is not None and estimate["rests"] >= taken
+    missed = [group["group"] for group in estimate["groups"] if not group["enough"]] if estimate and known else None
+    if estimate is not None and estimate["enough"]:
+        said = f"All wanted u reached at rest {taken}; five more would make it {better_by(taken):.1f} times better"
+    elif missed:
+        said = f"All {taken} positions taken; not reached: {', '.join(missed)}"
+    else:
+        said = f"All {taken} positions taken; the estimate is being made"
     return {
         "screen": "done",
-        "headline": f"{said}; five more would make it {better_by(taken):.1f} times better",
+        "headline": said,
         "rest": _number(task, taken),
         "position": None,
         "complete": complete,
+        "missed": missed,
     }
+
+
+# -------------------- what can be answered --------------------
+
+_LEFT_OUT = {
+    "knock": ("Take this rest again", "hold still: it begins anew, what came before the knock is left out"),
+    "movement": ("Take this rest again", "hold still: it begins anew"),
+    "wrong position": ("Leave this rest out", "then turn into {wanted}, as in the picture"),
+    "wrong way": ("Leave this rest out", "then turn back the way you came, and into {wanted} the other way"),
+    "wrong turn": ("Leave this rest out", "then turn back the way you came, and into {wanted} as it says"),
+    "surplus": ("Leave this rest out", "the programme is complete without it"),
+    "gap": ("Leave this out", "what was recorded since the gap, until you move; then take {wanted} again"),
+}
+_GOING_ON = {
+    "gap": "nothing is left out; a turn with the gap in it tells nothing",
+    "temperature": "nothing is left out; the change is one more unknown of the calibration",
+    "clipped": "nothing is left out; such a log cannot be calibrated",
+    "stuck": "nothing is left out; such a log cannot be calibrated",
+    "turning wrong": "this is the right way, the page is wrong",
+}
+_FIRST = {"gap": "go_on", "temperature": "go_on", "turning wrong": ""}
+"""Of the answers to a fault the one that is usual, where that is not its first."""
+
+
+def answers(state: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The buttons of a state: what each does, and what comes of it; one at most is what is usual now, the `primary`."""
+    if state["calibrating"]:
+        return []
+    named: list[tuple[str, str, str]] = []
+    ended = state["received"]["ended"]
+    stopped = state["can_record"] and not state["listening"] and not ended
+    primary = ""
+    if state["result"] is not None:
+        if state["can_record"] and not ended:
+            named.append(("resume", "Record on", "in the same folder; this result is dropped"))
+    elif stopped:
+        named.append(("resume", "Record on", "in the same folder, where it stopped"))
+        named.append(("calibrate", "Calibrate", "what is recorded so far"))
+        primary = "resume"
+    elif state["fault"] is not None:
+        named, primary = _answers_to(state)
+    elif state["screen"] == "done":
+        primary = "calibrate"
+        named.append(("calibrate", "Stop and calibrate", "recording ends"))
+        if not state["complete"]:
+            named.append(("go_on", "Go on", "for more positions"))
+    elif ended:
+        primary = "calibrate"
+        named.append(("calibrate", "Calibrate", "the source has ended"))
+    if state["result"] is None and state["estimate"] and "calibrate" not in [name for name, _, _ in named]:
+        rest = state.get("rest") or {}
+        of, number = rest.get("of"), rest.get("number", 0)
+        short = f"; {of - number + 1} of {of} positions are not taken" if of and number <= of else ""
+        named.append(("calibrate", "Stop and calibrate", f"recording ends{short}"))
+    return [{"do": name, "label": label, "says": says, "primary": name == primary} for name, label, says in named]
+
+
+def _answers_to(state: Mapping[str, Any]) -> tuple[list[tuple[str, str, str]], str]:
+    """The buttons for what is wrong, and the usual one."""
+    kind, choices = state["fault"]["kind"], state["fault"]["choices"]
+    position = state.get("position")
+    wanted = f"position {position['number']}" if position else "a new position"
+    label, says = _LEFT_OUT.get(kind, ("Leave this out", ""))
+    each = {
+        "again": (label, says.format(wanted=wanted)),
+        "keep_first": ("Keep the first part", "the rest ends at the knock; go on to the next position"),
+        "anew": ("Record this unit anew", "in a folder of its own beside this one"),
+        "go_on": ("Go on", _GOING_ON.get(kind, "nothing is left out: where the page is wrong")),
+    }
+    return [(name, *each[name]) for name in choices], _FIRST.get(kind, choices[0])
 
 
 # -------------------- beside the state --------------------

@@ -31,7 +31,7 @@ ASSETS = {
 }
 _KEEP_ALIVE = 1.0
 _LOOK_SECONDS = 0.25 * STEP_SECONDS
-_AGAIN, _STILL_HERE = "retry: 500\n\n", ": still here\n\n"
+_AGAIN, _STILL_HERE = "retry: 500\n\n", "event: here\ndata: \n\n"
 _YEAR = 365 * 86400
 _WAY_IN = '<meta http-equiv="refresh" content="0; url=/">'
 """Instead of a redirection: that of a link in another page would come back without the cookie."""

@@ -92,6 +92,7 @@ class Station:
         self._busy = ""
         self._message = ""
         self._wrong: tuple[str, int] | None = None
+        self._taken = 0
 
     # -------------------- running --------------------
 
@@ -145,23 +146,24 @@ class Station:
         state = self._header()
         progress = self._live.progress(self._answers.excluded)
         if progress is None or self._live.now is None:
-            return state | screens.WAITING
+            state |= screens.WAITING
+            return state | {"answers": screens.answers(state)}
         if progress.calm_from is None:
             self._answers.moved(progress.now)
         fault = self._fault(progress)
         self._estimates.ask(self._live.now, progress, self._answers.excluded)
         state |= screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-        return state | {"message": self._still_said(fault)}
+        return state | {"answers": screens.answers(state), "message": self._still_said(fault, len(progress.groups))}
 
     def _fault(self, progress: Progress) -> Fault | None:
         """The first fault that is not answered."""
         return self._answers.first_of([*self._live.faults, *faults_of_rests(self.task, progress)])
 
-    def _still_said(self, fault: Fault | None) -> str:
-        """What was answered last, until something else is wrong."""
-        if fault is not None and fault.key != self._wrong:
+    def _still_said(self, fault: Fault | None, taken: int) -> str:
+        """What was answered last, until something else is wrong or another position is taken."""
+        if (fault is not None and fault.key != self._wrong) or taken > self._taken:
             self._message = ""
-        self._wrong = None if fault is None else fault.key
+        self._wrong, self._taken = None if fault is None else fault.key, taken
         return self._message
 
     def _header(self) -> dict[str, Any]:
@@ -171,6 +173,7 @@ class Station:
             "unit": {"serial": device.serial, "model": device.model},
             "session": self.folder.name,
             "listening": received is not None and not received.ended,
+            "can_record": self._listen is not None,
             "received": {
                 "source": self._source_name(),
                 "samples": live.samples,
@@ -180,6 +183,7 @@ class Station:
             },
             "programme": None if programme is None else programme.name,
             "positions": self.task.positions,
+            "wanted": dict(self.task.wanted.group),
             "estimate": self._estimates.shown,
             "estimating": self._estimates.under_way,
             "result": None if self._results is None else self._results.shown(),

@@ -13,8 +13,8 @@ from tumble.planning.requirements import wanted_of
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import Grade, grade
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import group_name, positions_by_group, usual_sizes
-from tumble.units import Array, engineering
+from tumble.sensors.parameters import group_name, positions_by_group, shown_in, usual_sizes
+from tumble.units import Array
 
 PART_OF_SPREAD = 0.05
 """What a calibration is to leave of the errors before it, where the noise of the grade allows that."""
@@ -37,11 +37,13 @@ def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Wanted:
     """What is wanted of a session: standard uncertainties, SI, by `group`; u of the mean of a rest, `accel`, m/s², and
-    `gyro`, rad/s; and by how much, K, the temperature may change, the `warming`."""
+    `gyro`, rad/s; how long a `rest` of the white noise of the grade alone is then, s; and by how much, K, the
+    temperature may change, the `warming`."""
 
     group: Mapping[str, float]
     accel: float
     gyro: float
+    rest: float
     warming: float
 
     @staticmethod
@@ -50,10 +52,13 @@ class Wanted:
         biases or, where that is more, to what a minute of the noise of the grade leaves. The temperature may change by
         as much as moves a bias of instruments of the grade by what is wanted of it, and by LEAST_WARMING at least."""
         group, noise, usual = wishes(texts, grade_name), grade(grade_name).noise, usual_sizes(grade_name)
+        accel = max(PART_OF_WISH * group["accel.bias"], noise.accel_white / _REST**0.5)
+        gyro = max(PART_OF_WISH * group["gyro.bias"], noise.gyro_white / _REST**0.5)
         return Wanted(
             group=group,
-            accel=max(PART_OF_WISH * group["accel.bias"], noise.accel_white / _REST**0.5),
-            gyro=max(PART_OF_WISH * group["gyro.bias"], noise.gyro_white / _REST**0.5),
+            accel=accel,
+            gyro=gyro,
+            rest=max(noise.accel_white / accel, noise.gyro_white / gyro) ** 2,
             warming=max(LEAST_WARMING, *(group[name] / usual[f"{name}.t1"] for name in ("accel.bias", "gyro.bias"))),
         )
 
@@ -75,12 +80,13 @@ def _of_grade(kind: Grade) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reached:
-    """A group of parameters: the largest u of its parameters and the wanted one, SI; `determined`: whether the data
-    tell all of them."""
+    """A group of parameters: the largest u of its parameters, their root mean square `size`, which decides in which
+    unit `tumble calibrate` shows them, and the wanted u, SI; `determined`: whether the data tell all of them."""
 
     group: str
     unit: str
     u: float
+    size: float
     wanted: float
     determined: bool
 
@@ -91,7 +97,7 @@ class Reached:
 
     def shown(self) -> dict[str, object]:
         """For the page: numbers in the unit that is shown."""
-        size, unit = engineering(self.unit, self.wanted)
+        size, unit = shown_in(self.group, self.unit, self.size)
         return {
             "group": self.group,
             "unit": unit,
@@ -110,6 +116,7 @@ def reached(estimate: Estimate, wanted: Mapping[str, float]) -> tuple[Reached, .
             group=group,
             unit=estimate.units[rows[0]],
             u=float(u[rows].max()),
+            size=float(np.sqrt(np.mean(estimate.values[rows] ** 2))),
             wanted=wanted[group],
             determined=bool(estimate.observable[rows].all()),
         )

@@ -113,6 +113,19 @@ def picture(position: Position, move: Move = ANY_MOVE) -> str:
     return svg_picture(-HALF, -HALF, 2 * HALF, 2 * HALF, said, scene_of(position, move))
 
 
+def ghost(attitude: Array) -> dict[str, list[list[float]]]:
+    """The cube and its body axes in another attitude (3, 3), body → geographic, in the coordinates of a picture: by
+    name the lines, each x₁, y₁, x₂, y₂, of the "edges" and of the axes "X", "Y" and "Z" with the end at the tip."""
+    axes = VIEW @ attitude
+    corners = [CUBE * axes @ sign for sign in (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)]
+    edges = [(a, b) for i, a in enumerate(corners) for j, b in enumerate(corners) if i < j and (i ^ j) in (1, 2, 4)]
+    lines = {"edges": edges, **{name: [(CUBE * axis, AXIS * axis)] for name, axis in zip("XYZ", axes.T, strict=True)}}
+    return {
+        name: [[round(SCALE * v, 1) for v in (a[0], -a[1], b[0], -b[1])] for a, b in each]
+        for name, each in lines.items()
+    }
+
+
 def _described(position: Position, move: Move) -> str:
     x, y, z = points_of(position)
     return f"{short_code(position.attitude)}: X → {x}, Y → {y}, Z → {z}; {move_text(move)}"

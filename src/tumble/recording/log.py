@@ -27,7 +27,7 @@ from tumble.recording.session import LogSpec, Session
 from tumble.recording.timed_rows import check_head, rows_of
 from tumble.units import ZERO_CELSIUS, Array
 
-_HEAD_ROWS = 1000
+HEAD_ROWS = 1000
 """LogRows from which the interval of a file is taken, their median."""
 
 _READ_BY: dict[str, int] = {}
@@ -198,7 +198,7 @@ def _check_columns(source: LogSource, spec: LogSpec) -> None:
 
 def _head(source: LogSource, spec: LogSpec) -> Array:
     """The first times of a file, as it has them; of one without, the first numbers of a sensor."""
-    head = source.head(spec.time or spec.accel.columns[0], _HEAD_ROWS, clock=spec.clock)
+    head = source.head(spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock)
     if not len(head):
         raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
     if len(head) < _SHORTEST_ROWS:

@@ -1,6 +1,6 @@
 // The page follows the states that the server sends, and sends back what the operator answers.
 
-import { clock, details, groups, made, number, points, residuals, sphere, Tones, Trace } from "./parts.js";
+import { about, clock, details, ghost, groups, made, missed, number, parameters, points, residuals, sphere, Tones, Trace } from "./parts.js";
 
 const of = (id) => document.getElementById(id);
 const tones = new Tones();
@@ -23,12 +23,13 @@ function show(element, wanted) {
 function header() {
   const { unit, received, rest, session } = state;
   say(of("serial"), unit.serial);
-  const parts = [rest && `${rest.number}${rest.of ? ` of ${rest.of}` : ""}`, state.to_go && `about ${clock(state.to_go)} to go`, session];
+  const parts = [rest && `${rest.number}${rest.of ? ` of ${rest.of}` : ""}`, state.to_go && `${about(state.to_go)} to go`, session];
   say(of("count"), parts.filter(Boolean).join(" · "));
   const faults = [[received.lost, "lost"], [received.late, "late"], [received.repeated, "repeated"], [received.refused, "refused"]];
   const said = faults.filter(([count]) => count).map(([count, what]) => `${count} ${what}`).join(", ");
   const rate = received.rate ? `${number(received.rate)} Hz` : "–";
   say(of("received"), `${received.source} · ${clock(state.seconds || 0)} · ${rate} · ${received.samples} samples · ${said || "none lost"}`);
+  of("trouble").className = "trouble";
   const trouble = received.trouble.concat(received.ended ? ["the source has ended"] : []);
   if (!state.may_command) trouble.push("this page may look, not command: open the link with the token");
   say(of("trouble"), trouble.join(" · "));
@@ -38,26 +39,47 @@ function header() {
 function now() {
   const { fault, position } = state;
   const { result } = state;
-  const ended = result && (result.accepted ? "Calibrated: accepted" : "Calibrated: not accepted");
-  say(of("headline"), fault ? state.headline : ended || (state.calibrating ? "Calibrating …" : state.headline));
-  say(of("fault"), fault ? fault.said : "");
-  show(of("fault"), Boolean(fault));
-  of("now").className = `now ${result && !result.accepted ? "fault" : state.screen}`;
-  show(of("picture"), Boolean(position));
+  const ended = verdict();
+  const stopped = hasStopped();
+  say(of("headline"), ended || (state.calibrating ? "Calibrating …" : stopped ? "Recording has stopped" : state.headline));
+  const wrong = fault && !ended && !stopped && !state.calibrating;
+  say(of("fault"), wrong ? fault.said : "");
+  show(of("fault"), Boolean(wrong));
+  const less = result ? missed(result.parameters, state.wanted).length : state.screen === "done" && state.missed && state.missed.length;
+  of("now").className = `now ${result && !result.accepted ? "fault" : !result && stopped ? "stopped" : less ? "missed" : result ? "done" : state.screen}`;
+  show(of("target"), Boolean(position) && !result);
+  ghost(of("target"), position && state.screen !== "rest" ? position.ghost : null);
   if (position && of("picture").getAttribute("src") !== position.picture) {
     of("picture").src = position.picture;
     of("picture").alt = `Position ${position.number}: ${position.label}; ${position.move}`;
   }
-  show(of("sphere"), Boolean(state.sphere) && !position && state.screen !== "done");
+  show(of("sphere"), Boolean(state.sphere) && !position && state.screen !== "done" && !result);
   if (state.sphere && !position) sphere(of("sphere"), state.sphere);
-  points(of("points"), position);
+  points(of("points"), result ? null : position);
   figures();
+}
+
+/** Whether nothing is recorded although it could be. */
+function hasStopped() {
+  return state.can_record && !state.listening && !state.received.ended;
+}
+
+/** What the calibration says, and which wishes it leaves; nothing before there is one. */
+function verdict() {
+  const { result, wanted } = state;
+  if (!result) return "";
+  const left = missed(result.parameters, wanted);
+  return `Calibrated: ${result.accepted ? "accepted" : "not accepted"}${left.length ? `; not reached: ${left.join(", ")}` : ""}`;
 }
 
 function figures() {
   const { rest, turn, scatter } = state;
   const degrees = state.temperature === null || state.temperature === undefined ? "" : `${state.temperature.toFixed(2)} °C`;
-  if (state.screen === "rest") {
+  if (state.result || state.screen === "done" || hasStopped()) {
+    const left = state.result || !state.estimate || hasStopped() ? [] : state.estimate.groups.filter((group) => !group.enough);
+    say(of("big"), "");
+    details(of("details"), left.map((group) => [group.group, group.determined ? `${number(group.u)} of ${number(group.wanted)} ${group.unit}` : "not determined"]));
+  } else if (state.screen === "rest") {
     say(of("big"), rest.nothing_more ? "enough" : rest.left === null ? "…" : clock(rest.left));
     details(of("details"), [
       ["u of the mean", rest.u === null ? "…" : `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
@@ -65,6 +87,7 @@ function figures() {
       ["drift", `${number(rest.drift)} µg${rest.settling ? ": still settling" : ""}`],
       ["temperature", degrees],
       ["at rest", clock(rest.seconds)],
+      ["", rest.left === null && rest.seconds > 20 ? "u falls too slowly to say when: still settling, or noisier than its grade" : ""],
       ["", rest.nothing_more ? "longer gives nothing" : ""],
     ]);
   } else if (state.screen === "turn") {
@@ -78,7 +101,7 @@ function figures() {
     ]);
   } else {
     say(of("big"), "");
-    details(of("details"), scatter ? [["scatter now", `${number(scatter.now)} m/s²`], ["of a rest below", `${number(scatter.limit)} m/s²`], ["temperature", degrees]] : []);
+    details(of("details"), state.fault && state.position ? [["move", state.position.move]] : scatter ? [["scatter now", `${number(scatter.now)} m/s²`], ["of a rest below", `${number(scatter.limit)} m/s²`], ["temperature", degrees]] : []);
   }
 }
 
@@ -86,20 +109,26 @@ function estimate() {
   const found = state.estimate;
   const busy = state.estimating ? " …" : "";
   say(of("estimated"), (found ? `Estimate from ${found.rests} rests${found.enough ? ": all wanted u reached" : ""}` : "No estimate yet") + busy);
-  if (!found) { of("groups").replaceChildren(); return; }
-  groups(of("groups"), found.groups);
-  residuals(of("residuals"), found.residuals);
-  say(of("next"), found.next ? `Best next: ${found.next}` : "");
-  say(of("cause"), found.cause);
-  show(of("cause"), Boolean(found.cause));
+  const { groups: bars, residuals: left, next, cause } = found || { groups: [], residuals: [], next: "", cause: "" };
+  groups(of("groups"), bars);
+  residuals(of("residuals"), left);
+  say(of("next"), next ? `Best next: ${next}` : "");
+  say(of("cause"), cause);
+  show(of("cause"), Boolean(cause));
 }
 
 function finish() {
   const { result } = state;
   show(of("finish"), Boolean(result));
   if (!result) return;
-  say(of("result"), result.accepted ? "Calibrated: accepted" : "Calibrated: not accepted");
+  say(of("result"), verdict());
   say(of("registered"), result.registered);
+  const wished = result.parameters.filter((each) => each.group in state.wanted);
+  const further = result.parameters.filter((each) => !(each.group in state.wanted));
+  parameters(of("parameters"), wished, state.wanted);
+  parameters(of("further").querySelector("table"), further, state.wanted);
+  say(of("further").querySelector("summary"), `${further.length} further parameters, of which nothing is wanted`);
+  show(of("further"), further.length > 0);
   of("reasons").replaceChildren(...result.reasons.map((reason) => made("li", reason)));
   of("files").replaceChildren(...result.files.map((name) => {
     const link = made("a", name);
@@ -109,16 +138,22 @@ function finish() {
   }));
 }
 
+/** The answers that are possible now: what each does, and what comes of it; the usual one first. */
 function buttons() {
-  const choices = state.fault ? state.fault.choices : [];
-  const wanted = {
-    again: choices.includes("again"),
-    keep_first: choices.includes("keep_first"),
-    go_on: choices.includes("go_on") || (state.screen === "done" && !state.complete && !state.result),
-    calibrate: !state.result && !state.calibrating && (state.screen === "done" || state.received.ended || Boolean(state.estimate)),
-    resume: Boolean(state.result) && !state.received.ended,
-  };
-  for (const button of document.querySelectorAll("#buttons button")) show(button, wanted[button.dataset.do]);
+  const box = of("buttons");
+  const given = new Map(state.answers.map((each) => [each.do, each]));
+  for (const button of box.children) {
+    const answer = given.get(button.dataset.do);
+    show(button, answer);
+    if (!answer) continue;
+    const text = `${answer.label} ${button.dataset.key.toUpperCase()} ${answer.says}`;
+    if (button.dataset.text !== text) {
+      button.replaceChildren(made("b", answer.label), " ", made("kbd", button.dataset.key.toUpperCase()), made("small", answer.says));
+      button.dataset.text = text;
+    }
+    button.className = answer.primary ? "primary" : "";
+    if (answer.primary && box.firstElementChild !== button) box.prepend(button);
+  }
   for (const button of document.querySelectorAll("main button")) button.disabled = !state.may_command;
   show(of("table"), state.table);
   show(of("leave"), Boolean(state.estimate) || state.excluded > 0);
@@ -145,6 +180,7 @@ function benches() {
 
 function update(next) {
   state = next;
+  alive();
   header();
   benches();
   now();
@@ -221,7 +257,8 @@ function note(text) {
 document.addEventListener("click", (event) => {
   const button = event.target.closest("button");
   if (!button) return;
-  if (button.dataset.do) command(button.dataset.do);
+  if (button.dataset.do === "anew") command("next_unit", state.unit.serial);
+  else if (button.dataset.do) command(button.dataset.do);
   if (button.dataset.table) table(button.dataset.table);
 });
 
@@ -238,9 +275,35 @@ onSubmit("export", "export", "export-to");
 onSubmit("unit", "next_unit", "unit-serial");
 of("sound").addEventListener("click", () => of("sound").setAttribute("aria-pressed", String(tones.toggle())));
 
+// -------------------- a server that does not answer --------------------
+
+const SILENT_MS = 3000; // states come five times a second, or once a second a word that there is none
+let heardAt = new Date();
+let silence = 0;
+
+/** The server has said something. */
+function alive() {
+  heardAt = new Date();
+  if (document.body.dataset.dead) {
+    delete document.body.dataset.dead;
+    header();
+    buttons();
+  }
+  clearTimeout(silence);
+  silence = setTimeout(dead, SILENT_MS);
+}
+
+/** What is on the page is old, and its buttons reach nobody. */
+function dead() {
+  const since = heardAt.toLocaleTimeString();
+  say(of("trouble"), `The server does not answer. What is below is from ${since}; whether it is recording is not known. The page goes on when it answers.`);
+  show(of("trouble"), true);
+  of("trouble").className = "trouble dead";
+  document.body.dataset.dead = "yes";
+  for (const button of document.querySelectorAll("main button")) button.disabled = true;
+}
+
 const events = new EventSource("events");
 events.onmessage = (event) => update(JSON.parse(event.data));
-events.onerror = () => {
-  say(of("trouble"), "the server does not answer; the page goes on when it does");
-  show(of("trouble"), true);
-};
+events.addEventListener("here", alive);
+events.onerror = dead;

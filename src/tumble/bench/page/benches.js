@@ -1,6 +1,6 @@
 // The list of the benches: what each says, how far it is, and which wants the operator next.
 
-import { clock, details, made, Tones } from "./parts.js";
+import { about, clock, details, made, Tones } from "./parts.js";
 
 const of = (id) => document.getElementById(id);
 const tones = new Tones();
@@ -50,7 +50,7 @@ function show(bench) {
   details(list, [
     ["position", bench.at ? `${bench.at}${bench.of ? ` of ${bench.of}` : ""}` : "–"],
     ["this rest", bench.left === null ? "" : clock(bench.left)],
-    ["to go", bench.to_go === null ? "" : `about ${clock(bench.to_go)}`],
+    ["to go", bench.to_go === null ? "" : about(bench.to_go)],
     ["session", bench.session],
     ["source", bench.source],
     ["trouble", bench.trouble.join(" · ")],
@@ -71,6 +71,8 @@ function update(state) {
   say(of("next"), headline(state.benches[next - 1]));
   of("next").className = state.benches[next - 1].screen;
   of("trouble").hidden = true;
+  of("trouble").className = "trouble";
+  delete document.body.dataset.dead;
   const screens = Object.fromEntries(state.benches.map((bench) => [bench.number, `${bench.screen} ${bench.headline}`]));
   const wanting = state.benches.find((bench) => heard[bench.number] !== screens[bench.number] && WANTS.includes(bench.screen));
   if (wanting) tones.play(wanting.screen);
@@ -89,6 +91,8 @@ of("sound").addEventListener("click", () => of("sound").setAttribute("aria-press
 const events = new EventSource("events");
 events.onmessage = (event) => update(JSON.parse(event.data));
 events.onerror = () => {
-  say(of("trouble"), "the server does not answer; the page goes on when it does");
+  say(of("trouble"), "The server does not answer. What is below is old. The page goes on when it answers.");
+  of("trouble").className = "trouble dead";
   of("trouble").hidden = false;
+  document.body.dataset.dead = "yes";
 };

@@ -22,10 +22,18 @@ export function number(value, digits = 3) {
   return Math.abs(value) >= 10 ** digits ? value.toFixed(0) : String(Number(value.toPrecision(digits)));
 }
 
-/** A time as minutes and seconds. */
+/** A time as minutes and seconds, from an hour on with hours. */
 export function clock(seconds) {
   const whole = Math.max(0, Math.round(seconds));
-  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+  const two = (value) => String(value).padStart(2, "0");
+  const minutes = Math.floor(whole / 60);
+  return whole < 3600 ? `${minutes}:${two(whole % 60)}` : `${Math.floor(minutes / 60)}:${two(minutes % 60)}:${two(whole % 60)}`;
+}
+
+/** A time that is known to minutes. */
+export function about(seconds) {
+  const minutes = Math.round(seconds / 60);
+  return minutes < 1 ? "less than a minute" : minutes < 90 ? `about ${minutes} min` : `about ${(minutes / 60).toFixed(1)} h`;
 }
 
 /** Terms and their values. */
@@ -46,7 +54,7 @@ export function groups(box, list) {
   box.replaceChildren(...list.map((group) => {
     const row = made("div", "", `group ${!group.determined ? "unknown" : group.enough ? "enough" : ""}`);
     const name = made("div", "", "name");
-    const found = group.determined ? `${number(group.u)} ${group.unit}` : "not determined";
+    const found = group.determined ? `${number(group.u)} ${group.unit}` : "not yet";
     const limit = `${number(group.wanted)} ${group.unit}`;
     const wanted = group.determined ? ` of ${limit}` : ` (${limit})`;
     name.append(made("span", group.group), made("span", found + wanted));
@@ -56,7 +64,7 @@ export function groups(box, list) {
 }
 
 function bar(group, found) {
-  const ratio = group.determined ? Math.log10(group.u / group.wanted) : 2;
+  const ratio = group.determined ? Math.log10(group.u / group.wanted) : -2;
   const width = Math.min(100, Math.max(2, 50 + 25 * ratio));
   const box = made("div", "", "bar");
   box.setAttribute("role", "meter");
@@ -69,6 +77,52 @@ function bar(group, found) {
   fill.style.width = `${width}%`;
   box.append(fill, made("b"));
   return box;
+}
+
+/** Whether the wanted u of a parameter is reached, in a word; none where none is wanted. */
+function reached({ group, u_si: u }, wanted) {
+  return !(group in wanted) || u === null ? "" : u <= wanted[group] ? "reached" : "not reached";
+}
+
+/** The groups of what was calibrated whose wanted u is not reached. */
+export function missed(rows, wanted) {
+  return [...new Set(rows.filter((each) => reached(each, wanted) === "not reached").map((each) => each.group))];
+}
+
+/** What was calibrated, a row a parameter: value and u as `tumble calibrate` prints them, and the u that was wanted. */
+export function parameters(table, rows, wanted) {
+  const head = made("tr");
+  head.append(...["parameter", "value", "u (k=1)", "unit", "wanted u", ""].map((text) => made("th", text)));
+  table.replaceChildren(made("thead"), made("tbody"));
+  table.children[0].append(head);
+  table.children[1].append(...rows.map((each) => {
+    const wish = wanted[each.group];
+    const word = reached(each, wanted);
+    const row = made("tr", "", word === "not reached" ? "missed" : word);
+    const cells = [each.name, each.value, each.u, each.unit, wish === undefined ? "" : number(wish / each.size), word];
+    row.append(...cells.map((text, i) => made(i ? "td" : "th", text)));
+    return row;
+  }));
+}
+
+const GHOST = { edges: "#555555", X: "#b5301f", Y: "#1e7145", Z: "#2c5fa8" };
+
+/** The unit as it is now, in broken lines over the picture of the position it is to be in. */
+export function ghost(box, lines) {
+  const drawn = box.querySelector("svg");
+  if (!lines) { if (drawn) drawn.remove(); return; }
+  const picture = shape("svg", { viewBox: "-93 -93 186 186", "aria-hidden": "true" });
+  for (const [name, stroke] of Object.entries(GHOST)) {
+    for (const [x1, y1, x2, y2] of lines[name]) {
+      const width = name === "edges" ? 1.2 : 2.4;
+      picture.append(shape("line", { x1, y1, x2, y2, stroke, "stroke-width": width, "stroke-dasharray": "4 3" }));
+      if (name === "edges") continue;
+      const letter = shape("text", { x: 1.12 * x2, y: 1.12 * y2 + 4, fill: stroke, "font-size": 12, "text-anchor": "middle" });
+      letter.textContent = name.toLowerCase();
+      picture.append(letter);
+    }
+  }
+  if (drawn) drawn.replaceWith(picture); else box.append(picture);
 }
 
 /** The residual of every rest in sigmas. */
@@ -95,7 +149,7 @@ export function sphere(box, data) {
       if (!i && !j && !l) continue;
       const gain = data.gains ? 1 - data.gains[k] : 0;
       const length = Math.hypot(i, j, l);
-      const [fill, stroke] = k === best ? ["#7d3c98", "#7d3c98"] : ["none", "#b3141c"];
+      const [fill, stroke] = k === best ? ["#7d3c98", "#7d3c98"] : ["none", "#5b6470"];
       mark(picture, [i / length, j / length, l / length], side, x, 2 + 14 * Math.sqrt(Math.max(0, gain)), fill, stroke);
       k += 1;
     }
@@ -131,8 +185,8 @@ export class Trace {
 
   add(time, channels, anew) {
     if (anew) this.data = [[], [], [], []];
-    if (!channels.length) return;
-    this.data = this.data.map((old, i) => old.concat(i ? channels[i - 1] : time).slice(-600));
+    if (!channels.length && !anew) return;
+    if (channels.length) this.data = this.data.map((old, i) => old.concat(i ? channels[i - 1] : time).slice(-600));
     this.plot.setData(this.data);
   }
 }
