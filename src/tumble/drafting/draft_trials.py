@@ -17,18 +17,11 @@ from tumble.drafting.draft import Draft
 from tumble.drafting.gyro_unit_at_rest import more_than_gyros_read
 from tumble.drafting.gyro_unit_by_earth import RATES, reads_the_earth
 from tumble.drafting.log_times import ASSUMED_RATE, RATES_OF_LOGS
-from tumble.drafting.raw_scale import (
-    PLAIN,
-    Scale,
-    accel_scale,
-    counts_per_deg_s,
-    counts_per_g,
-    gyro_factor,
-    known_unit,
-    plain_unit,
-)
+from tumble.drafting.raw_scale import accel_scale, gyro_factor
 from tumble.errors import TumbleError
 from tumble.estimation.diagnosis.carried_vertical import fitting_gyro_unit
+from tumble.recording.formats.columns import ACCEL, GYRO
+from tumble.recording.formats.scales import Match, matched
 from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -103,11 +96,12 @@ def _accel_scaled(
     if sphere[0] == 0.0:
         said = f"accelerometers: {named} in counts; they read zero, so that the scale is unknown: put that of the "
         return {**log, "accel": made}, [said + "data sheet there"]
-    unit = plain_unit(sphere[0])
-    if unit is not None:
-        said = f"{named} in {unit} (gravity draws a sphere of {sphere[0]:.4g}), zero at {offset} ({seen})"
-        return {**log, "accel": made | {"scale": PLAIN[unit]}}, [f"accelerometers: {said}"]
-    scale = counts_per_g(sphere[0])
+    scale = matched(ACCEL, sphere[0], whole=draft.accel_whole)
+    if scale.unit is not None:
+        said = [f"accelerometers: {named} in {scale.unit}: {scale.said}, zero at {offset} ({seen})"]
+        if offset == 0.0:
+            return {**log, "accel": {"columns": accel["columns"], "unit": scale.unit}}, said
+        return {**log, "accel": made | {"scale": scale.value}}, said
     told = [f"accelerometers: {named} in counts: {scale.said}, zero at {offset} ({seen})"]
     if not (scale.known or draft.accel_whole or spherical):
         told.append(
@@ -133,17 +127,16 @@ def _gyro_scaled(
             "it: put that of the data sheet there"
         )
         return {**log, "gyro": centred}, [said]
-    scale = counts_per_deg_s(factor / DEGREE)
-    unit = known_unit(scale)
-    if unit is not None:
-        said = f"gyros: {named} in {unit}: so they carry the vertical from rest to rest"
-        return {**log, "gyro": {"columns": gyro["columns"], "unit": unit}}, [said]
+    scale = matched(GYRO, factor, whole=draft.gyro_whole)
+    if scale.unit is not None:
+        said = f"gyros: {named} in {scale.unit}: so they carry the vertical from rest to rest: {scale.said}"
+        return {**log, "gyro": {"columns": gyro["columns"], "unit": scale.unit}}, [said]
     high = float(np.abs(bias).max()) > _LARGEST_BIAS * scale.value
     made = {**(centred if high else gyro), "scale": scale.value}
     return {**log, "gyro": made}, [f"gyros: {named} in counts: {scale.said} (from the turns)", *_doubts(draft, scale)]
 
 
-def _doubts(draft: Draft, scale: Scale) -> list[str]:
+def _doubts(draft: Draft, scale: Match) -> list[str]:
     """That the time may be what is wrong, where its unit is a guess and no data sheet has what the turns show."""
     if not draft.time_guessed or scale.known:
         return []
@@ -287,7 +280,7 @@ def _in_counts(draft: Draft, faults: list[str], progress: Progress) -> tuple[Dra
     factor = None if (observations := _observed(draft.content, progress)) is None else gyro_factor(observations)
     if factor is None:
         return draft, faults
-    scale = counts_per_deg_s(factor)
+    scale = matched(GYRO, factor * DEGREE, whole=draft.gyro_whole)
     gyro = {
         "columns": log["gyro"]["columns"],
         "unit": "count",

@@ -30,7 +30,7 @@ from tumble.recording.formats.columns import (
     time_unit,
     unit_of_name,
 )
-from tumble.recording.formats.columns_by_data import columns_by_data, time_by_data
+from tumble.recording.formats.columns_by_data import Told, columns_by_data, time_by_data
 from tumble.recording.formats.message import Sensors
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -227,10 +227,11 @@ def _by_data(log: FoundLog) -> FoundLog:
     """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
     whose names say that they are something else are left aside; gx, gy and gz may be no gyros."""
     named = {kind: sensors for kind, sensors in log.columns.triads.items() if kind != ACCEL}
-    found = _told(log, named)
-    if ACCEL not in found.triads and GYRO in named:
+    told = _told(log, named)
+    if ACCEL not in told.columns.triads and GYRO in named:
         named = {kind: sensors for kind, sensors in named.items() if kind != GYRO}
-        found = _told(log, named)
+        told = _told(log, named)
+    found = told.columns
     if ACCEL not in found.triads:
         return log
     known = log.columns
@@ -242,17 +243,17 @@ def _by_data(log: FoundLog) -> FoundLog:
         temperatures=known.temperatures,
         counter=known.counter,
     )
-    told = {kind: s for kind, s in found.triads.items() if kind not in named}
-    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
-    return replace(log, columns=columns, said=(*log.said, *said))
+    new = {kind: s for kind, s in found.triads.items() if kind not in named}
+    said = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in new.items()]
+    return replace(log, columns=columns, said=(*log.said, *said, *told.said))
 
 
-def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Columns:
+def _told(log: FoundLog, named: Mapping[str, Sensors]) -> Told:
     """What the columns of a log are by their numbers, but for those of sensors that are named."""
     names = list(next(iter(log.sources())).names)
     taken = {column for sensors in named.values() for column in sensors.columns} | {log.columns.time}
     numeric = [n for n in _numeric(log) if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
-    read = log.read(numeric, rows=LONGEST // 10) if len(numeric) >= 3 else np.empty((0, len(numeric)))
+    read = log.read(numeric) if len(numeric) >= 3 else np.empty((0, len(numeric)))
     every = np.full((samples_in(read), len(names)), np.nan)
     every[:, [names.index(name) for name in numeric]] = read[: len(every)]
     return columns_by_data(names, every)

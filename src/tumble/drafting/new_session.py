@@ -36,14 +36,14 @@ from tumble.recording.autopilot import sensors_content
 from tumble.recording.formats import Sensors
 from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, temperature_unit
 from tumble.recording.formats.message import TIME, Message
+from tumble.recording.formats.scales import ACCEL_COUNTS, matched
 from tumble.recording.log import Log
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.recording.session_keys.temperature import TemperatureTable
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
 
 _HEAD = 20_000
-_TOLERANCE, _TOLERANCE_MG = 0.3, 0.12  # 800 and 1200 are counts per g of data sheets
-_SOFT = 0.03
+_TOLERANCE = 0.3
 _SECONDS, _FEWEST_MEANS, _STEADY = 2.0, 3, 0.4
 """Of accelerometers that turn slowly the mean over so long is most of gravity."""
 _FIELDS = {
@@ -52,7 +52,6 @@ _FIELDS = {
     "gauss": (0.15, 1.5),
     "T": (15e-6, 150e-6),
 }  # with iron about
-_PARTS_OF_DEG_S = {"mdps": (1000.0, "thousandths"), "0.1 deg/s": (10.0, "tenths")}
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 
 
@@ -263,9 +262,9 @@ def _content(log: FoundLog, times: Times, found: Columns, magnitude: float) -> t
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys, "accel": accel}
     unknown = False
     if GYRO in found.triads:
-        table["gyro"], more, unknown = _gyro(
-            found.triads[GYRO], log.read(found.triads[GYRO].columns, rows=_HEAD), raw=accel["unit"] == "count"
-        )
+        rates = log.read(found.triads[GYRO].columns, rows=_HEAD)
+        counted = accel["unit"] == "count" and (_is_whole(rates) or matched(ACCEL, magnitude, whole=False).unit is None)
+        table["gyro"], more, unknown = _gyro(found.triads[GYRO], rates, raw=counted)
         said += more
     else:
         said.append("no gyros were found: the accelerometers alone will be calibrated")
@@ -320,7 +319,8 @@ def _magnitude(log: FoundLog, sensors: Sensors) -> float:
 
 
 def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.accel]: the unit in which the median magnitude is gravity; of counts, with a scale of one."""
+    """The table [log.accel]: the unit in which the median magnitude is gravity; with a scale of one where it may be that
+    of counts, so that the rests tell."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
     if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
@@ -331,38 +331,29 @@ def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, 
                 asked = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
             said.append(f"accelerometers: their magnitude is not that of gravity in {sensors.unit}: {asked}")
         return {"columns": columns, "unit": sensors.unit}, said
-    for name, unit in ACCEL_UNITS.items():
-        named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
-        near = _TOLERANCE_MG if name == "mg" else _TOLERANCE
-        fits = abs(magnitude * unit.per_second(times.rate) / G_STANDARD - 1.0) < near
-        if named_raw or unit.kind == "raw" or not fits:
-            continue
-        also = "; 1024 counts per g are possible too" if name == "mg" and abs(magnitude / 1024.0 - 1.0) < _SOFT else ""
-        found = f"accelerometers: {named} in {name} (their magnitude is {magnitude:.6g}){also}"
-        return {"columns": columns, "unit": name}, [found]
+    named_raw = sensors.unit is not None and ACCEL_UNITS[sensors.unit].kind == "raw"
+    worth = {name: unit.per_second(times.rate) for name, unit in ACCEL_UNITS.items() if unit.kind != "raw"}
+    fits = [name for name, one in worth.items() if abs(magnitude * one / G_STANDARD - 1.0) < _TOLERANCE]
+    if fits and not named_raw and magnitude < (1.0 - _TOLERANCE) * ACCEL_COUNTS[0]:
+        also = f"; {' or '.join(fits[1:])} would fit too" if fits[1:] else ""
+        found = f"accelerometers: {named} in {fits[0]} (their magnitude is {magnitude:.6g}){also}"
+        return {"columns": columns, "unit": fits[0]}, [found]
     return {"columns": columns, "unit": "count", "scale": 1.0, "scale_per": "m/s^2", "offset": 0.0}, []
 
 
 def _gyro(sensors: Sensors, read: Array, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
-    """The table [log.gyro]; where the accelerometers are in counts, gyros of no named unit are too, and whole numbers
-    which no gyro reads in rad/s."""
+    """The table [log.gyro]; where the accelerometers are `raw`, gyros of no named unit are too, and whole numbers which no
+    gyro reads in rad/s."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
-    if sensors.unit in _PARTS_OF_DEG_S:
-        scale, part = _PARTS_OF_DEG_S[sensors.unit]
-        return (
-            {"columns": columns, "unit": "count", "scale": scale, "scale_per": "deg/s"},
-            [f"gyros: {named} in {part} of deg/s (from the name)"],
-            False,
-        )
     if sensors.unit is not None and GYRO_UNITS[sensors.unit].kind != "raw":
         return (
             {"columns": columns, "unit": sensors.unit},
             [f"gyros: {named} in {sensors.unit} (from the name or the format)"],
             False,
         )
-    fast = too_fast_for_rad_s(read)
-    if not raw and sensors.unit is None and not (fast and _is_whole(read)):
+    fast, whole = too_fast_for_rad_s(read), _is_whole(read)
+    if not raw and sensors.unit is None and not (fast and whole):
         step = step_in_deg_s(read)
         if step is not None:
             said = f"gyros: {named} in deg/s (a guess): their steps are {step:.4g} °/s, a count of data sheets"

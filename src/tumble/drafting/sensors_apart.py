@@ -12,12 +12,12 @@ import polars as pl
 
 from tumble.drafting.found_log import SHOWN, FoundLog, check_has_accelerometers
 from tumble.drafting.log_times import times_of_column
-from tumble.drafting.raw_scale import PLAIN
 from tumble.errors import InputError
 from tumble.recording import formats
 from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name, unit_of_name
 from tumble.recording.formats.columns_by_data import time_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
+from tumble.recording.formats.scales import CANDIDATES
 from tumble.units import TIME_UNITS
 
 _HEAD, _NEAR = 20_000, 0.1
@@ -53,12 +53,12 @@ def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
 
 
 def _reads_gravity(log: FoundLog) -> bool:
-    """Whether the three sensors of a log of accelerometers read gravity in m/s², g or thousandths of it."""
+    """Whether the three sensors of a log of accelerometers read gravity in a unit."""
     columns = _three(log, ACCEL)[1]
     if not columns:
         return False
     length = float(np.nanmedian(np.linalg.norm(log.read(columns, rows=_HEAD), axis=1)))
-    return any(abs(length / one - 1.0) < _NEAR for one in PLAIN.values())
+    return any(c.unit is not None and abs(length / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
 
 
 def of_sensors_apart(logs: Sequence[FoundLog], folder: Path) -> FoundLog:

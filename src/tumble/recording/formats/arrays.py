@@ -113,7 +113,7 @@ def _with_told_by_data(path: Path, columns: Columns, known: Known) -> Known:
     together = {name: column for name, column in free.items() if column[1] is not None} or free
     if not 0 < len(together) <= _WIDEST:
         return known
-    told = columns_by_data(list(together), _read_whole(path, together))
+    told = columns_by_data(list(together), _read_whole(path, together)).columns
     if ACCEL not in told.triads:
         return replace(known, triads=named)
     return replace(known, triads={**told.triads, **named}, time=known.time or told.time)
