@@ -203,7 +203,7 @@ CASES: dict[str, Case] = {
     # units and counts
     "mg and mdps": Case(
         write=d.named(ST, accel=1e3 * G, gyro=1e3 * DEG, time=1e6, digits=9),
-        said=("thousandths",),
+        said=("in mdeg/s (from the name",),
         worth=(1e3 * G, 1e3 * DEG),
     ),
     "g and deg/s without a word": Case(
@@ -420,8 +420,8 @@ READ: dict[str, tuple[p.Write, str, str | None, str | None]] = {
     "phyphox, its archive": (p.phyphox_archive, "device.csv has no rows of readings", "m/s^2", "rad/s"),
     "SparkFun": (p.sparkfun, "names before the numbers (Acc_x [mg],", "mg", "deg/s"),
     "Adafruit": (p.adafruit, "several lines a sample (Acceleration X", "m/s^2", "rad/s"),
-    "1'000": (p.thousands("'"), "marks between thousands", "mg", "mdps"),
-    "1,000": (p.thousands(","), "marks between thousands", "mg", "mdps"),
+    "1'000": (p.thousands("'"), "marks between thousands", "mg", "mdeg/s"),
+    "1,000": (p.thousands(","), "marks between thousands", "mg", "mdeg/s"),
     "NovAtel, raw sentences": (p.novatel, "sentences RAWIMU of NovAtel", "count", "count"),
     "days": (p.days, "ticks of 86400 s, made seconds", None, None),
     "tenths of microseconds": (p.tenths_of_microseconds, "ticks of 1e-07 s, made seconds", None, None),
@@ -436,7 +436,7 @@ WORTH = {
     "mg": 1e3 * G,
     "rad/s": 1.0,
     "deg/s": DEG,
-    "mdps": 1e3 * DEG,
+    "mdeg/s": 1e3 * DEG,
 }
 
 

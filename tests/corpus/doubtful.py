@@ -22,7 +22,9 @@ def whole(values: Array) -> list[list[str]]:
 def bno055(log: pl.DataFrame, folder: Path) -> str:
     """Counts of Bosch's BNO055: 100 per m/s² and 16 per °/s."""
     t, a, g = parts(log)
-    return joined(folder / "bno.csv", ["ms", *NAMES[1:]], [*whole(1e3 * t), *whole(100.0 * a), *whole(16.0 / DEGREE * g)])
+    return joined(
+        folder / "bno.csv", ["ms", *NAMES[1:]], [*whole(1e3 * t), *whole(100.0 * a), *whole(16.0 / DEGREE * g)]
+    )
 
 
 def scaled(accel: float, gyro: float, names: Sequence[str] = NAMES) -> Write:
@@ -35,13 +37,13 @@ def scaled(accel: float, gyro: float, names: Sequence[str] = NAMES) -> Write:
     return write
 
 
-def biased_gyros_first(log: pl.DataFrame, folder: Path) -> str:
+def biased_gyros_first(_log: pl.DataFrame, folder: Path) -> str:
     """Counts without names at rest: gyros whose bias has the length of a data sheet's counts per g, then the
     accelerometers."""
     rng = np.random.default_rng(1)
     rows = 6000
     drift = np.cumsum(rng.normal(scale=0.05, size=(rows, 3)), axis=0)
-    gyro = np.array([-109.0, 19.0, 65.0]) + drift + rng.normal(scale=4.0, size=(rows, 3))
+    gyro: Array = np.array([-109.0, 19.0, 65.0]) + drift + rng.normal(scale=4.0, size=(rows, 3))
     accel = np.array([120.0, -310.0, 16100.0]) + rng.normal(scale=40.0, size=(rows, 3))
     return joined(folder / "still.txt", [], [*whole(20.0 * np.arange(rows)), *whole(gyro), *whole(accel)])
 
@@ -71,7 +73,11 @@ def housekeeping(log: pl.DataFrame, folder: Path) -> str:
     t, a, g = parts(log)
     rng = np.random.default_rng(2)
     count = [str(k % 256) for k in range(len(t))]
-    beside = [1000.9 + 0.05 * rng.normal(size=len(t)), 3.71 + 0.004 * rng.normal(size=len(t)), 24.0 + 0.01 * t + 0.1 * rng.normal(size=len(t))]
+    beside = [
+        1000.9 + 0.05 * rng.normal(size=len(t)),
+        3.71 + 0.004 * rng.normal(size=len(t)),
+        24.0 + 0.01 * t + 0.1 * rng.normal(size=len(t)),
+    ]
     columns = [count, *text(np.column_stack(beside), 6), *text(g / DEGREE, 5), *text(a, 5)]
     return joined(folder / "station.txt", [], columns, " ")
 
@@ -99,5 +105,7 @@ def field_alone(log: pl.DataFrame, folder: Path) -> str:
 
 def euler_angles(log: pl.DataFrame, folder: Path) -> str:
     t, a, _ = parts(log)
-    angles = np.column_stack([np.arctan2(a[:, 1], a[:, 2]), np.arcsin(np.clip(a[:, 0] / 10.0, -1, 1)), 0.1 * t]) / DEGREE
+    angles = (
+        np.column_stack([np.arctan2(a[:, 1], a[:, 2]), np.arcsin(np.clip(a[:, 0] / 10.0, -1, 1)), 0.1 * t]) / DEGREE
+    )
     return joined(folder / "euler.csv", ["t", "roll", "pitch", "yaw"], [*text(t), *text(angles)])

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,12 @@ from tumble.drafting.other_formats import check_is_log
 from tumble.drafting.respelled import respelled
 from tumble.drafting.sensor_rows import headed_kinds, sensor_column, split_by_header, split_by_sensor
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
+from tumble.drafting.stated_columns import Stated, with_stated
 from tumble.errors import InputError
 from tumble.recording.dialect import LINE_BYTES, Dialect, Top, dialect_of, is_clock
 from tumble.recording.formats.columns import (
     ACCEL,
     GYRO,
-    Columns,
     columns_by_name,
     is_no_sensor,
     time_unit,
@@ -67,9 +68,11 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in re.split(r"([0-9]+)", path.name)]
 
 
-def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
-    """What text and Parquet files are. Raises InputError for those that are no logs, or not alike."""
+def found_log(files: Sequence[Path], folder: Path, stated: Stated = MappingProxyType({})) -> FoundLog:
+    """What text and Parquet files are, and which of their columns are what, where it is not `stated`. Raises InputError
+    for those that are no logs, or not alike."""
     logs, left = _those_with_rows(files, folder)
+    logs = [with_stated(log, stated) for log in logs]
     logs = [_with_finest_time(log) if len(log.columns.times) > 1 else log for log in logs]
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
@@ -97,19 +100,17 @@ def found_log(files: Sequence[Path], folder: Path) -> FoundLog:
 
 
 def _pooled(logs: Sequence[FoundLog]) -> Sequence[FoundLog]:
-    """Files whose columns have no names and are alike as one log: a file of one position does not tell what they are,
-    all of them do."""
+    """Files alike whose columns no name tells as one log: a file of one position does not tell what they are, all of
+    them do."""
     first = logs[0]
-    nameless = all(log.cells and all(map(str.isdecimal, log.cells)) for log in logs)
-    if (
-        len(logs) < 2
-        or not nameless
-        or any((log.keys, set(log.cells)) != (first.keys, set(first.cells)) for log in logs)
+    if len(logs) < 2 or any(
+        ACCEL in log.columns.triads or not log.cells or (log.keys, set(log.cells)) != (first.keys, set(first.cells))
+        for log in logs
     ):
         return logs
     numeric = _numeric(first)
     time = time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
-    columns = replace(first.columns, time=time or first.columns.time)
+    columns = replace(first.columns, time=first.columns.time or time)
     return [replace(first, files=tuple(file for log in logs for file in log.files), columns=columns)]
 
 

@@ -34,15 +34,17 @@ from tumble.programme.positions import BUILT_IN
 from tumble.recording import formats
 from tumble.recording.autopilot import sensors_content
 from tumble.recording.formats import Sensors
-from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, Columns, temperature_unit
+from tumble.recording.formats.columns import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Columns, temperature_unit
 from tumble.recording.formats.message import TIME, Message
 from tumble.recording.formats.scales import ACCEL_COUNTS, matched
 from tumble.recording.log import Log
+from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_of
 from tumble.recording.session_keys.temperature import TemperatureTable
-from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, TEMPERATURE_UNITS, Array
 
-_HEAD = 20_000
+_HEAD, _FIRST_ROWS = 20_000, 200
+_NO_COLUMNS = Columns(time=None, time_unit=None, triads={}, temperatures=(), others=())
 _TOLERANCE = 0.3
 _SECONDS, _FEWEST_MEANS, _STEADY = 2.0, 3, 0.4
 """Of accelerometers that turn slowly the mean over so long is most of gravity."""
@@ -52,18 +54,29 @@ _FIELDS = {
     "gauss": (0.15, 1.5),
     "T": (15e-6, 150e-6),
 }  # with iron about
+_SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Given:
-    """What the user knows: serial number, latitude (°), rate (Hz), programme and message of a recording."""
+    """What the user knows: serial number, latitude (°), rate (Hz), programme and message of a recording; and the
+    columns of a text or Parquet log that are its accelerometers, gyros and time, by name or by number from 1."""
 
     serial: str | None = None
     latitude: float | None = None
     rate: float | None = None
     programme: str | None = None
     message: str | None = None
+    accel: Sequence[str] = ()
+    gyro: Sequence[str] = ()
+    time: str | None = None
+
+    @property
+    def columns(self) -> dict[str, Sequence[str]]:
+        """The stated columns by what they are."""
+        stated = {ACCEL: self.accel, GYRO: self.gyro, TIME_KIND: () if self.time is None else (self.time,)}
+        return {kind: columns for kind, columns in stated.items() if columns}
 
 
 NOTHING_GIVEN = Given()
@@ -108,7 +121,8 @@ def new_session(
         draft = replace(draft, content=_with_given(draft.content, folder, given))
         draft, faults = tried(draft, progress)
         content, signed = with_sign(draft.content)
-        draft = replace(draft, content=content, said=(*draft.said, *signed))
+        row = [_row_as_read(session_of(content), draft.rate)] if draft.guessed else []
+        draft = replace(draft, content=content, said=(*draft.said, *signed, *row))
         folder.mkdir(parents=True, exist_ok=True)
         text = session_text(draft, folder, given.programme, named=bool(given.serial))
         with whole_file(path) as temporary:
@@ -122,8 +136,13 @@ def new_session(
 def _of_files(files: list[Path], folder: Path, given: Given) -> Draft:
     recordings = [f for f in files if formats.is_recording(f) or f.is_dir()]
     if not recordings:
-        log = mended(found_log(files, folder), folder, given.rate)
+        log = mended(found_log(files, folder, given.columns), folder, given.rate)
         return _of_log(log, times_of(log, given.rate), given.rate)
+    if given.columns:
+        raise InputError(
+            f"--{', --'.join(given.columns)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
+            "messages say what is what; --message takes one"
+        )
     if len(files) > 1 and len(recordings) < len(files):
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
     return _of_recording(recordings, folder, given)
@@ -139,6 +158,7 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
     magnitude = _magnitude(log, found.triads[ACCEL])
     content, more, unknown = _content(log, times, found, magnitude)
     more += _without_gravity(log, found.triads[ACCEL], times.rate)
+    table = content["log"]
     magnetometer, most = _magnetometer(log, found.triads.get(MAGNETOMETER))
     return Draft(
         content=content,
@@ -151,6 +171,9 @@ def _of_log(log: FoundLog, times: Times, rate: float | None) -> Draft:
         gyro_whole=GYRO in found.triads and _is_whole(log.read(found.triads[GYRO].columns, rows=_HEAD)),
         accel_whole=_is_whole(log.read(found.triads[ACCEL].columns, rows=_HEAD)),
         accel_magnitude=magnitude,
+        guessed=times.guessed
+        or times.unit_guessed
+        or any(found.triads[k].unit is None for k in table if k in _SENSORS),
     )
 
 
@@ -170,6 +193,29 @@ def _without_gravity(log: FoundLog, accel: Sensors, rate: float) -> list[str]:
         f"accelerometers: at the mean over {_SECONDS:g} s they read {share:.0%} of what they read at a time: gravity "
         "is not in them; what a filter has left of the readings cannot be calibrated"
     ]
+
+
+def _row_as_read(session: Session, rate: float) -> str:
+    """The first row of a session's log that is whole: its numbers, and what they are taken for."""
+    log = session.log
+    time = [] if log.time is None else [log.time]
+    sensors = {kind: channels for kind, channels in ((ACCEL, log.accel), (GYRO, log.gyro)) if channels is not None}
+    columns = [*time, *(c for channels in sensors.values() for c in channels.columns)]
+    files = tuple(file for file in log.files if isinstance(file, Path))
+    found = FoundLog(files=files, keys={}, columns=_NO_COLUMNS, dialect=log.dialect)
+    read = found.read(columns, rows=_FIRST_ROWS, clock=log.time if log.clock else None)
+    whole = np.flatnonzero(np.isfinite(read).all(axis=1))
+    if not len(whole):
+        return f"no row of the first {len(read)} is whole"
+    row = dict(zip(columns, read[whole[0]].tolist(), strict=True))
+    parts = [f"time {row[name] * log.time_factor:.10g} s ({name}: {row[name]:.10g})" for name in time]
+    for kind, channels in sensors.items():
+        name, unit, one = _SENSORS[kind]
+        numbers = np.array([[row[c] for c in channels.columns]])
+        values = channels.to_si(numbers, np.array([1.0 / rate]))[0] / one
+        written = ", ".join(f"{c}: {row[c]:.6g}" for c in channels.columns)
+        parts.append(f"{name} {', '.join(f'{v:.4g}' for v in values)} {unit} ({written})")
+    return f"row {whole[0] + 1} as it is read: {'; '.join(parts)}"
 
 
 def _is_whole(read: Array) -> bool:
@@ -267,7 +313,7 @@ def _content(log: FoundLog, times: Times, found: Columns, magnitude: float) -> t
         table["gyro"], more, unknown = _gyro(found.triads[GYRO], rates, raw=counted)
         said += more
     else:
-        said.append("no gyros were found: the accelerometers alone will be calibrated")
+        said.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
     if found.temperatures:
         thermometers, remark = _thermometers(log, found.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
@@ -319,8 +365,8 @@ def _magnitude(log: FoundLog, sensors: Sensors) -> float:
 
 
 def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.accel]: the unit in which the median magnitude is gravity; with a scale of one where it may be that
-    of counts, so that the rests tell."""
+    """The table [log.accel]: the unit in which the median magnitude is gravity; with a scale of one where it may be
+    that of counts, so that the rests tell."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
     if sensors.unit in ACCEL_UNITS and ACCEL_UNITS[sensors.unit].kind != "raw":
@@ -342,8 +388,8 @@ def _accel(sensors: Sensors, times: Times, magnitude: float) -> tuple[dict[str, 
 
 
 def _gyro(sensors: Sensors, read: Array, *, raw: bool) -> tuple[dict[str, Any], list[str], bool]:
-    """The table [log.gyro]; where the accelerometers are `raw`, gyros of no named unit are too, and whole numbers which no
-    gyro reads in rad/s."""
+    """The table [log.gyro]; where the accelerometers are `raw`, gyros of no named unit are too, and whole numbers which
+    no gyro reads in rad/s."""
     columns = list(sensors.columns)
     named = ", ".join(columns)
     if sensors.unit is not None and GYRO_UNITS[sensors.unit].kind != "raw":

@@ -14,7 +14,15 @@ from tumble.drafting.found_log import SHOWN, FoundLog, check_has_accelerometers
 from tumble.drafting.log_times import times_of_column
 from tumble.errors import InputError
 from tumble.recording import formats
-from tumble.recording.formats.columns import ACCEL, GYRO, SENSOR_WORDS, Columns, columns_by_name, unit_of_name
+from tumble.recording.formats.columns import (
+    ACCEL,
+    GYRO,
+    SENSOR_WORDS,
+    Columns,
+    columns_by_name,
+    is_no_sensor,
+    unit_of_name,
+)
 from tumble.recording.formats.columns_by_data import time_by_data
 from tumble.recording.formats.message import TIME, Message, Sensors
 from tumble.recording.formats.scales import CANDIDATES
@@ -27,8 +35,11 @@ _NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
 def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
     """Whether logs are of one kind of sensors each: the names of their columns say so, or no names of columns say which
-    and those of the files do; where columns have no names, they are no more than a time and three sensors."""
+    and those of the files do; where columns have no names, they are no more than a time and three sensors. Files that
+    all have room for two kinds are recordings of one device."""
     if len(logs) < 2 or any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
+        return False
+    if all(sum(not is_no_sensor(name) for name in log.cells) >= len("xyz") + len("xyz") for log in logs):
         return False
     by_kind = _by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:
@@ -112,7 +123,7 @@ def _message(log: FoundLog, kind: str) -> Message:
     if not source or stamps is None or times is None:
         raise InputError(
             f"{log.files[0]}: expected a time and columns x, y and z, found {', '.join(list(log.cells)[:SHOWN])}; "
-            "rename them"
+            "write `time,x,y,z` above the rows"
         )
     unit = unit_of_name(kind, source[0]) or unit_of_name(kind, f"{'acc' if kind == ACCEL else 'gyro'} {source[0]}")
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")

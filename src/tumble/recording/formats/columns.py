@@ -215,7 +215,11 @@ def is_no_sensor(name: str) -> bool:
     said = "_".join(words)
     timed = name != "T" and bool(_TIME.search(said))
     return (
-        bool(_NO_SENSOR.search(said)) or timed or _UNITS[GYRO].get(unit) in _RATES or bool(_OTHER_UNITS.fullmatch(unit))
+        bool(_NO_SENSOR.search(said))
+        or timed
+        or _UNITS[GYRO].get(unit) in _RATES
+        or bool(_OTHER_UNITS.fullmatch(unit))
+        or (unit in _UNITS[MAGNETOMETER] and unit not in _UNITS[ACCEL])
     )
 
 

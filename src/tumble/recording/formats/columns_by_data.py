@@ -126,9 +126,9 @@ def _weighed(names: Sequence[str], ranked: Sequence[_Hypothesis]) -> str:
     further = [(rival.cost - best.cost, rival.said(names)) for rival in rivals if rival is not None]
     if not further:
         return "columns: no others can be accelerometers"
-    listed = " and ".join(f"{said} (by {cost:.1f})" for cost, said in further)
+    listed = " and ".join(f"{said} (cost +{cost:.1f})" for cost, said in further)
     doubt = "; too near to be sure: state --accel, --gyro" if min(further)[0] < _APART else ""
-    return f"columns: less likely are {listed}; 6 is a factor of 20{doubt}"
+    return f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}"
 
 
 def _hypotheses(read: Array, runs: Sequence[Run], numbers: Sequence[int], *, fused: bool) -> list[_Hypothesis]:

@@ -29,7 +29,7 @@ GYRO_COUNTS: tuple[float, ...] = tuple(
         ]
     )
 )
-"""Counts per °/s of data sheets: of the ranges of 16 bits, of the mdps per count of other makers, Bosch's BNO055 (16)."""
+"""Counts per °/s of data sheets: of the ranges of 16 bits, of other makers' mdps per count, of the BNO055 (16)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -107,8 +107,8 @@ class Match:
 
 
 def matched(kind: str, found: float, *, whole: bool) -> Match:
-    """What sensors of a kind are that read `found` for one g or °/s; `whole`: their readings are whole numbers. Those of
-    others are counts only where no unit is near."""
+    """What sensors of a kind are that read `found` for one g or °/s; `whole`: their readings are whole numbers. Others
+    are counts only where no unit is near."""
     ranked = sorted(CANDIDATES[kind], key=lambda c: abs(np.log(found / c.value)))
     units = [c for c in ranked if c.unit is not None and abs(np.log(found / c.value)) <= NEAR]
     nearest = units[0] if units and not whole else ranked[0]
