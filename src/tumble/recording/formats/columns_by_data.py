@@ -37,11 +37,13 @@ each of the four."""
 _LENGTH = 0.05  # of gravity, from rest to rest: biases of 50 mg, scale errors of some percent
 _ZERO = 0.25  # of gravity
 _SCATTER = 0.02  # of gravity, of a sample at rest
-_NOISE = 0.7  # logarithm of the noise of one axis over that of another
+_NOISE = 0.5  # logarithm of the noise of one axis over that of another
 _STEADY = 0.25  # what gyros differ by at rest, over what they do in all
 _COUNTED = 2.0  # −2 ln of the chance that a unit is a count of data sheets; with powers of two a sixth fit by chance
 _NO_SCALE = 16.0  # in no unit, and in no counts
 _CARRIED = 18.0  # gyros that turn the accelerometers' vector wholly, against some that do not at all
+_AMID = 1.5  # three columns that are some of two threes
+_BIAS = 0.5  # of gyros, a factor of e of their mean vector over what they do in all
 _MOST = 9.0  # of a single deviation: three standard ones
 _LIMIT = 4.0  # of accelerometers, and of gyros beside those
 _APART = 6.0
@@ -89,13 +91,9 @@ def columns_by_data(names: Sequence[str], read: Array) -> Told:
     if not len(read):
         return Told(columns=Columns(time=None, time_unit=None, triads={}, temperatures=(), others=()))
     growing = [j for j in range(len(names)) if grows(read[:, j])]
-    numbers = [
-        j
-        for j in range(len(names))
-        if j not in growing and np.isfinite(read[:, j]).mean() > 0.5 and _is_sensor(read[:, j])
-    ]
-    attitudes = _attitudes(read, numbers)
-    numbers = [j for j in numbers if j not in attitudes]
+    read_at_all = [j for j in range(len(names)) if j not in growing and np.isfinite(read[:, j]).mean() > 0.5]
+    attitudes = _attitudes(read, read_at_all)
+    numbers = [j for j in read_at_all if j not in attitudes and _is_sensor(read[:, j])]
     runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
     runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
     ranked: list[_Hypothesis] = []
@@ -138,7 +136,7 @@ def _hypotheses(read: Array, runs: Sequence[Run], numbers: Sequence[int], *, fus
     if not quiet.any():
         return []
     noise = {run: _unlike_noise(read[:, run], quiet) for run in runs}
-    amid = {run: _MOST / 3.0 * _is_amid(run, numbers) for run in runs}
+    amid = {run: _AMID * _is_amid(run, numbers) for run in runs}
     accels = {run: _cost_of_accelerometers(read[:, run], quiet, fused=fused) + noise[run] + amid[run] for run in runs}
     found = [_Hypothesis(cost=cost, of_accel=cost, accel=run, gyro=None) for run, cost in accels.items()]
     for accel, cost in accels.items():
@@ -183,10 +181,13 @@ def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) ->
 
 
 def _unsteady(columns: Array, quiet: BoolArray) -> float:
-    """What it costs that three columns differ from rest to rest, as gyros do not."""
+    """What it costs that three columns differ from rest to rest, as gyros do not, and read much beside what they vary
+    by."""
     means, _ = _rests(columns, quiet)
     everything = float(np.linalg.norm(columns[np.isfinite(columns).all(axis=1)].std(axis=0)))
-    return min((float(np.linalg.norm(means.std(axis=0))) / max(_STEADY * everything, 1e-300)) ** 2, _MOST)
+    of_rests = float(np.linalg.norm(means.std(axis=0))) / max(_STEADY * everything, 1e-300)
+    bias = float(np.linalg.norm(np.median(means, axis=0))) / max(everything, 1e-300)
+    return min(of_rests**2, _MOST) + _BIAS * float(np.log1p(bias))
 
 
 def _cost_of_turns(columns: Array, accel: Array, quiet: BoolArray) -> float:
